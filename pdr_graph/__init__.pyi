@@ -1,7 +1,6 @@
 # The public names, each once: `__init__.py` loads them from here on first use, type checkers read this file as it is.
 
 from .errors import InputError as InputError
-from .estimation.consistency import verdict as verdict
 from .estimation.factors import register as register
 from .estimation.factors.base import FactorBlock as FactorBlock
 from .estimation.factors.base import Measurement as Measurement
@@ -10,6 +9,7 @@ from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph
 from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
+from .estimation.results import verdict as verdict
 from .estimation.smoother import smooth as smooth
 from .floor.plan_files import Building as Building
 from .floor.plan_files import FloorPlan as FloorPlan

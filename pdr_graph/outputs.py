@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.estimation.calibration import posterior_profile
-from pdr_graph.estimation.consistency import teaches_profile, verdict
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import is_located, is_usual
+from pdr_graph.estimation.results import is_located, is_usual, teaches_profile, verdict
 from pdr_graph.estimation.sources import position_sources
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample

@@ -2,8 +2,8 @@
 
 One table for each subject, a class with one instance; code reads ``WALLS.body`` where it uses it, so that
 ``scripts/reproduce settings`` can halve and double each number. That script measures the ranges; its figures are in
-docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or JUDGEMENT.
-Constants of nature, sizes of caches and numerical tolerances stay in their modules.
+docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or, if none is
+stated, JUDGEMENT. Constants of nature, sizes of caches and numerical tolerances stay in their modules.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class Entry(NamedTuple):
         return f"{self.table}.{self.name}"
 
 
-def number(value: Any, unit: str, meaning: str, source: str, still: tuple[Any, Any] | None = None) -> Any:
+def number(
+    value: Any, unit: str, meaning: str, source: str = JUDGEMENT, *, still: tuple[Any, Any] | None = None
+) -> Any:
     """A field with this default and its description. still: see `Entry`; of tuples, factors of the value."""
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source, "still": still})
 
@@ -79,47 +81,40 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 class StepPriors(Table):
     """Durations of steps."""
 
-    shortest: float = number(0.25, "s", "shortest duration of a step", JUDGEMENT, (0.125, 0.5))
+    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.125, 0.5))
     longest: float = number(
-        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", JUDGEMENT, (1.2, 1.2)
+        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", still=(1.2, 1.2)
     )
-    usual: float = number(0.54, "s", "typical duration of a step", JUDGEMENT, (0.54, 0.54))
+    usual: float = number(0.54, "s", "typical duration of a step", still=(0.54, 0.54))
 
 
 @dataclass(frozen=True)
 class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
-    sampling: float = number(
-        0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", JUDGEMENT, (0.04, 0.08)
-    )
-    slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step", JUDGEMENT)
-    usual_spread: float = number(
-        0.25, "log", "spread of a step's duration over people and paces", JUDGEMENT, (0.125, 0.5)
-    )
-    usual_weight: float = number(0.3, "correlation", "weight of that prior", JUDGEMENT, (0.15, 0.6))
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", JUDGEMENT, (0.05, 0.1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", JUDGEMENT, (0.2, 0.4))
-    window: float = number(4.0, "s", "over which |a| is correlated with itself", JUDGEMENT, (2.0, 8.0))
-    look_ahead: float = number(2.0, "s", "part of the window after a landing", JUDGEMENT, (1.0, 2.0))
-    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", JUDGEMENT)
-    weakest: float = number(
-        0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less", JUDGEMENT
-    )
+    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(0.04, 0.08))
+    slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
+    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(0.125, 0.5))
+    usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.15, 0.6))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(0.05, 0.1))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(0.2, 0.4))
+    window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(2.0, 8.0))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1.0, 2.0))
+    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
+    weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(
-        0.23, "share", "least amplitude among the steps around it: feet shuffle", JUDGEMENT, (0.23, 0.23)
+        0.23, "share", "least amplitude among the steps around it: feet shuffle", still=(0.23, 0.23)
     )
     highest_bounce: float = number(
         0.14,
         "m",
         "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15",
-        JUDGEMENT,
-        (0.14, 0.28),
+        still=(0.14, 0.28),
     )
-    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", JUDGEMENT)
-    tilt_window: float = number(1.5, "s", "over which that direction is averaged", JUDGEMENT)
+    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
+    tilt_window: float = number(1.5, "s", "over which that direction is averaged")
     steadiest_tilt: float = number(
-        0.96, "share", "least length of that mean; else the phone tilts to and fro", JUDGEMENT, (0.48, 0.96)
+        0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.48, 0.96)
     )
 
     @property
@@ -132,45 +127,47 @@ class CandidatePriors(Table):
 class BoutPriors(Table):
     """When candidate landings become steps."""
 
-    closest_share: float = number(0.55, "steps", "least interval between two landings", JUDGEMENT, (0.275, 0.55))
-    start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start", JUDGEMENT)
-    go_on: float = number(0.1, "correlation", "the same to go on", JUDGEMENT)
-    vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing", JUDGEMENT)
+    closest_share: float = number(0.55, "steps", "least interval between two landings", still=(0.275, 0.55))
+    start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start")
+    go_on: float = number(0.1, "correlation", "the same to go on")
+    vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing")
     vigorous_start: float = number(
-        0.5, "correlation", "least correlation to start with such an amplitude", JUDGEMENT, (0.25, 0.5)
+        0.5, "correlation", "least correlation to start with such an amplitude", still=(0.25, 0.5)
     )
     push_off: float = number(
-        0.6, "share", "a first landing weaker than this, of the following ones, is none", JUDGEMENT, (0.6, 0.6)
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(0.6, 0.6)
     )
-    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", JUDGEMENT, (4, 4))
-    late: float = number(6.0, "s", "after which it is too late to report a step", JUDGEMENT)
-    past: float = number(8.0, "s", "samples before a landing on which it may depend", JUDGEMENT)
-    future: float = number(
-        3.0, "s", "samples after a landing, beyond the look-ahead, on which it may depend", JUDGEMENT
-    )
+    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(4, 4))
+    late: float = number(6.0, "s", "after which it is too late to report a step")
+    past: float = number(8.0, "s", "samples before a landing on which it may depend")
+    future: float = number(3.0, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
 
 
 @dataclass(frozen=True)
 class StridePriors(Table):
     """Lengths of steps."""
 
-    shortest: float = number(0.2, "m", "shortest length of a step, by any model", JUDGEMENT, (0.1, 0.4))
-    longest: float = number(1.2, "m", "longest length of a step, by any model", JUDGEMENT, (1.2, 2.4))
+    shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.1, 0.4))
+    longest: float = number(1.2, "m", "longest length of a step, by any model", still=(1.2, 2.4))
     sigma: float = number(
-        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", (0.15, 0.6)
+        0.3,
+        "share",
+        "sigma of a step's length",
+        "fit of the 90 % regions: scripts/reproduce settings",
+        still=(0.15, 0.6),
     )
     turn_shortens: float = number(
-        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", (0.562, 1.124)
+        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.562, 1.124)
     )
-    largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more", JUDGEMENT)
+    largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(
         0.34,
         "m",
         "constant part of a step: half of it",
         "fit: 15 walks in two malls, scripts/reproduce steps",
-        (0.34, 0.34),
+        still=(0.34, 0.34),
     )
-    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", (0.29, 0.29))
+    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", still=(0.29, 0.29))
 
 
 @dataclass(frozen=True)
@@ -180,29 +177,29 @@ class TreadPriors(Table):
     blondel: float = number(0.63, "m", "two rises and one going", "Blondel's rule")
     shortest_going: float = number(0.22, "m", "least depth of treads", "building practice")
     longest_going: float = number(0.38, "m", "largest depth of treads", "building practice")
-    sigma: float = number(0.1, "m", "sigma of a step on stairs: landings are among them", JUDGEMENT)
+    sigma: float = number(0.1, "m", "sigma of a step on stairs: landings are among them")
 
 
 @dataclass(frozen=True)
 class MotionPriors(Table):
     """Errors of dead reckoning."""
 
-    turn: float = number(
-        0.02, "rad", "sigma of the heading error that one step adds: the body sways about the phone", JUDGEMENT
-    )
-    unmeasured_turn: float = number(0.3, "rad", "the same without a gyroscope: a corner every thirty steps", JUDGEMENT)
+    turn: float = number(0.02, "rad", "sigma of the heading error that one step adds: the body sways about the phone")
+    unmeasured_turn: float = number(0.3, "rad", "the same without a gyroscope: a corner every thirty steps")
     lateral: float = number(
-        0.25, "m", "sway of one step to the side", "fit of the 90 % regions: scripts/reproduce settings", (0.25, 0.25)
+        0.25,
+        "m",
+        "sway of one step to the side",
+        "fit of the 90 % regions: scripts/reproduce settings",
+        still=(0.25, 0.25),
     )
     standing_turn: float = number(
-        0.02, "rad", "change between walking direction and phone in a pause", JUDGEMENT, (0.01, 0.04)
+        0.02, "rad", "change between walking direction and phone in a pause", still=(0.01, 0.04)
     )
-    gap_speed: float = number(
-        1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks", JUDGEMENT
-    )
-    gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient", JUDGEMENT)
+    gap_speed: float = number(1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks")
+    gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient")
     steps_per_keyframe: int = number(
-        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", (5, 20)
+        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", still=(5, 20)
     )
     steps_per_segment: int = number(100, "steps", "for which the calibration is constant", "design, section 3")
 
@@ -220,34 +217,30 @@ class ForwardPriors(Table):
         "phase by which forward leads vertical acceleration: 33–119° in 16 of 18 real walks",
         "fit: docs/results/heading.md",
     )
-    band: float = number(
-        0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", JUDGEMENT
-    )
-    window_steps: int = number(16, "steps", "length of a window", JUDGEMENT, (8, 32))
-    least_windows: int = number(3, "windows", "least number of windows of walking", JUDGEMENT, (2, 6))
-    least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait", JUDGEMENT)
-    gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway", JUDGEMENT)
-    reading_sigma: float = number(
-        0.17, "rad", "sigma of the y axis of a phone held for reading", JUDGEMENT, (0.085, 0.34)
-    )
-    facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading", JUDGEMENT)
+    band: float = number(0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it")
+    window_steps: int = number(16, "steps", "length of a window", still=(8, 32))
+    least_windows: int = number(3, "windows", "least number of windows of walking", still=(2, 6))
+    least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait")
+    gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway")
+    reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", still=(0.085, 0.34))
+    facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
     steady: float = number(
-        0.95, "share", "least length of the mean direction; a waved phone has less", JUDGEMENT, (0.475, 1.9)
+        0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.475, 1.9)
     )
-    opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read", JUDGEMENT)
-    early_steps: int = number(8, "steps", "length of a window live", JUDGEMENT)
-    early_coherence: float = number(0.45, "share", "least coherence in such a window", JUDGEMENT)
-    surely_facing_up: float = number(0.55, "share", "as ``facing_up`` where the gait does not confirm it", JUDGEMENT)
-    overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis", JUDGEMENT)
+    opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read")
+    early_steps: int = number(8, "steps", "length of a window live")
+    early_coherence: float = number(0.45, "share", "least coherence in such a window")
+    surely_facing_up: float = number(0.55, "share", "as ``facing_up`` where the gait does not confirm it")
+    overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis")
     early_sigma: float = number(
         0.4,
         "rad",
         "sigma of the gait axis of one early window: errors of 4 to 20° (median)",
         "simulated and real walks",
     )
-    confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it", JUDGEMENT)
+    confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it")
     unconfirmed: float = number(
-        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", JUDGEMENT, (0.175, 0.7)
+        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.175, 0.7)
     )
 
     @property
@@ -260,21 +253,19 @@ class ForwardPriors(Table):
 class GripPriors(Table):
     """Grip changes; ``scripts/reproduce compass`` scores them."""
 
-    tilting: float = number(
-        0.25, "rad/s", "rate of the vertical in the device above that of a carried phone", JUDGEMENT
-    )
-    new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change", JUDGEMENT)
-    fast: float = number(0.7, "rad", "turn within ``within`` that is a corner or a wrist", JUDGEMENT)
-    within: float = number(1.0, "s", "time of such a turn", JUDGEMENT)
-    steps_beside: int = number(8, "steps", "before and after a turn, to determine the forward axis", JUDGEMENT)
+    tilting: float = number(0.25, "rad/s", "rate of the vertical in the device above that of a carried phone")
+    new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change")
+    fast: float = number(0.7, "rad", "turn within ``within`` that is a corner or a wrist")
+    within: float = number(1.0, "s", "time of such a turn")
+    steps_beside: int = number(8, "steps", "before and after a turn, to determine the forward axis")
     clear_change: float = number(
         1.1, "rad", "change of the forward axis that is clear", "up to 1.0 on real walks without one"
     )
-    turned: float = number(0.6, "rad", "least turn of the walker by gait; less counts as straight on", JUDGEMENT)
-    coherent: float = number(0.65, "share", "least coherence to decide whether the phone turned", JUDGEMENT)
-    less_coherent: float = number(0.45, "share", "least coherence to determine the walker's turn", JUDGEMENT)
-    sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change", JUDGEMENT)
-    longest_undecided: float = number(14.0, "s", "after a turn began, when phone or walker is decided, live", JUDGEMENT)
+    turned: float = number(0.6, "rad", "least turn of the walker by gait; less counts as straight on")
+    coherent: float = number(0.65, "share", "least coherence to decide whether the phone turned")
+    less_coherent: float = number(0.45, "share", "least coherence to determine the walker's turn")
+    sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
+    longest_undecided: float = number(14.0, "s", "after a turn began, when phone or walker is decided, live")
 
 
 @dataclass(frozen=True)
@@ -286,33 +277,31 @@ class CompassPriors(Table):
         "rad",
         "error that a walk shares: the phone's own iron, a building's axis",
         "fit: scripts/reproduce compass",
-        (0.1, 0.4),
+        still=(0.1, 0.4),
     )
     longest_stretch: float = number(
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
-    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", JUDGEMENT, (1.0, 4.0))
-    least_steps: int = number(24, "steps", "least number of steps in a stretch", JUDGEMENT, (12, 48))
+    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(1.0, 4.0))
+    least_steps: int = number(24, "steps", "least number of steps in a stretch", still=(12, 48))
     least_certain: float = number(
-        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", JUDGEMENT, (0.35, 1.4)
+        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.35, 1.4)
     )
-    off: float = number(float(np.pi / 4), "rad", "of a compass that is off throughout", JUDGEMENT)
+    off: float = number(float(np.pi / 4), "rad", "of a compass that is off throughout")
 
 
 @dataclass(frozen=True)
 class LiveCompassPriors(Table):
     """The live compass."""
 
-    sampling: float = number(0.04, "s", "interval of the stored samples", JUDGEMENT)
-    early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations", JUDGEMENT)
-    evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch", JUDGEMENT)
-    recent: float = number(20.0, "s", "end of a stretch that may have its heading: the window contains it", JUDGEMENT)
-    out_of_reach: float = number(
-        40.0, "s", "age at which a heading has left the window: a new stretch begins", JUDGEMENT
-    )
-    unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags", JUDGEMENT)
-    least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported", JUDGEMENT)
-    offsets: int = number(3, "results", "earlier ones of a stretch whose differences widen the sigma", JUDGEMENT)
+    sampling: float = number(0.04, "s", "interval of the stored samples")
+    early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations")
+    evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch")
+    recent: float = number(20.0, "s", "end of a stretch that may have its heading: the window contains it")
+    out_of_reach: float = number(40.0, "s", "age at which a heading has left the window: a new stretch begins")
+    unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags")
+    least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported")
+    offsets: int = number(3, "results", "earlier ones of a stretch whose differences widen the sigma")
 
 
 # Sensors
@@ -322,17 +311,17 @@ class LiveCompassPriors(Table):
 class RestPriors(Table):
     """Phones at rest, and the gyroscope's bias there."""
 
-    window: float = number(0.5, "s", "over which the spread of the samples is taken", JUDGEMENT)
-    rate: float = number(0.012, "rad/s", "largest spread at rest: twice the noise of cheap sensors", JUDGEMENT)
-    acceleration: float = number(0.10, "m/s²", "the same of the acceleration", JUDGEMENT)
-    shortest: float = number(1.5, "s", "least duration of a rest: any phone is at rest for a moment", JUDGEMENT)
-    largest_bias: float = number(0.2, "rad/s", "largest mean rate at rest: else a turntable or a car", JUDGEMENT)
-    drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature", JUDGEMENT)
-    longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two", JUDGEMENT)
+    window: float = number(0.5, "s", "over which the spread of the samples is taken")
+    rate: float = number(0.012, "rad/s", "largest spread at rest: twice the noise of cheap sensors")
+    acceleration: float = number(0.10, "m/s²", "the same of the acceleration")
+    shortest: float = number(1.5, "s", "least duration of a rest: any phone is at rest for a moment")
+    largest_bias: float = number(0.2, "rad/s", "largest mean rate at rest: else a turntable or a car")
+    drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature")
+    longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two")
     bias_sigma: float = number(
-        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", JUDGEMENT
+        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm"
     )
-    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes", JUDGEMENT)
+    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes")
 
     @property
     def vqf(self) -> dict[str, float]:
@@ -344,72 +333,64 @@ class RestPriors(Table):
 class MagnetometerPriors(Table):
     """Calibration of the magnetometer, and tests of the field."""
 
-    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait", JUDGEMENT)
-    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field", JUDGEMENT)
-    fit_samples: int = number(600, "samples", "most of a calibration fit", JUDGEMENT)
-    fit_evaluations: int = number(60, "evaluations", "most of a fit, slow where the phone was hardly turned", JUDGEMENT)
-    hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration", JUDGEMENT)
-    soft_spread: float = number(0.1, "share", "sigma of its soft iron", JUDGEMENT)
-    field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss", JUDGEMENT)
-    independent: int = number(100, "samples", "independent ones in a building", JUDGEMENT)
-    hard_sigma: float = number(3.0, "µT", "largest sigma of a hard iron that is worth subtracting", JUDGEMENT)
-    tilted: float = number(
-        0.8, "share", "length of the mean vertical above which the phone was hardly tilted", JUDGEMENT
-    )
+    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait")
+    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field")
+    fit_samples: int = number(600, "samples", "most of a calibration fit")
+    fit_evaluations: int = number(60, "evaluations", "most of a fit, slow where the phone was hardly turned")
+    hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration")
+    soft_spread: float = number(0.1, "share", "sigma of its soft iron")
+    field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss")
+    independent: int = number(100, "samples", "independent ones in a building")
+    hard_sigma: float = number(3.0, "µT", "largest sigma of a hard iron that is worth subtracting")
+    tilted: float = number(0.8, "share", "length of the mean vertical above which the phone was hardly tilted")
 
 
 @dataclass(frozen=True)
 class NorthPriors(Table):
     """The filter of north."""
 
-    interval: float = number(1.0, "s", "between observations", JUDGEMENT, (0.5, 2.0))
-    drift: float = number(
-        0.004, "rad/√s", "of the attitude's heading after removal of the bias", JUDGEMENT, (0.002, 0.008)
-    )
-    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", JUDGEMENT, (0.06, 0.24))
+    interval: float = number(1.0, "s", "between observations", still=(0.5, 2.0))
+    drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.002, 0.008))
+    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.06, 0.24))
     alike: float = number(
-        2.5, "s", "for which a walker stays in the same disturbance: about three metres", JUDGEMENT, (1.25, 5.0)
+        2.5, "s", "for which a walker stays in the same disturbance: about three metres", still=(1.25, 5.0)
     )
     disturbed: float = number(
-        0.35, "rad", "largest error in either test; other observations are not used", JUDGEMENT, (0.175, 0.7)
+        0.35, "rad", "largest error in either test; other observations are not used", still=(0.175, 0.7)
     )
     weakest: float = number(
-        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", JUDGEMENT, (0.15, 0.6)
+        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.15, 0.6)
     )
-    huber: float = number(2.0, "σ", "deviation at which an innovation is clipped", JUDGEMENT)
-    least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", JUDGEMENT)
+    huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
+    least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used")
 
 
 @dataclass(frozen=True)
 class ClimbPriors(Table):
     """Climbs in a barometer's height; ``scripts/reproduce floors`` scores them."""
 
-    grid: float = number(0.5, "s", "interval of the height samples", JUDGEMENT)
-    longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long", JUDGEMENT)
-    gust: float = number(4.5, "s", "longest spike that is removed: a lift takes four seconds for a storey", JUDGEMENT)
-    rate: float = number(2.0, "s", "least width of the Gaussian over which a rate is taken", JUDGEMENT)
-    slow: float = number(0.03, "m/s", "low threshold of the rate: weather has 0.002", JUDGEMENT)
-    fast: float = number(
-        0.06, "m/s", "high threshold: a ramp of 6 % has 0.08, stairs 0.2 to 0.5, lifts 0.5 to 5", JUDGEMENT
-    )
-    quiet: float = number(3.0, "σ", "noise of a rate that does not exceed the high threshold", JUDGEMENT)
-    pause: float = number(4.0, "s", "within a climb, to turn on a landing", JUDGEMENT)
-    level: float = number(10.0, "s", "before and after a climb over which its ends' heights are taken", JUDGEMENT)
-    least: float = number(0.8, "m", "least height of a climb: from pocket to ear a phone rises by 0.6", JUDGEMENT)
-    certain: float = number(2.0, "σ", "least height: to miss a climb costs more than to invent one", JUDGEMENT)
-    edge: float = number(
-        0.3, "m", "from the levels at which a climb begins and ends; at most an eighth of it", JUDGEMENT
-    )
-    correlated: float = number(3.0, "s", "over which errors of a height are alike", JUDGEMENT)
-    placement: float = number(0.2, "m", "sigma of the phone's height above the floor, or of a draught", JUDGEMENT)
-    weather: float = number(8.5 / 3600, "m/s", "drift of the height with the weather: 1 hPa an hour", JUDGEMENT)
+    grid: float = number(0.5, "s", "interval of the height samples")
+    longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long")
+    gust: float = number(4.5, "s", "longest spike that is removed: a lift takes four seconds for a storey")
+    rate: float = number(2.0, "s", "least width of the Gaussian over which a rate is taken")
+    slow: float = number(0.03, "m/s", "low threshold of the rate: weather has 0.002")
+    fast: float = number(0.06, "m/s", "high threshold: a ramp of 6 % has 0.08, stairs 0.2 to 0.5, lifts 0.5 to 5")
+    quiet: float = number(3.0, "σ", "noise of a rate that does not exceed the high threshold")
+    pause: float = number(4.0, "s", "within a climb, to turn on a landing")
+    level: float = number(10.0, "s", "before and after a climb over which its ends' heights are taken")
+    least: float = number(0.8, "m", "least height of a climb: from pocket to ear a phone rises by 0.6")
+    certain: float = number(2.0, "σ", "least height: to miss a climb costs more than to invent one")
+    edge: float = number(0.3, "m", "from the levels at which a climb begins and ends; at most an eighth of it")
+    correlated: float = number(3.0, "s", "over which errors of a height are alike")
+    placement: float = number(0.2, "m", "sigma of the phone's height above the floor, or of a draught")
+    weather: float = number(8.5 / 3600, "m/s", "drift of the height with the weather: 1 hPa an hour")
 
 
 @dataclass(frozen=True)
 class KindPriors(Table):
     """Limits between kinds of climbs."""
 
-    walked: float = number(0.5, "share", "least share of a climb's time on steps, to count as on foot", JUDGEMENT)
+    walked: float = number(0.5, "share", "least share of a climb's time on steps, to count as on foot")
     steepest_ramp: float = number(0.055, "m/step", "ramps for wheelchairs, 1 in 12", "building practice")
     highest_stairs: float = number(
         0.25, "m/step", "treads are 0.14 to 0.20; two at a time are as walking on an escalator", "building practice"
@@ -428,12 +409,12 @@ class LossPriors(Table):
     """Widths of robust losses."""
 
     huber: float = number(
-        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", (1.225, 2.45)
+        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", still=(1.225, 2.45)
     )
     geman_mcclure: float = number(
-        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", (1.225, 4.9)
+        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", still=(1.225, 4.9)
     )
-    closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres", JUDGEMENT)
+    closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres")
 
 
 @dataclass(frozen=True)
@@ -441,24 +422,23 @@ class WalkerPriors(Table):
     """The walker's calibration (R_s, R_d, b)."""
 
     mean: tuple[float, float, float] = number(
-        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", ((1.0, 1.0, 0.0), (1.0, 1.0, 0.0))
+        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", still=((1.0, 1.0, 0.0), (1.0, 1.0, 0.0))
     )
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
         "fit of b: scripts/reproduce drift; JUDGEMENT",
-        ((0.15, 0.03, 0.003), (0.15, 0.03, 0.003)),
+        still=((0.15, 0.03, 0.003), (0.15, 0.03, 0.003)),
     )
     change: tuple[float, float, float] = number(
         (0.03, 0.005, 0.0005),
         "-, -, rad/s",
         "sigma of the change from segment to segment",
-        JUDGEMENT,
-        ((0.015, 0.0025, 0.00025), (0.06, 0.01, 0.001)),
+        still=((0.015, 0.0025, 0.00025), (0.06, 0.01, 0.001)),
     )
     between_walks: tuple[float, float, float] = number(
-        (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person", JUDGEMENT
+        (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person"
     )
 
 
@@ -467,13 +447,13 @@ class WallPriors(Table):
     """Walls along a walk: graph and particles."""
 
     margin: float = number(
-        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", (0.8, 0.8)
+        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(0.8, 0.8)
     )
-    sigma: float = number(1.0, "m", "sigma of that margin", JUDGEMENT, (0.5, 1.0))
-    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", JUDGEMENT, (0.075, 0.3))
-    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", JUDGEMENT, (0.05, 0.2))
+    sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 1.0))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.075, 0.3))
+    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.05, 0.2))
     loose: float = number(
-        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", JUDGEMENT, (1.5, 6.0)
+        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(1.5, 6.0)
     )
 
 
@@ -481,15 +461,15 @@ class WallPriors(Table):
 class RegionPriors(Table):
     """Which rooms and corridors a walk leads through."""
 
-    stray: float = number(0.5, "m", "sigma of a track", JUDGEMENT)
-    outside_cost: float = number(4.0, "nats", "of a point in no region: within 1.4 m it belongs to one", JUDGEMENT)
+    stray: float = number(0.5, "m", "sigma of a track")
+    outside_cost: float = number(4.0, "nats", "of a point in no region: within 1.4 m it belongs to one")
     outside_price: float = number(
-        0.15, "log-odds", "of a point in no region: shops are entered, plans end", JUDGEMENT, (0.075, 0.3)
+        0.15, "log-odds", "of a point in no region: shops are entered, plans end", still=(0.075, 0.3)
     )
-    at_door: float = number(1.5, "m", "from a door within which it may be used", JUDGEMENT)
-    wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors", JUDGEMENT)
-    door_cost: float = number(1.0, "log-odds", "of changing region at a door", JUDGEMENT)
-    leave_cost: float = number(6.0, "log-odds", "of entering or leaving all regions", JUDGEMENT)
+    at_door: float = number(1.5, "m", "from a door within which it may be used")
+    wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors")
+    door_cost: float = number(1.0, "log-odds", "of changing region at a door")
+    leave_cost: float = number(6.0, "log-odds", "of entering or leaving all regions")
 
 
 @dataclass(frozen=True)
@@ -497,153 +477,124 @@ class CorridorPriors(Table):
     """Directions of corridors, in runs of steps along their links."""
 
     side: float = number(
-        0.3,
-        "share",
-        "of the width, sigma of the position at either end of a run; 1/√12 if uniformly distributed",
-        JUDGEMENT,
+        0.3, "share", "of the width, sigma of the position at either end of a run; 1/√12 if uniformly distributed"
     )
-    ahead: float = number(
-        0.03, "rad", "sigma between the line from end to end of a run and the keyframe's heading", JUDGEMENT
-    )
-    on_link: float = number(
-        2.0, "cost", "largest of a step on a link: half a corridor off and askew as in a zigzag", JUDGEMENT
-    )
-    shortest: float = number(3.0, "m", "of the walk along a link", JUDGEMENT)
+    ahead: float = number(0.03, "rad", "sigma between the line from end to end of a run and the keyframe's heading")
+    on_link: float = number(2.0, "cost", "largest of a step on a link: half a corridor off and askew as in a zigzag")
+    shortest: float = number(3.0, "m", "of the walk along a link")
     bridged: float = number(
-        6.0, "m", "of the walk between two parts of one run: across an intersection, past an open shop", JUDGEMENT
+        6.0, "m", "of the walk between two parts of one run: across an intersection, past an open shop"
     )
-    straight: float = number(float(np.radians(10)), "rad", "between the links of one run", JUDGEMENT)
-    spread: float = number(float(np.radians(4)), "rad", "the same as a standard deviation", JUDGEMENT)
+    straight: float = number(float(np.radians(10)), "rad", "between the links of one run")
+    spread: float = number(float(np.radians(4)), "rad", "the same as a standard deviation")
 
 
 @dataclass(frozen=True)
 class TurnPriors(Table):
     """Turns at the intersections of a corridor network."""
 
-    turned: float = number(
-        0.05, "rad", "sigma of a heading change: few steps of a turn are straight in a corridor", JUDGEMENT
-    )
+    turned: float = number(0.05, "rad", "sigma of a heading change: few steps of a turn are straight in a corridor")
     place: float = number(
-        0.5,
-        "m",
-        "sigma outside the intersection: corners are cut, the step nearest to the turn is half a step off",
-        JUDGEMENT,
+        0.5, "m", "sigma outside the intersection: corners are cut, the step nearest to the turn is half a step off"
     )
-    overlap: int = number(
-        6, "places", "at the end or the beginning of a stretch that may belong to the turn", JUDGEMENT
-    )
-    longest: float = number(8.0, "m", "of the walk around an intersection, from one link to the other", JUDGEMENT)
-    least: float = number(float(np.radians(25)), "rad", "turn; less is one corridor", JUDGEMENT)
-    most: float = number(float(np.radians(150)), "rad", "turn; more is a reversal", JUDGEMENT)
-    at_node: float = number(2.0, "m", "between a turn and its intersection", JUDGEMENT)
+    overlap: int = number(6, "places", "at the end or the beginning of a stretch that may belong to the turn")
+    longest: float = number(8.0, "m", "of the walk around an intersection, from one link to the other")
+    least: float = number(float(np.radians(25)), "rad", "turn; less is one corridor")
+    most: float = number(float(np.radians(150)), "rad", "turn; more is a reversal")
+    at_node: float = number(2.0, "m", "between a turn and its intersection")
 
 
 @dataclass(frozen=True)
 class PlanPriors(Table):
     """Tolerances of a drawing."""
 
-    crack: float = number(0.1, "m", "widest gap between neighbours that were meant to touch", JUDGEMENT)
-    door_reach: float = number(0.15, "m", "by which a door drawn as a line opens the walls on either side", JUDGEMENT)
+    crack: float = number(0.1, "m", "widest gap between neighbours that were meant to touch")
+    door_reach: float = number(0.15, "m", "by which a door drawn as a line opens the walls on either side")
     door_width: float = number(0.9, "m", "of a door drawn as a point", "building practice")
-    narrowest: float = number(0.3, "m", "least width of a passage or gap that is walkable", JUDGEMENT)
+    narrowest: float = number(0.3, "m", "least width of a passage or gap that is walkable")
 
 
 @dataclass(frozen=True)
 class FixPriors(Table):
     """Fixes that cannot be right, and losses of fixes."""
 
-    longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording", JUDGEMENT)
-    walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows", JUDGEMENT)
-    outlier: float = number(5.0, "σ", "from a first optimum beyond which a fix is an outlier", JUDGEMENT)
-    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say", JUDGEMENT)
-    within: float = number(5.0, "σ", "of both fixes, within reach of one another", JUDGEMENT)
-    driven: float = number(30.0, "m/s", "reached during a gap in the recording", JUDGEMENT)
-    loosely: float = number(
-        5.0, "factor", "of the sigma in the second factor of a fix that states only a radius", JUDGEMENT
-    )
+    longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording")
+    walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows")
+    outlier: float = number(5.0, "σ", "from a first optimum beyond which a fix is an outlier")
+    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say")
+    within: float = number(5.0, "σ", "of both fixes, within reach of one another")
+    driven: float = number(30.0, "m/s", "reached during a gap in the recording")
     patience: int = number(
-        4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged", JUDGEMENT
+        4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged"
     )
-    rejected: float = number(
-        0.25, "fixes", "value in the longest chain, of one that the walk under way has rejected", JUDGEMENT
-    )
+    rejected: float = number(0.25, "fixes", "value in the longest chain, of one that the walk under way has rejected")
     doubtful: float = number(
-        0.3, "probability", "that the farthest of honest fixes is as far off, below which one may be wrong", JUDGEMENT
+        0.3, "probability", "that the farthest of honest fixes is as far off, below which one may be wrong"
     )
     suspicious: float = number(
-        0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small", JUDGEMENT
+        0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small"
     )
-    fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least", JUDGEMENT)
-    seconds: float = number(3.0, "s", "longest time of such a triple", JUDGEMENT)
+    fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least")
+    seconds: float = number(3.0, "s", "longest time of such a triple")
 
 
 @dataclass(frozen=True)
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
-    standing: float = number(120.0, "s", "correlation time of a receiver's errors", JUDGEMENT)
-    along: float = number(30.0, "m", "distance walked over which they are correlated", JUDGEMENT)
-    still: float = number(1.0, "m", "within which a frozen receiver stays", JUDGEMENT)
-    away: float = number(10.0, "m", "to which the steps must lead meanwhile", JUDGEMENT)
-    white: float = number(0.3, "share", "of white noise in the stated sigma", JUDGEMENT)
-    node: float = number(5.0, "s", "between nodes of the offset", JUDGEMENT)
-    lag: float = number(1.0, "s", "sigma of the lag", JUDGEMENT)
-    lag_change: float = number(0.02, "s/√s", "random walk of the lag", JUDGEMENT)
-    lately: float = number(2.0, "s", "over which the velocity is averaged", JUDGEMENT)
-    amble: float = number(1.0, "m/s", "assumed after the last step, until the next node", JUDGEMENT)
-    usually_worse: float = number(
-        2.0, "factor", "of what it states, up to which a user need not check a receiver", JUDGEMENT
-    )
-    scattered: float = number(
-        1.1, "σ", "root mean square residual from which all errors may be larger than stated", JUDGEMENT
-    )
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors")
+    along: float = number(30.0, "m", "distance walked over which they are correlated")
+    still: float = number(1.0, "m", "within which a frozen receiver stays")
+    away: float = number(10.0, "m", "to which the steps must lead meanwhile")
+    white: float = number(0.3, "share", "of white noise in the stated sigma")
+    node: float = number(5.0, "s", "between nodes of the offset")
+    lag: float = number(1.0, "s", "sigma of the lag")
+    lag_change: float = number(0.02, "s/√s", "random walk of the lag")
+    lately: float = number(2.0, "s", "over which the velocity is averaged")
+    amble: float = number(1.0, "m/s", "assumed after the last step, until the next node")
+    usually_worse: float = number(2.0, "factor", "of what it states, up to which a user need not check a receiver")
+    scattered: float = number(1.1, "σ", "root mean square residual from which all errors may be larger than stated")
 
 
 @dataclass(frozen=True)
 class BeaconPriors(Table):
     """Levels of beacons, and where beacons are."""
 
-    level_sigma: float = number(7.0, "dB", "of a mean level: reflections, people, furniture", JUDGEMENT)
-    height: float = number(1.5, "m", "of a beacon above the phone", JUDGEMENT)
-    power_sigma: float = number(4.0, "dB", "of a beacon's power", JUDGEMENT)
-    weakest: float = number(-97.0, "dBm", "that phones receive", JUDGEMENT)
-    most_evidence: float = number(4.5, "log-odds", "of one level at most", JUDGEMENT)
-    relocated: float = number(8.0, "log-odds", "at which a beacon counts as relocated", JUDGEMENT)
-    apart: float = number(15.0, "m", "by which it must be elsewhere", JUDGEMENT)
-    grid: float = number(5.0, "m", "spacing of candidate positions", JUDGEMENT)
-    beside: float = number(20.0, "m", "of their area beside the walk", JUDGEMENT)
-    longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live", JUDGEMENT)
-    stretch: float = number(2.0, "m", "of the walk over which levels are averaged", JUDGEMENT)
-    path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", JUDGEMENT)
-    path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", JUDGEMENT)
-    bin: float = number(15.0, "s", "between rough fixes", JUDGEMENT)
-    nearest: float = number(2.0, "m", "least sigma of a rough fix", JUDGEMENT)
+    level_sigma: float = number(7.0, "dB", "of a mean level: reflections, people, furniture")
+    height: float = number(1.5, "m", "of a beacon above the phone")
+    power_sigma: float = number(4.0, "dB", "of a beacon's power")
+    weakest: float = number(-97.0, "dBm", "that phones receive")
+    most_evidence: float = number(4.5, "log-odds", "of one level at most")
+    grid: float = number(5.0, "m", "spacing of candidate positions")
+    beside: float = number(20.0, "m", "of their area beside the walk")
+    longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live")
+    stretch: float = number(2.0, "m", "of the walk over which levels are averaged")
+    path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone")
+    path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)")
+    bin: float = number(15.0, "s", "between rough fixes")
+    nearest: float = number(2.0, "m", "least sigma of a rough fix")
     range: float = number(
-        60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest", JUDGEMENT
+        60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
     )
-    anywhere: float = number(
-        30.0, "m", "sigma of an unsurveyed beacon about the place of its strongest level", JUDGEMENT
-    )
-    most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved", JUDGEMENT)
+    anywhere: float = number(30.0, "m", "sigma of an unsurveyed beacon about the place of its strongest level")
+    most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved")
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
     )
-    origin_sigma: float = number(30.0, "m", "of the displacement of a whole list", JUDGEMENT)
-    displaced: float = number(
-        8.0, "m", "between the walks by the list and by all else, from which that is assumed", JUDGEMENT
-    )
+    origin_sigma: float = number(30.0, "m", "of the displacement of a whole list")
+    displaced: float = number(8.0, "m", "between the walks by the list and by all else, from which that is assumed")
 
 
 @dataclass(frozen=True)
 class RangePriors(Table):
     """Ranges to anchors."""
 
-    nlos: float = number(0.2, "share", "of ranges without line of sight", JUDGEMENT)
-    detour: float = number(3.0, "m", "mean length of a detour", JUDGEMENT)
-    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not", JUDGEMENT)
-    near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient", JUDGEMENT)
-    bin: float = number(5.0, "s", "of ranges that make a rough position", JUDGEMENT)
-    fewest: int = number(3, "anchors", "for a trilaterated rough position", JUDGEMENT)
+    nlos: float = number(0.2, "share", "of ranges without line of sight")
+    detour: float = number(3.0, "m", "mean length of a detour")
+    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
+    near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
+    bin: float = number(5.0, "s", "of ranges that make a rough position")
+    fewest: int = number(3, "anchors", "for a trilaterated rough position")
 
 
 # Initialisation and search
@@ -653,33 +604,31 @@ class RangePriors(Table):
 class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
-    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", JUDGEMENT, (1.5, 6.0))
-    change: float = number(
-        0.2, "rad, ratio", "by which direction and scale change between segments", JUDGEMENT, (0.1, 0.2)
-    )
-    any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown", JUDGEMENT)
-    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", JUDGEMENT)
-    huber: float = number(2.0, "σ", "width of Huber's weight", JUDGEMENT)
-    ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used", JUDGEMENT)
-    longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes", JUDGEMENT)
-    beyond: float = number(20.0, "m", "margin of that distance", JUDGEMENT)
-    rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", JUDGEMENT)
-    heading_sigma: float = number(0.2, "rad", "of the start heading of a user", JUDGEMENT)
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(1.5, 6.0))
+    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.1, 0.2))
+    any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
+    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite")
+    huber: float = number(2.0, "σ", "width of Huber's weight")
+    ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
+    longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes")
+    beyond: float = number(20.0, "m", "margin of that distance")
+    rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked")
+    heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
 
 
 @dataclass(frozen=True)
 class SearchPriors(Table):
     """The search for other walks that explain the measurements."""
 
-    directions: int = number(8, "directions", "hypotheses of an unknown direction", JUDGEMENT)
-    alike: float = number(30.0, "steps", "with the same position error, between fixes", JUDGEMENT)
-    longest_move: float = number(2.0, "m", "of a pose in an iteration with walls, whose gradients are local", JUDGEMENT)
-    dropped: float = number(12.0, "nats", "above the best at which a solution is dropped", JUDGEMENT)
-    usual: float = number(1.5, "ratio", "usual cost with walls to that without", JUDGEMENT)
-    strained: float = number(3.0, "nats", "above the usual at which further paths are searched", JUDGEMENT)
-    attempts: int = number(2, "runs", "of the particle filter", JUDGEMENT)
-    unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed", JUDGEMENT)
-    same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing", JUDGEMENT)
+    directions: int = number(8, "directions", "hypotheses of an unknown direction")
+    alike: float = number(30.0, "steps", "with the same position error, between fixes")
+    longest_move: float = number(2.0, "m", "of a pose in an iteration with walls, whose gradients are local")
+    dropped: float = number(12.0, "nats", "above the best at which a solution is dropped")
+    usual: float = number(1.5, "ratio", "usual cost with walls to that without")
+    strained: float = number(3.0, "nats", "above the usual at which further paths are searched")
+    attempts: int = number(2, "runs", "of the particle filter")
+    unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed")
+    same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing")
 
 
 @dataclass(frozen=True)
@@ -690,22 +639,20 @@ class PricePriors(Table):
         ((2.0, 0.7), (5.0, 2.3)),
         "factor, nats",
         "a receiver off throughout by so many times what it states: 1 in 2, 1 in 10",
-        JUDGEMENT,
     )
     larger: tuple[tuple[float, float], ...] = number(
         ((2.0, 1.5), (4.0, 3.0)),
         "factor, nats",
         "all errors of a receiver so many times what it states: 1 in 5, 1 in 20",
-        JUDGEMENT,
     )
     wrong_list: float = number(
-        5.5, "nats", "two entries of a list of beacons are swapped, one is elsewhere, or all: 1 in 250", JUDGEMENT
+        5.5, "nats", "two entries of a list of beacons are swapped, one is elsewhere, or all: 1 in 250"
     )
     wrong_origin: float = number(
-        1.0, "nats", "a list is displaced as a whole: as a receiver that is as far off throughout", JUDGEMENT
+        1.0, "nats", "a list is displaced as a whole: as a receiver that is as far off throughout"
     )
-    wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma", JUDGEMENT)
-    wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10", JUDGEMENT)
+    wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
+    wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10")
     compass_off: float = number(
         -float(np.log(0.0115)),
         "nats",
@@ -730,145 +677,99 @@ class PricePriors(Table):
 class DoubtPriors(Table):
     """Which hypotheses about sources are solved, carried on, adopted and reported."""
 
-    unlikely: float = number(5.0, "nats", "above the best from which a hypothesis is not carried on: 0.7 %", JUDGEMENT)
-    probable: float = number(0.5, "probability", "above which a user is told what a source gets wrong", JUDGEMENT)
-    different: float = number(0.5, "m", "largest distance at some step above which two solutions differ", JUDGEMENT)
+    unlikely: float = number(5.0, "nats", "above the best from which a hypothesis is not carried on: 0.7 %")
+    probable: float = number(0.5, "probability", "above which a user is told what a source gets wrong")
+    different: float = number(0.5, "m", "largest distance at some step above which two solutions differ")
     older: float = number(
         8.0,
         "nats",
         "per adopted hypothesis, live: its price, 5.5, and 2.5 of evidence from before the reviewed minutes",
-        JUDGEMENT,
     )
-    lead: float = number(1.0, "nats", "by which other hypotheses must be better than the adopted ones", JUDGEMENT)
-    misplaced: float = number(
-        6.0, "m", "sigma of the displacement of a plan or of the only position on it, per axis", JUDGEMENT
-    )
-    span: float = number(120.0, "s", "of the walk in which sources are compared: twice the usual lag", JUDGEMENT)
-    spacing: float = number(10.0, "s", "between the times at which the covariance of a review is computed", JUDGEMENT)
-    least_sigma: float = number(1.0, "m", "of a place that is certain: the walls that tell it count again", JUDGEMENT)
-    least_sigma_heading: float = number(0.2, "rad", "of the heading there", JUDGEMENT)
-    nowhere_else: float = number(1e-3, "probability", "below which no other place is kept", JUDGEMENT)
+    lead: float = number(1.0, "nats", "by which other hypotheses must be better than the adopted ones")
+    misplaced: float = number(6.0, "m", "sigma of the displacement of a plan or of the only position on it, per axis")
+    span: float = number(120.0, "s", "of the walk in which sources are compared: twice the usual lag")
+    spacing: float = number(10.0, "s", "between the times at which the covariance of a review is computed")
+    least_sigma: float = number(1.0, "m", "of a place that is certain: the walls that tell it count again")
+    least_sigma_heading: float = number(0.2, "rad", "of the heading there")
+    nowhere_else: float = number(1e-3, "probability", "below which no other place is kept")
 
 
 @dataclass(frozen=True)
 class PathPriors(Table):
     """Distinct paths of a walk on a plan."""
 
-    most_modes: int = number(8, "modes", "largest number that is solved", JUDGEMENT)
+    most_modes: int = number(8, "modes", "largest number that is solved")
     most_sought: int = number(
-        300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan", JUDGEMENT
+        300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan"
     )
     apart: float = number(
-        4.0, "m", "largest distance between two modes: nearer ones lead the optimiser to the same walk", JUDGEMENT
+        4.0, "m", "largest distance between two modes: nearer ones lead the optimiser to the same walk"
     )
-    moments: int = number(60, "keyframes", "at which paths are compared", JUDGEMENT)
-    live_moments: int = number(8, "keyframes", "the same for a walk under way", JUDGEMENT)
-    live_modes: int = number(5, "modes", "largest number for a walk under way", JUDGEMENT)
-    neglected: float = number(0.01, "share", "of the particles that need not belong to any mode", JUDGEMENT)
+    moments: int = number(60, "keyframes", "at which paths are compared")
+    live_moments: int = number(8, "keyframes", "the same for a walk under way")
+    live_modes: int = number(5, "modes", "largest number for a walk under way")
+    neglected: float = number(0.01, "share", "of the particles that need not belong to any mode")
     largest_sigma: float = number(
-        2.7,
-        "m",
-        "in the worst direction, of a path that fixes determine: aisles lie three times as far apart",
-        JUDGEMENT,
+        2.7, "m", "in the worst direction, of a path that fixes determine: aisles lie three times as far apart"
     )
-    fewest_fixes: int = number(3, "fixes", "that determine a path: two do not check one another", JUDGEMENT)
-    most_open: float = number(0.25, "share", "of the walk, at its end, that may be undetermined", JUDGEMENT)
+    fewest_fixes: int = number(3, "fixes", "that determine a path: two do not check one another")
+    most_open: float = number(0.25, "share", "of the walk, at its end, that may be undetermined")
 
 
 @dataclass(frozen=True)
 class AnywherePriors(Table):
     """Particles all over a plan, for a walk without a position."""
 
-    density: float = number(
-        8.0,
-        "1/m²",
-        "of particles at first, in large plans",
-        SEARCHED,
-    )
-    most_density: float = number(
-        50.0,
-        "1/m²",
-        "the same in small plans",
-        SEARCHED,
-    )
-    fewest: int = number(
-        2000,
-        "particles",
-        "least number",
-        SEARCHED,
-    )
-    fewest_at_first: int = number(
-        50_000,
-        "particles",
-        "least number at first",
-        SEARCHED,
-    )
-    most: int = number(
-        200_000,
-        "particles",
-        "largest number",
-        SEARCHED,
-    )
-    kept: int = number(
-        5000,
-        "paths",
-        "of a run",
-        SEARCHED,
-    )
+    density: float = number(8.0, "1/m²", "of particles at first, in large plans", SEARCHED)
+    most_density: float = number(50.0, "1/m²", "the same in small plans", SEARCHED)
+    fewest: int = number(2000, "particles", "least number", SEARCHED)
+    fewest_at_first: int = number(50_000, "particles", "least number at first", SEARCHED)
+    most: int = number(200_000, "particles", "largest number", SEARCHED)
+    kept: int = number(5000, "paths", "of a run", SEARCHED)
     per_bin: float = number(
-        0.1,
-        "m²",
-        "particles per occupied bin of place and direction, times their density at first",
-        SEARCHED,
+        0.1, "m²", "particles per occupied bin of place and direction, times their density at first", SEARCHED
     )
-    drawn: int = number(2000, "paths", "among which modes are sought", JUDGEMENT)
-    places: int = number(2000, "places", "that stand for all of a plan", JUDGEMENT)
-    runs: int = number(
-        2,
-        "runs",
-        "independent ones: a run may lose the right place",
-        SEARCHED,
-    )
+    drawn: int = number(2000, "paths", "among which modes are sought")
+    places: int = number(2000, "places", "that stand for all of a plan")
+    runs: int = number(2, "runs", "independent ones: a run may lose the right place", SEARCHED)
 
 
 @dataclass(frozen=True)
 class ParticlePriors(Table):
     """The particle filter on a plan."""
 
-    fewest: int = number(1000, "particles", "least number", JUDGEMENT)
-    most: int = number(8000, "particles", "largest number, of the batch", JUDGEMENT, (4000, 16000))
+    fewest: int = number(1000, "particles", "least number")
+    most: int = number(8000, "particles", "largest number, of the batch", still=(4000, 16000))
     per_bin: int = number(
-        20, "particles", "per occupied bin of position and direction; scales with the most", JUDGEMENT, (10, 40)
+        20, "particles", "per occupied bin of position and direction; scales with the most", still=(10, 40)
     )
-    bin: float = number(1.0, "m", "of position", JUDGEMENT, (0.5, 2.0))
-    bin_angle: float = number(np.pi / 8, "rad", "of direction", JUDGEMENT, (0.1963, 0.7854))
-    resample: float = number(0.5, "share", "effective share below which they are resampled", JUDGEMENT, (0.25, 1.0))
-    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", JUDGEMENT, (0.1, 0.4))
+    bin: float = number(1.0, "m", "of position", still=(0.5, 2.0))
+    bin_angle: float = number(np.pi / 8, "rad", "of direction", still=(0.1963, 0.7854))
+    resample: float = number(0.5, "share", "effective share below which they are resampled", still=(0.25, 1.0))
+    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", still=(0.1, 0.4))
     wide: tuple[float, ...] = number(
         (1.5, 1.5, 2.0),
         "factor",
         "of the prior's sigmas: rare calibrations",
-        JUDGEMENT,
-        ((0.75, 0.75, 1.0), (3.0, 3.0, 4.0)),
+        still=((0.75, 0.75, 1.0), (3.0, 3.0, 4.0)),
     )
     calm: tuple[float, ...] = number(
         (0.7, 0.7, 1.0),
         "factor",
         "of length, sway, turn: parts are common errors",
-        JUDGEMENT,
-        ((0.35, 0.35, 0.5), (1.4, 1.4, 2.0)),
+        still=((0.35, 0.35, 0.5), (1.4, 1.4, 2.0)),
     )
-    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", JUDGEMENT, (0.5, 2.0))
-    least_sigma_direction: float = number(0.1, "rad", "at the start", JUDGEMENT)
-    far: float = number(4.0, "σ", "of a fix from all particles, from which some move there", JUDGEMENT)
-    sought: int = number(5, "particles", "of which one moves to such a fix", JUDGEMENT)
-    lost_price: float = number(4.0, "log-odds", "of such a move", JUDGEMENT)
-    outlier_price: float = number(8.0, "log-odds", "largest of an outlier", JUDGEMENT)
-    doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's", JUDGEMENT)
-    rare: int = number(4, "particles", "of which one draws any turn then", JUDGEMENT)
-    tries: int = number(4, "draws", "further ones of a step that would cross a wall", JUDGEMENT)
-    clear_price: float = number(0.1, "log-odds", "of a step along a wall", JUDGEMENT)
-    stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough", JUDGEMENT)
+    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2.0))
+    least_sigma_direction: float = number(0.1, "rad", "at the start")
+    far: float = number(4.0, "σ", "of a fix from all particles, from which some move there")
+    sought: int = number(5, "particles", "of which one moves to such a fix")
+    lost_price: float = number(4.0, "log-odds", "of such a move")
+    outlier_price: float = number(8.0, "log-odds", "largest of an outlier")
+    doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
+    rare: int = number(4, "particles", "of which one draws any turn then")
+    tries: int = number(4, "draws", "further ones of a step that would cross a wall")
+    clear_price: float = number(0.1, "log-odds", "of a step along a wall")
+    stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough")
 
     @property
     def odds(self) -> NDArray[np.float64]:
@@ -880,26 +781,24 @@ class ParticlePriors(Table):
 class KalmanPriors(Table):
     """The causal Kalman filter."""
 
-    gate: float = number(
-        5.0, "σ", "beyond which a measurement is rejected: χ² of 25, as outliers in the graph", JUDGEMENT
-    )
-    hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped", JUDGEMENT)
-    same: float = number(1.0, "σ", "from the best within which hypotheses are merged", JUDGEMENT)
-    patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised", JUDGEMENT)
+    gate: float = number(5.0, "σ", "beyond which a measurement is rejected: χ² of 25, as outliers in the graph")
+    hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
+    same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
+    patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
 
 
 @dataclass(frozen=True)
 class LinePriors(Table):
     """A calibration walk along a known line."""
 
-    most_laps: int = number(5, "laps", "on a closed line", JUDGEMENT)
+    most_laps: int = number(5, "laps", "on a closed line")
     plausible: float = number(1.5, "ratio", "largest of stated to true length, or inverse", "0.86 to 1.4 on real walks")
-    farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4", JUDGEMENT)
-    strays: float = number(2.0, "m", "along the line by which a step may move from round to round", JUDGEMENT)
-    sway: float = number(0.3, "m", "lateral sigma of people who follow a line", JUDGEMENT)
-    spacing: float = number(3.0, "m", "along the line between the fixes on it", JUDGEMENT)
+    farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4")
+    strays: float = number(2.0, "m", "along the line by which a step may move from round to round")
+    sway: float = number(0.3, "m", "lateral sigma of people who follow a line")
+    spacing: float = number(3.0, "m", "along the line between the fixes on it")
     usual: tuple[float, float, float] = number(
-        (0.4, 0.05, 0.01), "-, -, rad/m", "sigmas of E_length, E_corner, E_straight", JUDGEMENT
+        (0.4, 0.05, 0.01), "-, -, rad/m", "sigmas of E_length, E_corner, E_straight"
     )
 
 
@@ -911,46 +810,44 @@ class StoreyPriors(Table):
     """Floors by barometer and fixes."""
 
     height: float = number(3.5, "m", "of a storey: flats 2.7, offices 3.3–4.2, shops 5", "building practice")
-    spread: float = number(0.2, "log", "sigma of that height", JUDGEMENT)
-    scale_spread: float = number(0.08, "share", "sigma of a plan's heights: nominal ones, warm air", JUDGEMENT)
-    off: float = number(0.4, "m", "sigma of a storey's height, constant part", JUDGEMENT)
-    off_share: float = number(0.06, "share", "sigma of a storey's height, of the height", JUDGEMENT)
-    change: float = number(0.5, "nats", "cost of a change of floor", JUDGEMENT)
-    further: float = number(0.3, "nats", "cost of each storey of it: short climbs are more frequent", JUDGEMENT)
-    landing: float = number(1.0, "nats", "cost of a stop between floors", JUDGEMENT)
-    landing_time: float = number(60.0, "s", "in which that cost grows by 1", JUDGEMENT)
-    most_landing: float = number(2.0, "nats", "its maximum", JUDGEMENT)
-    other_floor: float = number(1.4, "nats", "cost of a fix on another floor: one in five", JUDGEMENT)
-    alike: int = number(5, "fixes", "on one floor that count at most: at one place they err alike", JUDGEMENT)
-    start: float = number(5.0, "nats", "cost of another floor than the stated start", JUDGEMENT)
-    unseen: float = number(10.0, "m", "sigma of the height of a climb without barometer", JUDGEMENT)
+    spread: float = number(0.2, "log", "sigma of that height")
+    scale_spread: float = number(0.08, "share", "sigma of a plan's heights: nominal ones, warm air")
+    off: float = number(0.4, "m", "sigma of a storey's height, constant part")
+    off_share: float = number(0.06, "share", "sigma of a storey's height, of the height")
+    change: float = number(0.5, "nats", "cost of a change of floor")
+    further: float = number(0.3, "nats", "cost of each storey of it: short climbs are more frequent")
+    landing: float = number(1.0, "nats", "cost of a stop between floors")
+    landing_time: float = number(60.0, "s", "in which that cost grows by 1")
+    most_landing: float = number(2.0, "nats", "its maximum")
+    other_floor: float = number(1.4, "nats", "cost of a fix on another floor: one in five")
+    alike: int = number(5, "fixes", "on one floor that count at most: at one place they err alike")
+    start: float = number(5.0, "nats", "cost of another floor than the stated start")
+    unseen: float = number(10.0, "m", "sigma of the height of a climb without barometer")
 
 
 @dataclass(frozen=True)
 class ScanPriors(Table):
     """Radio maps, and places recognised by them."""
 
-    window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels", JUDGEMENT)
-    interval: int = number(1, "s", "from one scan to the next", JUDGEMENT)
-    faintest: float = number(-100.0, "dBm", "level that counts as not received", JUDGEMENT)
-    fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places", JUDGEMENT)
-    neighbours: int = number(8, "fingerprints", "averaged for a position", JUDGEMENT)
-    agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown", JUDGEMENT)
-    least_sure: float = number(3.0, "m", "largest sigma of a walk at its fingerprints", JUDGEMENT)
-    near: float = number(5.0, "m", "from a fingerprint within which a place is mapped", JUDGEMENT)
+    window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels")
+    interval: int = number(1, "s", "from one scan to the next")
+    faintest: float = number(-100.0, "dBm", "level that counts as not received")
+    fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places")
+    neighbours: int = number(8, "fingerprints", "averaged for a position")
+    agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown")
+    least_sure: float = number(3.0, "m", "largest sigma of a walk at its fingerprints")
+    near: float = number(5.0, "m", "from a fingerprint within which a place is mapped")
     accepted: tuple[float, float] = number(
-        (0.05, 0.95), "quantile", "of the distance at mapped places: limits of σ and fix", JUDGEMENT
+        (0.05, 0.95), "quantile", "of the distance at mapped places: limits of σ and fix"
     )
-    finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds", JUDGEMENT)
-    apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out", JUDGEMENT)
-    shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out", JUDGEMENT)
-    enough: int = number(20, "scans", "at mapped places, to estimate the errors of a map", JUDGEMENT)
-    scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds", JUDGEMENT)
-    along: float = number(30.0, "m", "in which closures to the same other walk have the same error", JUDGEMENT)
-    later: float = number(60.0, "s", "after which a return to a place is a revisit", JUDGEMENT)
-    accepted_pairs: float = number(
-        0.8, "quantile", "of the distance of near pairs, beyond which they are dropped", JUDGEMENT
-    )
+    finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds")
+    apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out")
+    shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out")
+    enough: int = number(20, "scans", "at mapped places, to estimate the errors of a map")
+    scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds")
+    along: float = number(30.0, "m", "in which closures to the same other walk have the same error")
+    later: float = number(60.0, "s", "after which a return to a place is a revisit")
+    accepted_pairs: float = number(0.8, "quantile", "of the distance of near pairs, beyond which they are dropped")
     usually_alike: float = number(0.3, "distance", "that quantile where there are few pairs", "fit: two malls")
     usually_apart: float = number(5.0, "m", "σ of a closure where there are few pairs", "fit: two malls")
 
@@ -959,48 +856,46 @@ class ScanPriors(Table):
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(15.0, "s", "between samples: shorter ones accumulate the receiver's noise", JUDGEMENT)
-    path: float = number(100.0, "m", "of path for walks", JUDGEMENT)
-    ride_path: float = number(600.0, "m", "of path for rides: about a street block", JUDGEMENT)
+    grid: float = number(15.0, "s", "between samples: shorter ones accumulate the receiver's noise")
+    path: float = number(100.0, "m", "of path for walks")
+    ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     crooked: float = number(0.6, "share", "below which a path leads nowhere: half a circle is 0.64", "geometry")
-    context: float = number(600.0, "s", "window of the percentile", JUDGEMENT)
-    percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands", JUDGEMENT)
-    lag: float = number(60.0, "s", "over which the wander is measured", JUDGEMENT)
-    widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error", JUDGEMENT)
-    epoch: float = number(10.0, "s", "of the hidden Markov model", JUDGEMENT)
-    window: float = number(40.0, "s", "over which net speeds are computed for the modes", JUDGEMENT)
-    narrow: float = number(15.0, "s", "the same for the times of their changes", JUDGEMENT)
-    lasts: float = number(300.0, "s", "usual duration of a mode", JUDGEMENT)
-    shuffling: float = number(0.05, "m/s", "speed while standing", JUDGEMENT)
-    walk: float = number(1.2, "m/s", "net speed of walkers, with turns and stops", JUDGEMENT)
-    walk_spread: float = number(0.4, "m/s", "its sigma", JUDGEMENT)
-    ride: float = number(7.0, "m/s", "net speed from bicycles to cars", JUDGEMENT)
-    ride_spread: float = number(0.9, "log", "its sigma", JUDGEMENT)
-    dawdling: float = number(0.1, "share", "of a walk with turns and short stops, at any lower speed", JUDGEMENT)
-    waiting: float = number(0.15, "share", "of a ride in which it hardly moves", JUDGEMENT)
-    creeping: float = number(0.5, "m/s", "speed then", JUDGEMENT)
-    outliers: float = number(0.1, "share", "of larger errors of a receiver", JUDGEMENT)
-    outlier_scale: float = number(3.0, "factor", "of these errors", JUDGEMENT)
-    bends: float = number(0.1, "share", "of paths of any straightness", JUDGEMENT)
-    shortest_ride: int = number(3, "epochs", "shorter ones are jumps of the receiver", JUDGEMENT)
+    context: float = number(600.0, "s", "window of the percentile")
+    percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands")
+    lag: float = number(60.0, "s", "over which the wander is measured")
+    widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
+    epoch: float = number(10.0, "s", "of the hidden Markov model")
+    window: float = number(40.0, "s", "over which net speeds are computed for the modes")
+    narrow: float = number(15.0, "s", "the same for the times of their changes")
+    lasts: float = number(300.0, "s", "usual duration of a mode")
+    shuffling: float = number(0.05, "m/s", "speed while standing")
+    walk: float = number(1.2, "m/s", "net speed of walkers, with turns and stops")
+    walk_spread: float = number(0.4, "m/s", "its sigma")
+    ride: float = number(7.0, "m/s", "net speed from bicycles to cars")
+    ride_spread: float = number(0.9, "log", "its sigma")
+    dawdling: float = number(0.1, "share", "of a walk with turns and short stops, at any lower speed")
+    waiting: float = number(0.15, "share", "of a ride in which it hardly moves")
+    creeping: float = number(0.5, "m/s", "speed then")
+    outliers: float = number(0.1, "share", "of larger errors of a receiver")
+    outlier_scale: float = number(3.0, "factor", "of these errors")
+    bends: float = number(0.1, "share", "of paths of any straightness")
+    shortest_ride: int = number(3, "epochs", "shorter ones are jumps of the receiver")
 
 
 @dataclass(frozen=True)
 class TrackPriors(Table):
     """The smoothed track of positions alone; tuples are of standing, walking, riding and gaps."""
 
-    fastest: float = number(40.0, "m/s", "on the ground", JUDGEMENT)
-    jump: float = number(20.0, "fixes", "on either side to accept a faster jump, such as a flight", JUDGEMENT)
-    usual_intervals: float = number(5.0, "intervals", "a gap is longer than this many usual ones", JUDGEMENT)
-    longest: float = number(60.0, "s", "and than this: in a minute nobody walks round the block", JUDGEMENT)
-    speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis", JUDGEMENT)
-    keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity", JUDGEMENT)
-    free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place", JUDGEMENT)
-    first_scales: tuple[float, ...] = number(
-        (8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass", JUDGEMENT
-    )
-    final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second", JUDGEMENT)
-    at_rest: float = number(1.0, "m/s", "sigma of the velocity of a single fix", JUDGEMENT)
+    fastest: float = number(40.0, "m/s", "on the ground")
+    jump: float = number(20.0, "fixes", "on either side to accept a faster jump, such as a flight")
+    usual_intervals: float = number(5.0, "intervals", "a gap is longer than this many usual ones")
+    longest: float = number(60.0, "s", "and than this: in a minute nobody walks round the block")
+    speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis")
+    keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity")
+    free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
+    first_scales: tuple[float, ...] = number((8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass")
+    final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second")
+    at_rest: float = number(1.0, "m/s", "sigma of the velocity of a single fix")
 
 
 # Live
@@ -1010,42 +905,39 @@ class TrackPriors(Table):
 class Schedule(Table):
     """When the live smoother refines, reviews, searches and restarts its estimate."""
 
-    rounds: int = number(4, "rounds", "relinearisations after a keyframe, one with each of the next steps", JUDGEMENT)
-    wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe", JUDGEMENT)
-    final_rounds: int = number(30, "rounds", "most linearisations at the end of the walk", JUDGEMENT)
-    batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again", JUDGEMENT)
-    batch_share: float = number(0.2, "share", "of the walk's duration, the same", JUDGEMENT)
-    batch_time: float = number(1.0, "s", "after which the batch's solution is adopted", JUDGEMENT)
-    batch_rounds: int = number(12, "rounds", "most of a path of the batch before it is compared", JUDGEMENT)
-    longest_ambiguous: float = number(180.0, "s", "after which the best path is accepted, with three fixes", JUDGEMENT)
-    longest_open: float = number(
-        900.0, "s", "window from which keyframes leave although the direction is open", JUDGEMENT
-    )
-    comparison_interval: float = number(30.0, "s", "most time until the sources are compared again", JUDGEMENT)
-    comparison_share: float = number(0.5, "share", "of the walk's duration until then", JUDGEMENT)
-    comparison_time: float = number(2.0, "s", "after which the result is adopted", JUDGEMENT)
-    review_after: float = number(50.0, "s", "after which the batch solves a walk on a plan once more", JUDGEMENT)
-    search_after: float = number(20.0, "s", "from which a walk without position is sought on the plan", JUDGEMENT)
-    search_interval: float = number(20.0, "s", "least time until it is sought again", JUDGEMENT)
-    search_share: float = number(0.4, "share", "of the walk's duration, the same", JUDGEMENT)
-    search_time: float = number(10.0, "s", "after which the result is adopted", JUDGEMENT)
-    longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept", JUDGEMENT)
-    cost_interval: int = number(5, "keyframes", "between checks of the cost", JUDGEMENT)
-    cost_base: float = number(8.0, "nats", "limit of the cost: twice that of correct walks", JUDGEMENT)
-    cost_per_keyframe: float = number(0.4, "nats", "the same of each keyframe", JUDGEMENT)
-    cost_per_fix: float = number(3.0, "nats", "the same of each fix", JUDGEMENT)
+    rounds: int = number(4, "rounds", "relinearisations after a keyframe, one with each of the next steps")
+    wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe")
+    final_rounds: int = number(30, "rounds", "most linearisations at the end of the walk")
+    batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again")
+    batch_share: float = number(0.2, "share", "of the walk's duration, the same")
+    batch_time: float = number(1.0, "s", "after which the batch's solution is adopted")
+    batch_rounds: int = number(12, "rounds", "most of a path of the batch before it is compared")
+    longest_ambiguous: float = number(180.0, "s", "after which the best path is accepted, with three fixes")
+    longest_open: float = number(900.0, "s", "window from which keyframes leave although the direction is open")
+    comparison_interval: float = number(30.0, "s", "most time until the sources are compared again")
+    comparison_share: float = number(0.5, "share", "of the walk's duration until then")
+    comparison_time: float = number(2.0, "s", "after which the result is adopted")
+    review_after: float = number(50.0, "s", "after which the batch solves a walk on a plan once more")
+    search_after: float = number(20.0, "s", "from which a walk without position is sought on the plan")
+    search_interval: float = number(20.0, "s", "least time until it is sought again")
+    search_share: float = number(0.4, "share", "of the walk's duration, the same")
+    search_time: float = number(10.0, "s", "after which the result is adopted")
+    longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept")
+    cost_interval: int = number(5, "keyframes", "between checks of the cost")
+    cost_base: float = number(8.0, "nats", "limit of the cost: twice that of correct walks")
+    cost_per_keyframe: float = number(0.4, "nats", "the same of each keyframe")
+    cost_per_fix: float = number(3.0, "nats", "the same of each fix")
     least_duration: float = number(
         25.0,
         "s",
         "of a first linearisation on a plan, unless fixes determine the direction: shorter walks fit several aisles",
-        JUDGEMENT,
     )
-    most_sigma: float = number(0.5, "rad", "of the last heading, for a first linearisation", JUDGEMENT)
-    most_sigma_on_plan: float = number(0.35, "rad", "the same on a plan", JUDGEMENT)
-    doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked", JUDGEMENT)
-    doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall", JUDGEMENT)
+    most_sigma: float = number(0.5, "rad", "of the last heading, for a first linearisation")
+    most_sigma_on_plan: float = number(0.35, "rad", "the same on a plan")
+    doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked")
+    doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall")
     covariance_interval: float = number(
-        5.0, "s", "between covariances of the first keyframe; rows between are interpolated", JUDGEMENT
+        5.0, "s", "between covariances of the first keyframe; rows between are interpolated"
     )
 
     def batch_delay(self, duration: float) -> float:
@@ -1069,41 +961,37 @@ class Schedule(Table):
 class LivePathPriors(Table):
     """Other paths of a walk under way, by particles beside the graph."""
 
-    fewest: int = number(500, "particles", "least number", JUDGEMENT)
-    most: int = number(1000, "particles", "largest; more are in the right aisle no more often", JUDGEMENT)
-    dominant: float = number(0.5, "share", "of the particles in one mode, whose path is tried", JUDGEMENT)
-    mostly: float = number(0.7, "share", "of the particles elsewhere, from which the heaviest mode is tried", JUDGEMENT)
-    spread: float = number(1.5, "factor", "of the graph's sigmas: it may be in the wrong aisle", JUDGEMENT)
-    least_share: float = number(0.02, "share", "of the particles, in a mode that counts", JUDGEMENT)
-    wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls", JUDGEMENT)
-    least_probability: float = number(
-        0.1, "probability", "of the graph's way, however few particles are there", JUDGEMENT
-    )
-    least_gain: float = number(
-        0.1, "nats", "by which an alternative must cost less: else it is the same path", JUDGEMENT
-    )
+    fewest: int = number(500, "particles", "least number")
+    most: int = number(1000, "particles", "largest; more are in the right aisle no more often")
+    dominant: float = number(0.5, "share", "of the particles in one mode, whose path is tried")
+    mostly: float = number(0.7, "share", "of the particles elsewhere, from which the heaviest mode is tried")
+    spread: float = number(1.5, "factor", "of the graph's sigmas: it may be in the wrong aisle")
+    least_share: float = number(0.02, "share", "of the particles, in a mode that counts")
+    wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls")
+    least_probability: float = number(0.1, "probability", "of the graph's way, however few particles are there")
+    least_gain: float = number(0.1, "nats", "by which an alternative must cost less: else it is the same path")
 
 
 @dataclass(frozen=True)
 class FixesAlonePriors(Table):
     """The current position by fixes alone."""
 
-    wander: float = number(1.0, "m/√s", "growth of sigma without steps: 8 m in a minute", JUDGEMENT)
-    given_up: int = number(3, "fixes", "beyond the gate in a row, after which the position restarts", JUDGEMENT)
+    wander: float = number(1.0, "m/√s", "growth of sigma without steps: 8 m in a minute")
+    given_up: int = number(3, "fixes", "beyond the gate in a row, after which the position restarts")
 
 
 @dataclass(frozen=True)
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
-    interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two", JUDGEMENT)
-    longest: float = number(200.0, "s", "longest window", JUDGEMENT)
-    shortest: float = number(60.0, "s", "length of the window after a cut", JUDGEMENT)
-    most_climbs: int = number(3, "climbs", "in the window", JUDGEMENT)
-    too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb", JUDGEMENT)
-    remembered: float = number(90.0, "s", "labels stored from before the window", JUDGEMENT)
-    silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone", JUDGEMENT)
-    apart: float = number(120.0, "s", "between a sample and the steps at which its time stamp is wrong", JUDGEMENT)
+    interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two")
+    longest: float = number(200.0, "s", "longest window")
+    shortest: float = number(60.0, "s", "length of the window after a cut")
+    most_climbs: int = number(3, "climbs", "in the window")
+    too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb")
+    remembered: float = number(90.0, "s", "labels stored from before the window")
+    silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone")
+    apart: float = number(120.0, "s", "between a sample and the steps at which its time stamp is wrong")
 
 
 # Reports and verdicts of an estimate
@@ -1113,13 +1001,13 @@ class LiveFloorPriors(Table):
 class ReportPriors(Table):
     """When a user is warned."""
 
-    sure: float = number(0.9, "probability", "below which a user is warned", JUDGEMENT)
-    least_reported: float = number(0.01, "probability", "below which another walk is not reported", JUDGEMENT)
-    full_weight: float = number(0.9, "weight", "above which a fix is reported as such", JUDGEMENT)
-    rejected: float = number(0.1, "weight", "below which a fix counts as rejected", JUDGEMENT)
-    many: float = number(0.1, "share", "of rejected fixes at which a user is warned", JUDGEMENT)
-    detour: float = number(0.5, "weight", "below which a range is reported as one without line of sight", JUDGEMENT)
-    stride: tuple[float, float] = number((0.8, 1.2), "ratio", "stride scale R_s of usual walkers", JUDGEMENT)
+    sure: float = number(0.9, "probability", "below which a user is warned")
+    least_reported: float = number(0.01, "probability", "below which another walk is not reported")
+    full_weight: float = number(0.9, "weight", "above which a fix is reported as such")
+    rejected: float = number(0.1, "weight", "below which a fix counts as rejected")
+    many: float = number(0.1, "share", "of rejected fixes at which a user is warned")
+    detour: float = number(0.5, "weight", "below which a range is reported as one without line of sight")
+    stride: tuple[float, float] = number((0.8, 1.2), "ratio", "stride scale R_s of usual walkers")
     crossed_anyway: float = number(
         0.01, "share", "of rows, beside one, through walls on right routes", "at most 1 of 15 to 222 rows of real walks"
     )
@@ -1147,7 +1035,7 @@ class VerdictPriors(Table):
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
     accepted: float = number(0.5, "weight", "above which a fix is accepted", VERDICT_SEEDS)
     transmitters: int = number(3, "beacons", "or anchors that determine positions", "geometry")
-    overruled: float = number(0.5, "share", "of rejected measurements above which a source is overruled", JUDGEMENT)
+    overruled: float = number(0.5, "share", "of rejected measurements above which a source is overruled")
 
 
 STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()

@@ -9,12 +9,13 @@ from profile_pipeline import MAPS, hour
 from tables import table
 
 from pdr_graph import evaluate, smooth
-from pdr_graph.inputs import Options, read
+from pdr_graph.inputs import read
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.pipeline import observe
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario, UserFixes
 from pdr_graph.simulation.simulate import simulate
+from pdr_graph.walk_options import Options
 
 CORNERS = [[10.5, 12.5], [73.5, 12.5], [73.5, 47.5], [10.5, 47.5]]  # of the corridors of maps/mall
 LAPS = 23

@@ -21,8 +21,8 @@ from tables import publish, table
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import solutions
+from pdr_graph.estimation.factors import base as loss_functions
 from pdr_graph.estimation.factors import fixes as fix_factors
-from pdr_graph.estimation.factors import losses as loss_functions
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.gait.step_chunks import append_steps, gap

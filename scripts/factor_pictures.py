@@ -19,17 +19,16 @@ from tables import DOCS
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
-from pdr_graph.estimation.factors import preintegration
+from pdr_graph.estimation.factors import chain as chains
 from pdr_graph.estimation.factors.base import POSE, State
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.chain import Chain
-from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.start import first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.marginal import MarginalFactor
 from pdr_graph.estimation.multi_walk import smooth_together
@@ -250,9 +249,9 @@ def draw_factor(axes, factor, place, taken, named):
 def pdr():
     """Ten steps and their covariance; a hundred of them, whose ends are no ellipse any more."""
     figure, (short, long) = canvas(ratios=[1, 1.15])
-    pieces = preintegration.cut(steps_of(np.full(10, 0.06)), np.empty(0))
-    increments = preintegration.preintegrate(pieces, np.array([[1.0, 1.0, 0.0]]))
-    bridge, ends = preintegration.bridge(pieces, increments), sums_drawn(pieces)
+    pieces = chains.cut(steps_of(np.full(10, 0.06)), np.empty(0))
+    increments = chains.preintegrate(pieces, np.array([[1.0, 1.0, 0.0]]))
+    bridge, ends = chains.bridge(pieces, increments), sums_drawn(pieces)
     Q = np.linalg.inv(bridge.root[0].T @ bridge.root[0])
     way = np.concatenate([np.zeros((1, 2)), increments.delta[:, :2]])
     short.plot(*ends[:, -1, :2].T, ".", ms=2, color=PALE, label="random draws")
@@ -297,9 +296,9 @@ def banana(axes, place, covariance):
 def bridge():
     """Ten steps between two keyframes, given both."""
     figure, axes = canvas(1, 4.6)
-    pieces = preintegration.cut(steps_of(np.linspace(0.1, -0.12, 10)), np.empty(0))
+    pieces = chains.cut(steps_of(np.linspace(0.1, -0.12, 10)), np.empty(0))
     usual, start = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
-    increments = preintegration.preintegrate(pieces, usual)
+    increments = chains.preintegrate(pieces, usual)
     chain = Chain.of(pieces, np.zeros(1, dtype=np.intp), usual)
     shares, end = chain.bridge, increments.delta[-1:] + np.array([0.5, 1.4, 0.12])
     own = chain.evaluate(State({"x": np.concatenate([start, end]), "c": usual}))
@@ -464,7 +463,6 @@ def losses():
             PURPLE,
             "--",
         ),
-        "dead zone, 1.5 σ (an option)": (M.L2WithDeadZone.Create(1.5), GREEN, ":"),
     }
     figure, (cost, weight) = canvas()
     cost.plot(s, s**2 / 2, color=PALE, label="Gaussian")

@@ -18,8 +18,9 @@ from live_speed import resident
 from stream_attacks import ATTACKS
 from tables import publish, table
 
-from pdr_graph.online.interface import Samples, Scan, Steps
+from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.online.navigator import Navigator
+from pdr_graph.types import Steps
 
 LIMIT = 300.0  # [s] of CPU time, after which an attack is broken off
 HANDED_OUT = 100  # poses after which finalised rows are taken away

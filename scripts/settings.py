@@ -183,7 +183,7 @@ def shown(value):
 
 
 def write_ranges(ranges):
-    """Put the ranges ``{"TABLE.name": (low, high)}`` into priors.py, as the last argument of `number`."""
+    """Put the ranges ``{"TABLE.name": (low, high)}`` into priors.py, as the argument ``still`` of `number`."""
     path = Path(priors.__file__)
     text = path.read_text(encoding="utf-8")
     lines, classes = text.encode().splitlines(keepends=True), {type(t).__name__: name for name, t in tables().items()}
@@ -195,11 +195,10 @@ def write_ranges(ranges):
         if isinstance(node, ast.AnnAssign) and ranges.get(name := f"{classes[table_class.name]}.{node.target.id}")
     ]
     for call, ends in reversed(places):
-        before, last = call.args[3], call.args[-1]
-        assert last.end_lineno == before.lineno or len(call.args) > 4 or last is before
+        before, last = call.args[-1], [*call.args, *(old.value for old in call.keywords)][-1]
         row, column = before.end_lineno - 1, before.end_col_offset
         tail = lines[last.end_lineno - 1][last.end_col_offset :]
-        lines[row : last.end_lineno] = [lines[row][:column] + f", {rounded(ends)}".encode() + tail]
+        lines[row : last.end_lineno] = [lines[row][:column] + f", still={rounded(ends)}".encode() + tail]
     path.write_bytes(b"".join(lines))
 
 

@@ -10,7 +10,7 @@ from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_recei
 
 from pdr_graph import smooth
 from pdr_graph.estimation import kalman
-from pdr_graph.estimation.factors import losses
+from pdr_graph.estimation.factors import base
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.priors import BEACONS, LOSSES, PRICES, changed
@@ -27,7 +27,7 @@ def gaussian():
         patches.enter_context(changed(PRICES, worse=()))
         patches.enter_context(changed(BEACONS, suspicious=np.inf))
         patches.enter_context(changed(LOSSES, huber=WIDE))
-        for module in (losses, kalman):
+        for module in (base, kalman):
             patches.enter_context(
                 patch.object(module, "huber_weight", lambda deviation, _=WIDE: np.ones_like(deviation))
             )

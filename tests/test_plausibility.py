@@ -11,11 +11,12 @@ from test_cli import ARCADE, MAPS, ROUTE
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
-from pdr_graph.inputs import Options, read
+from pdr_graph.inputs import read
 from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.plausibility import Plausibility
 from pdr_graph.types import Fixes, Recording, Signal
+from pdr_graph.walk_options import Options
 
 PLAN = Building.load(ARCADE)
 FRAME = PLAN.floors[0].frame

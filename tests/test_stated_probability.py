@@ -11,9 +11,9 @@ from pdr_graph.batch import smooth_recording
 from pdr_graph.errors import percent
 from pdr_graph.estimation.results import stated_probability
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.inputs import Options
 from pdr_graph.online.replay import replay_recording
 from pdr_graph.types import Estimate, FixReport, Trajectory
+from pdr_graph.walk_options import Options
 
 PLAN = Building.load(ARCADE)
 

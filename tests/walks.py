@@ -96,8 +96,8 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
 
     period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
+    from pdr_graph.estimation.factors.fixes import drift
     from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
-    from pdr_graph.estimation.factors.receivers import drift
     from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.geometry import interpolate, rotation
 

@@ -14,9 +14,9 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.results import verdict
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit

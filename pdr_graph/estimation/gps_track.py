@@ -3,22 +3,361 @@
 It is smoothed twice: first with a loose motion model, to classify the transport mode, then with the motion model of
 that mode. While standing, the track stays in place however far the receiver's positions wander; gaps have a wide
 covariance.
+
+The smoother is a Kalman smoother, solved as one banded system (Barfoot, Tong and Särkkä, "Batch continuous-time
+trajectory estimation as exactly sparse Gaussian process regression", 2014). The motion is a continuous-time correlated
+random walk, as in
+
+    Johnson, London, Lea and Durban, "Continuous-time correlated random walk model for animal telemetry data",
+    Ecology 89(5), 2008, Eqs. (1)–(5):      dp = v dt,      dv = −v/τ dt + s √(2/τ) dw
+
+with speed s and time τ of the transport mode. Over long gaps the covariance grows accordingly. The error of a fix is
+white noise plus a slowly varying offset, as in `gnss_bias`:
+
+    z = p + σ g + n,        g a Gauss–Markov process of unit variance that is correlated over STANDING
+
+The transport mode is walking, standing or riding, by speed and straightness: a hidden Markov model of epochs of ten
+seconds, solved by Viterbi's algorithm, as is common (Reddy et al., "Using mobile phones to determine transportation
+modes", ACM TOSN 6(2), 2010). Each epoch has two observations: the net speed over TRAVEL.window, compared with the
+receiver's error in that time; and the straightness of the path. Cycling and running count as rides: positions alone
+cannot distinguish them. Indoors a receiver's position wanders by tens of metres within minutes, at the speed of a
+walker, whatever accuracy is stated. But over TRAVEL.path metres along the path a walker or a vehicle covers nearly as
+much net distance, and a wandering receiver does not. This *straightness* (Batschelet, Circular Statistics in Biology,
+1981: net over gross distance) needs no threshold of speed or distance, and distinguishes a walk in a small garden from
+noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.ndimage import maximum_filter1d, percentile_filter
 
+from pdr_graph.estimation.factors.base import geman_mcclure_weight
 from pdr_graph.estimation.factors.fixes import longest_consistent_chain
-from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, SmoothTrack, smooth_track
 from pdr_graph.estimation.results import REPEATED
-from pdr_graph.estimation.transport_mode import RIDES, STANDS, STATES, moves, straightness
-from pdr_graph.geometry import ANY_HEADING, interpolate
+from pdr_graph.geometry import ANY_HEADING, interpolate, length_along, viterbi
 from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, TRACK, TRAVEL
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
+
+SHORTEST = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
+NOWHERE = 1e-12  # [1/m²] prior information on the position of the first knot
+P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
+
+
+@dataclass(frozen=True)
+class GpsKnots:
+    """The ``n`` knots of a track; most are fixes, and the first is one.
+
+    time: ``(n,)`` [s]; position: ``(n, 2)`` [m], NaN where there is no fix; slow, white: ``(n,)`` standard deviations
+    of a fix's error per axis [m].
+    """
+
+    time: Array
+    position: Array
+    slow: Array
+    white: Array
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion model from knot to knot ``(n - 1,)``: speed per axis s [m/s], tau: correlation time τ [s].
+
+    changed: True where the transport mode changes, so that the velocity is independent of the one before.
+    """
+
+    speed: Array
+    tau: Array
+    changed: Mask
+
+    def of(self, which: Index) -> Motion:
+        """The motion for subdivided intervals; which: ``(m,)`` original interval of each part, in order."""
+        first = np.diff(which, prepend=-1) > 0
+        return Motion(self.speed[which], self.tau[which], self.changed[which] & first)
+
+
+@dataclass(frozen=True)
+class SmoothTrack:
+    """The track at every knot: position ``(n, 2)`` [m], velocity ``(n, 2)`` [m/s].
+
+    weight: ``(n,)`` of each fix, 0–1; root: banded Cholesky factor of the information.
+    """
+
+    position: Array
+    velocity: Array
+    weight: Array
+    root: Array
+
+    def variances(self) -> Array:
+        """Variances of position [m²] and velocity [m²/s²] per axis ``(n, 2)``, by Takahashi's sparse inverse."""
+        knots = self.root.shape[1] // 3
+        diagonal, next_ = np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
+        for i in range(3):
+            for j in range(3):
+                if i >= j:
+                    diagonal[:, i, j] = self.root[i - j, j::3]
+                next_[:, i, j] = self.root[3 + i - j, j : 3 * (knots - 1) : 3]
+        inverse = np.linalg.inv(diagonal)
+        alone = inverse.transpose(0, 2, 1) @ inverse
+        gain = next_ @ inverse[:-1]
+        result, block = np.empty((knots, 2)), alone[-1]
+        result[-1] = block[P, P], block[V, V]
+        for k in range(knots - 2, -1, -1):
+            block = alone[k] + gain[k].T @ block @ gain[k]
+            result[k] = block[P, P], block[V, V]
+        return result
+
+
+def smooth_track(
+    knots: GpsKnots, motion: Motion, scales: tuple[float, ...], weight: Array | None = None
+) -> SmoothTrack:
+    """The most probable track, with small weights for outliers.
+
+    scales: widths of the robust loss in units of the white noise, from wide to narrow, so that the result does not
+    depend on the start (graduated non-convexity). weight: initial weights ``(n,)``, 1 by default.
+    """
+    fixed = np.isfinite(knots.position[:, 0])
+    information, offset = _prior(knots, motion)
+    way = _solved(knots, information, offset, fixed * (1.0 if weight is None else weight))
+    for scale in scales:
+        off = np.hypot(*(knots.position - way[0].position - knots.slow[:, None] * way[1]).T)
+        weight = np.where(fixed, geman_mcclure_weight(np.nan_to_num(off) / knots.white / scale), 0.0)
+        way = _solved(knots, information, offset, weight)
+    return way[0]
+
+
+def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Array) -> tuple[SmoothTrack, Array]:
+    """The track with weights ``(n,)``, and the receiver's offset ``(n, 2)`` in units of ``slow``.
+
+    prior_information, to_next: see `_prior`.
+    """
+    knots, trust = len(weight), weight / gps.white**2
+    design = np.stack([np.ones(knots), np.zeros(knots), gps.slow], axis=1)
+    information = prior_information + trust[:, None, None] * design[:, :, None] * design[:, None, :]
+    origin = gps.position[0]  # the first knot is a fix; digits are lost far from it
+    right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
+    band = np.zeros((6, 3 * knots))
+    for i in range(3):
+        for j in range(3):
+            if i >= j:
+                band[i - j, j::3] = information[:, i, j]
+            band[3 + i - j, j : 3 * (knots - 1) : 3] = to_next[:, i, j]
+    root = cholesky_banded(band, lower=True)
+    state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
+    return SmoothTrack(origin + state[:, P], state[:, V], weight, root), state[:, G]
+
+
+def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
+    """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the one before."""
+    span = np.maximum(np.diff(gps.time), SHORTEST)
+    leads, kept, noise = _moves(span, motion)
+    still = np.exp(-span / RECEIVERS.standing)
+    F, inverse = np.zeros((2, len(span), 3, 3))
+    F[:, P, P], F[:, P, V], F[:, V, V], F[:, G, G] = 1.0, leads, kept, still
+    inverse[:, :2, :2] = np.linalg.inv(noise)
+    inverse[:, G, G] = 1 / (1 - still**2)
+    back = F.transpose(0, 2, 1) @ inverse
+    diagonal = np.zeros((len(gps.time), 3, 3))
+    diagonal[1:] += inverse
+    diagonal[:-1] += back @ F
+    diagonal[0] += np.diag([NOWHERE, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
+    return diagonal, -back.transpose(0, 2, 1)
+
+
+def _moves(span: Array, motion: Motion) -> tuple[Array, Array, Array]:
+    """Motion over spans ``(m,)`` [s]: displacement per velocity [s], share of velocity kept, noise ``(m, 2, 2)``."""
+    tau, variance = motion.tau, motion.speed**2
+    kept = np.exp(-span / tau)
+    leads = tau * (1 - kept)
+    along = span / tau
+    far = 2 * along - 3 + 4 * kept - kept**2
+    far = np.where(along < 1e-2, 2 / 3 * along**3, far)  # its digits cancel
+    pp, pv, vv = variance * tau**2 * far, variance * leads**2 / tau, variance * (1 - kept**2)
+    first = np.where(motion.changed, variance, 0.0)  # of a velocity that begins with the interval
+    pp, pv, vv = pp + first * leads**2, pv + first * leads * kept, vv + first * kept**2
+    noise = np.stack([np.stack([pp, pv], axis=-1), np.stack([pv, vv], axis=-1)], axis=-2)
+    return np.where(motion.changed, 0.0, leads), np.where(motion.changed, 0.0, kept), noise
+
+
+@dataclass(frozen=True)
+class Straightness:
+    """Net over gross distance around times ``(m,)`` [s]: walk over TRAVEL.path, ride over TRAVEL.ride_path; lasts:
+    time of TRAVEL.path [s].
+
+    wander: estimated standard deviation of the receiver's error per axis [m].
+    """
+
+    time: Array
+    walk: Array
+    ride: Array
+    lasts: Array
+    wander: Array
+
+
+def straightness(time: Array, way: Array, begins: Array, ends: Array) -> Straightness:
+    """Straightness of a path ``way (n, 2)`` [m] at ``time (n,)``, in recorded stretches ``(s,)`` [s]."""
+    at = np.concatenate([np.arange(a, b, TRAVEL.grid) for a, b in zip(begins, ends, strict=True)])
+    way = interpolate(at, time, way)
+    along = length_along(way) + 1e-6 * np.arange(len(at))  # strictly increasing even where nobody moves
+    (walk, lasts), (ride, _) = (_net(at, way, along, length) for length in (TRAVEL.path, TRAVEL.ride_path))
+    return Straightness(at, walk, ride, lasts, _wander(at, way, walk))
+
+
+def _net(time: Array, way: Array, along: Array, length: float) -> tuple[Array, Array]:
+    """Net over gross distance over ``length`` [m] centred at each sample, and the time of that path [s]."""
+    first, last = np.maximum(along - length / 2, 0.0), np.minimum(along + length / 2, along[-1])
+    net = np.hypot(*(interpolate(last, along, way) - interpolate(first, along, way)).T)
+    return net / np.maximum(last - first, 1.0), np.interp(last, along, time) - np.interp(first, along, time)
+
+
+def _wander(time: Array, way: Array, straight: Array) -> Array:
+    """Standard deviation per axis [m] of the receiver's error; 0 where most of the path leads somewhere.
+
+    The difference over TRAVEL.lag of a Gauss–Markov error of variance σ² is Rayleigh distributed with
+    2σ² (1 − e^(−TRAVEL.lag/CORRELATED)).
+    """
+    index = np.arange(len(time))
+    before, after = (
+        np.clip(index + k, 0, len(time) - 1) for k in (-_samples(TRAVEL.lag / 2), _samples(TRAVEL.lag / 2))
+    )
+    apart = np.hypot(*(way[after] - way[before]).T)
+    nowhere = (straight < TRAVEL.crooked) & (time[after] - time[before] < TRAVEL.lag + TRAVEL.grid)  # not over a gap
+    usual = percentile_filter(apart * nowhere, TRAVEL.percentile, 1 + 2 * _samples(TRAVEL.context / 2), mode="nearest")
+    return usual / np.sqrt(2 * np.log(2) * 2 * (1 - np.exp(-TRAVEL.lag / RECEIVERS.standing)))
+
+
+def _samples(span: float) -> int:
+    """Number of grid samples in a time span [s]."""
+    return int(span / TRAVEL.grid)
+
+
+def nearest_sample(straight: Straightness, time: Array) -> Index:
+    """Index of the last sample before or at each time ``(m,)`` [s]; 0 for earlier times."""
+    return np.maximum(np.searchsorted(straight.time, time, side="right") - 1, 0)
+
+
+STANDS, WALKS, RIDES = STATES = range(3)  # transport modes: the hidden states
+UNLIKELY = 1e-12  # least likelihood
+
+
+@dataclass(frozen=True)
+class Epochs:
+    """Equal parts of recorded stretches.
+
+    start, middle: ``(e,)`` [s]; first, last: ``(e,)`` start and end of the stretch of each [s]; begins: ``(e,)`` True
+    for the first epoch of a stretch.
+    """
+
+    start: Array
+    middle: Array
+    first: Array
+    last: Array
+    begins: Mask
+
+    @classmethod
+    def of(cls, begins: Array, ends: Array) -> Epochs:
+        """The epochs of stretches from ``begins (s,)`` to ``ends (s,)`` [s]."""
+        count = np.maximum(np.round((ends - begins) / TRAVEL.epoch), 1).astype(int)
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        first, last = np.repeat(begins, count), np.repeat(ends, count)
+        each = (last - first) / np.repeat(count, count)
+        return cls(first + each * within, first + each * (within + 0.5), first, last, within == 0)
+
+
+def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Straightness) -> Index:
+    """The transport mode from each knot to the next ``(n - 1,)``: STANDS, WALKS or RIDES; undefined in gaps.
+
+    way: smoothed path ``(n, 2)`` [m]; begins, ends: of recorded stretches ``(s,)`` [s].
+    """
+    epochs = Epochs.of(begins, ends)
+    lead = _by_straightness(epochs, straight)
+    state = _most_probable(_by_speed(epochs, knots, way, TRAVEL.window) + lead, epochs)
+
+    # The times of changes, by speeds over a shorter window around each change
+    changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
+    open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
+    cost = _by_speed(epochs, knots, way, TRAVEL.narrow) + lead
+    decided = np.where(np.array(STATES) == state[:, None], 0.0, np.inf)
+    state = _without_jumps(_most_probable(np.where(open_[:, None], cost, decided), epochs), epochs)
+    at = np.searchsorted(epochs.start, (knots.time[1:] + knots.time[:-1]) / 2, side="right") - 1
+    return state[at]
+
+
+def _most_probable(cost: Array, epochs: Epochs) -> Index:
+    """The states ``(e,)`` of least cost; stretches are independent."""
+    change = -np.log(TRAVEL.epoch / TRAVEL.lasts / (len(STATES) - 1)) * (1 - np.eye(len(STATES)))
+    return viterbi(cost, change * ~epochs.begins[1:, None, None])[0]
+
+
+def _without_jumps(state: Index, epochs: Epochs) -> Index:
+    """Replace rides shorter than TRAVEL.shortest_ride by the mode after or before them: they are jumps of the
+    receiver.
+    """
+    first = np.flatnonzero(epochs.begins | np.append(True, np.diff(state) != 0))
+    runs = [(a, b) for a, b in pairwise([*first, len(state)]) if state[a] == RIDES and b - a < TRAVEL.shortest_ride]
+    state = state.copy()
+    for a, b in runs:
+        if b < len(state) and not epochs.begins[b]:
+            state[a:b] = state[b]
+        elif not epochs.begins[a]:
+            state[a:b] = state[a - 1]
+    return state
+
+
+def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Array:
+    """Costs ``(e, 3)`` of the modes by net speed."""
+    first = np.maximum(epochs.middle - window / 2, epochs.first)
+    last = np.minimum(epochs.middle + window / 2, epochs.last)
+    span = np.maximum(last - first, 1.0)
+    speed = np.hypot(*(interpolate(last, knots.time, way) - interpolate(first, knots.time, way)).T) / span
+    slow, white = (np.interp(epochs.middle, knots.time, error) for error in (knots.slow, knots.white))
+    # [m/s] while standing
+    noise = np.sqrt(2 * slow**2 * (1 - np.exp(-span / RECEIVERS.standing)) + 2 * white**2) / span
+    likelihood = np.stack(_of_speeds(np.maximum(speed, TRAVEL.shuffling), np.hypot(noise, TRAVEL.shuffling)), axis=1)
+    # Windows overlap: each counts once
+    return -np.log(likelihood + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
+
+
+def _of_speeds(speed: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Likelihoods ``(e,)`` of net speeds [m/s] while standing, walking, riding; noise: of speeds per axis [m/s]."""
+    stands = (1 - TRAVEL.outliers) * _rayleigh(speed, noise) + TRAVEL.outliers * _rayleigh(
+        speed, TRAVEL.outlier_scale * noise
+    )
+    walks = (1 - TRAVEL.dawdling) * _normal(
+        speed - TRAVEL.walk, np.hypot(TRAVEL.walk_spread, noise)
+    ) + TRAVEL.dawdling / TRAVEL.walk * (speed < TRAVEL.walk)
+    rides = (
+        _normal(np.log(speed / TRAVEL.ride), np.hypot(TRAVEL.ride_spread, noise / np.maximum(speed, TRAVEL.creeping)))
+        / speed
+    )
+    return (
+        stands,
+        walks,
+        (1 - TRAVEL.waiting) * rides + TRAVEL.waiting * _rayleigh(speed, np.hypot(noise, TRAVEL.creeping)),
+    )
+
+
+def _by_straightness(epochs: Epochs, straight: Straightness) -> Array:
+    """Costs ``(e, 3)`` of the modes by straightness, which walks and even more rides have."""
+    at = nearest_sample(straight, epochs.middle)
+    walk, ride = (
+        -np.log(TRAVEL.bends + (1 - TRAVEL.bends) * 5 * net[at] ** 4) for net in (straight.walk, straight.ride)
+    )
+    counts = TRAVEL.epoch / np.maximum(straight.lasts[at], TRAVEL.window)
+    return np.stack([np.zeros(len(at)), walk, walk + ride], axis=1) * counts[:, None]
+
+
+def _rayleigh(value: Array, sigma: Array) -> Array:
+    return value / sigma**2 * np.exp(-((value / sigma) ** 2) / 2)
+
+
+def _normal(value: Array, sigma: Array) -> Array:
+    return np.exp(-((value / sigma) ** 2) / 2) / sigma / np.sqrt(2 * np.pi)
+
 
 LOST = len(STATES)  # transport mode where there is no data
 BRIDGE = 4  # parts of a gap: with linear interpolation between their ends, the variance is a seventh too low at most

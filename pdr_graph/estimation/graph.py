@@ -15,28 +15,28 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import corridors_of, kind_of, made_from, measurements_of_walk
-from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
-from pdr_graph.estimation.factors.chain import Chain, Evaluation
-from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
-from pdr_graph.estimation.factors.protocols import (
-    Directions,
+from pdr_graph.estimation.factors import Directions, Positions, corridors_of, kind_of, made_from, measurements_of_walk
+from pdr_graph.estimation.factors.base import (
+    AnyArray,
     Initialized,
-    Listed,
     Locating,
+    Measurement,
     Multimodal,
     OnPlan,
-    Positions,
     Priced,
     Refined,
     Remembered,
     Restarted,
+    Stage,
     Staged,
+    State,
+    initial_state,
 )
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
-from pdr_graph.estimation.normal_equations import NormalEquations
+from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.priors import MOTION
@@ -277,14 +277,6 @@ class WalkGraph:
         if all(new is old for new, old in zip(refined, self.measurements, strict=True)):
             return self
         return self._with_variables(tuple(measurement.bind(self.chain) for measurement in refined))
-
-    def corrected(self, at: Evaluation) -> WalkGraph | None:
-        """Drop listed positions that the optimum ``at`` contradicts; None if there are none."""
-        corrected = [kind.corrected(at) if isinstance(kind, Listed) else None for kind in self.measurements]
-        if not any(corrected):
-            return None
-        merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
-        return self._with_variables(merged)
 
     def assuming(self, measurements: Sequence[Measurement]) -> WalkGraph:
         """Replace the measurements of some kinds by other versions of them."""

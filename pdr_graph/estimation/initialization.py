@@ -17,11 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from pdr_graph.estimation.factors.chain import Chain
+from pdr_graph.estimation.factors import Directions, Positions
+from pdr_graph.estimation.factors.base import huber_weight
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.estimation.factors.heading_prior import of_start
-from pdr_graph.estimation.factors.losses import huber_weight
-from pdr_graph.estimation.factors.preintegration import DECIMALS
-from pdr_graph.estimation.factors.protocols import Directions, Positions
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
 from pdr_graph.priors import INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take

@@ -35,13 +35,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.consistency import plan_contradictions
-from pdr_graph.estimation.factors.losses import huber_weight
-from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
+from pdr_graph.estimation.factors.base import huber_weight
+from pdr_graph.estimation.factors.chain import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.results import calibration_of, stated_probability, warnings
+from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
 from pdr_graph.priors import KALMAN, LOSSES, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory

@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted

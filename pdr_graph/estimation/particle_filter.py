@@ -7,29 +7,352 @@ As in Woodman & Harle (2008), *Pedestrian localisation for indoor environments*,
 Walls are local constraints: an optimisation that starts in a wrong aisle ends in that aisle. A `ParticleFilter` has
 thousands of particles, weighted by walls and the measurements of all kinds; the ancestors of the survivors are the
 possible paths.
+
+A particle that would cross a wall draws its errors again. NumPy's functions say what a step is; those that numba has
+compiled (`particle_kernels`, extra ``fast``) take their place when many particles have moved, and return the same bits.
+
+By default a kind of measurement weighs poses by its own residuals: its instances at the keyframe are evaluated once for
+each pose, as if the poses were a walk. The priors of other variables (the place of an anchor, the path loss) widen the
+sigmas. A kind that knows a shorter way has its own `pose_costs`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from types import ModuleType
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import Measurement
-from pdr_graph.estimation.factors.likelihood import LimitsSteps, PoseCosts, pose_costs
-from pdr_graph.estimation.factors.preintegration import Pieces
+from pdr_graph.estimation.factors.base import (
+    CALIBRATION,
+    POSE,
+    FactorBlock,
+    Linearized,
+    Measurement,
+    Structural,
+    initial_state,
+)
+from pdr_graph.estimation.factors.chain import Chain, Evaluation, Increments, Pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.particle_motion import Walls, changed_floor, stepped, stood
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.priors import MOTION, PARTICLES
-from pdr_graph.types import Array, Index
+from pdr_graph.priors import MOTION, PARTICLES, REGIONS, WALLS
+from pdr_graph.types import Array, Index, take
 
-LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
+
+class PoseCosts(Protocol):
+    """Measurements of one kind at a keyframe."""
+
+    def costs(self, state: Array) -> Iterable[Array]:
+        """Negative log-likelihoods ``(n,)`` of states ``(6, n)`` x, y, θ, R_s, R_d, b.
+
+        Each is PARTICLES.outlier_price at most.
+        """
+        ...
+
+    def place_sought(self, state: Array) -> tuple[Array, float] | None:
+        """Position ``(2,)`` and sigma [m] that is far from all states ``(6, n)``, where some of them may belong."""
+        ...
+
 
 KeyframeMeasurements = Sequence[PoseCosts]  # the measurements at a keyframe, kind by kind
+
+
+class WeighsPoses(Structural):
+    """A kind that weighs poses otherwise than by its residuals."""
+
+    @abstractmethod
+    def pose_costs(self, keyframe: int) -> PoseCosts | None:
+        """The instances at a keyframe; None without any."""
+        ...
+
+
+class LimitsSteps(Structural):
+    """A kind that says that the walker stood during an interval, though steps err by more."""
+
+    @abstractmethod
+    def standing_variance(self, interval: int) -> float:
+        """Largest variance [m²] per axis of the displacement in an interval between keyframes; infinite if unknown."""
+        ...
+
+
+class Repeatable(Structural):
+    """A kind whose instances are not rows of its columns alone."""
+
+    @abstractmethod
+    def repeated(self, which: Index, keyframe: Index) -> Self:
+        """The instances ``which (n,)``, any of them several times, bound to other keyframes ``(n,)``."""
+        ...
+
+
+def _repeated(kind: Any, which: Index, keyframe: Index) -> Any:
+    """As `Repeatable.repeated`; of other kinds, all columns and tables with a row for each instance."""
+    if isinstance(kind, Repeatable):
+        return kind.repeated(which, keyframe)
+    changed: dict[str, Any] = {"keyframe": keyframe}
+    for name, column in vars(kind).items():
+        rows = name in {each.name for each in fields(kind)} and name != "keyframe"
+        if rows and isinstance(column, np.ndarray) and len(column) == len(kind.keyframe):
+            changed[name] = column[which]
+        elif rows and hasattr(column, "time") and len(column) == len(kind.keyframe):
+            changed[name] = take(column, which)
+    return replace(kind, **changed)
+
+
+def pose_costs(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
+    """The measurements of all kinds at a keyframe."""
+    costs = [
+        kind.pose_costs(keyframe) if isinstance(kind, WeighsPoses) else _by_residuals(kind, keyframe)
+        for kind in measurements
+        if not kind.on_plan
+    ]
+    return tuple(one for one in costs if one is not None)
+
+
+def _by_residuals(kind: Measurement, keyframe: int) -> Residuals | None:
+    """The instances of a kind at a keyframe; None for kinds whose instances are not bound to one keyframe each."""
+    bound = vars(kind).get("keyframe")
+    if not isinstance(bound, np.ndarray) or bound.ndim != 1:
+        return None
+    which = np.flatnonzero(bound == keyframe)
+    return Residuals(_repeated(kind, which, np.zeros(len(which), dtype=np.intp))) if len(which) else None
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Costs of poses by the residuals of a kind. kind: its instances at the keyframe, bound to keyframe 0."""
+
+    kind: Measurement
+
+    def costs(self, state: Array) -> Iterable[Array]:
+        """The sum of the losses of all factors of each pose."""
+        n, f = state.shape[1], len(vars(self.kind)["keyframe"])
+        each = _repeated(self.kind, np.tile(np.arange(f), n), np.arange(n).repeat(f))
+        walk = initial_state(np.ascontiguousarray(state[:3].T), np.ascontiguousarray(state[3:].T), (each,))
+        none = np.empty((0, 3))
+        increments, nothing = Increments(none, np.empty((0, 3, 3))), Linearized(none, *(np.empty((0, 3, 3)),) * 3)
+        at = Evaluation(Chain.keyframe_alone(0.0, 0, 0), walk, (each,), increments, nothing)
+        priors = _prior_variances(at)
+        for block in at.blocks:
+            poses = [rows for symbol, rows in block.variables if symbol == POSE]
+            if len(poses) == 1 and not block.prior:
+                deviation = block.deviation / _widening(block, priors)
+                cost = np.minimum(block.loss.cost(deviation), PARTICLES.outlier_price)
+                yield np.asarray(np.bincount(poses[0], cost, n), dtype=np.float64)
+
+    def place_sought(self, state: Array) -> None:
+        """Residuals determine no single place."""
+
+
+def _prior_variances(at: Evaluation) -> dict[str, Array]:
+    """Variances ``(n, 3)`` of the variables of each symbol by their priors alone."""
+    variances = dict[str, Array]()
+    for block in at.blocks:
+        if block.prior and block.rows_each:
+            symbol, rows = block.variables[0]
+            J = block.jacobian()[0].reshape(len(block), block.rows_each, 3)
+            information = np.zeros((len(at.state[symbol]), 3, 3))
+            information[rows] = J.transpose(0, 2, 1) @ J
+            inverse = np.linalg.inv(information + 1e-9 * np.eye(3))
+            variances[symbol] = np.diagonal(inverse, axis1=1, axis2=2).astype(float)
+    return variances
+
+
+def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
+    """Factors ``(n,)`` by which sigmas are wider, by the errors of other variables and by PARTICLES.least_sigma."""
+    variance, slope = np.ones(len(block.residual)), np.zeros(len(block.residual))
+    for (symbol, rows), by in zip(block.variables, block.jacobian(), strict=True):
+        if symbol == POSE:
+            slope = by[:, 0] ** 2 + by[:, 1] ** 2
+        elif symbol in priors and symbol != CALIBRATION:
+            variance += np.einsum("mi,mi->m", by**2, priors[symbol][rows[block.row_of]])
+    widest = np.zeros(len(block))
+    np.maximum.at(widest, block.row_of, np.maximum(variance, PARTICLES.least_sigma**2 * slope))
+    return np.sqrt(np.maximum(widest, 1.0))
+
+
+MOST_LOOKS = 100  # points of a step, however long
+LOAD_AFTER = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
+
+Motion = tuple[float, float, float, float]  # of a step: length [m], turn [rad], time [s], points tested against walls
+
+
+class Walls(NamedTuple):
+    """The walls of a floor; at_once, tiles: see `DistanceField.approximate`."""
+
+    field: DistanceField
+    at_once: int | None = None
+    tiles: Index | None = None
+
+    def distance(self, places: Array) -> Array:
+        """Distance ``(…)`` [m] of places ``(2, …)`` from the nearest wall."""
+        return self.field.approximate(places, self.at_once, self.tiles)
+
+
+class Compiled:
+    """The compiled functions, from when loading them would have paid: most walks are too short for them."""
+
+    def __init__(self) -> None:
+        self.functions: ModuleType | None = None
+        self.moved = 0  # particles by NumPy, in this process
+
+    def for_particles(self, count: int, may_load: bool) -> ModuleType | None:
+        """The compiled functions to move ``count`` particles, None for NumPy's; may_load: if it is time to."""
+        if self.moved < LOAD_AFTER:
+            self.moved += count
+            if may_load and self.moved >= LOAD_AFTER:
+                self.load()
+        return self.functions
+
+    def load(self) -> None:
+        """Load the functions, in 0.4 s, or 4 s where numba never compiled them.
+
+        NumPy's remain without numba, or where it has no folder for what it compiles.
+        """
+        self.moved = LOAD_AFTER
+        with suppress(Exception):  # numba raises what it likes, and is not needed
+            from pdr_graph.estimation import particle_kernels
+
+            self.functions = particle_kernels
+
+
+COMPILED = Compiled()
+
+
+def costs() -> tuple[float, ...]:
+    """The numbers that the compiled functions take: body [m], margin [m], and three prices [log-odds]."""
+    return WALLS.body, WALLS.margin, PARTICLES.clear_price, REGIONS.outside_price, REGIONS.wall_cost
+
+
+def stepped(
+    state: Array, length: float, turn: float, time: float, sigma: Array, walls: Walls, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
+
+    A particle that would cross a wall draws its errors again, up to PARTICLES.tries times, at the cost of the log-odds.
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
+    """
+    state = np.ascontiguousarray(state)
+    motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
+    kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
+    errors = _errors(state.shape[1], sigma, random)
+    after, price, stopped = (kernels and _first_compiled(kernels, state, errors, motion, walls)) or _first_try(
+        state, errors, motion, walls
+    )
+    if len(stopped):
+        errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
+        further = state, stopped, errors, motion, walls, after, price
+        if not (kernels and _further_compiled(kernels, *further)):
+            _further_tries(*further)
+    return after, price
+
+
+def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
+    """States ``(6, n)`` after a pause, in which the phone may have turned."""
+    return _moved(state, _errors(state.shape[1], sigma, random), (0.0, turn, time, 0.0))[0]
+
+
+def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
+    """Cost ``(n,)`` of a change of floor at each particle's place, by stairs or lifts with these fields."""
+    if not ways:
+        return np.zeros(state.shape[1])
+    outside = -np.max([way.approximate(state[:2]) for way in ways], axis=0)
+    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / PARTICLES.stairs_sigma), REGIONS.wall_cost)
+
+
+def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
+    """Random errors ``(3, count)`` of length, sway [m] and turn [rad]; of some any turn, if it may be the phone's."""
+    errors = random.standard_normal((3, count))
+    errors *= sigma[:, None]
+    if sigma[2] > PARTICLES.doubted:
+        any_turn = errors[2, :: PARTICLES.rare]
+        any_turn[:] = random.uniform(-np.pi, np.pi, len(any_turn))
+    return errors
+
+
+def _first_try(state: Array, errors: Array, motion: Motion, walls: Walls) -> tuple[Array, Array, Index]:
+    """States ``(6, n)`` after a step, its cost ``(n,)``, and which particles a wall stopped that were not in one."""
+    after, way = _moved(state, errors, motion)
+    clear = _clearances(state, way, motion, walls)
+    price = PARTICLES.clear_price * np.square(np.maximum(0.0, 1 - clear[-1] / WALLS.margin))
+    price[clear[-1] < WALLS.body] = REGIONS.outside_price
+    stopped = np.flatnonzero(clear.min(axis=0) < WALLS.body)
+    if len(stopped):
+        stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]
+    return after, price, stopped
+
+
+def _further_tries(
+    state: Array, stopped: Index, errors: Array, motion: Motion, walls: Walls, after: Array, price: Array
+) -> None:
+    """Replace ``after`` and ``price`` of stopped particles by the first of PARTICLES.tries further steps that is
+    free.
+    """
+    before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
+    others, way = _moved(before, errors, motion)
+    free = (_clearances(before, way, motion, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
+    ways = free.sum(axis=1)
+    got = ways > 0
+    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]
+    price[stopped] = np.where(got, PARTICLES.odds[ways], REGIONS.wall_cost)
+
+
+def _moved(state: Array, errors: Array, motion: Motion) -> tuple[Array, Array]:
+    """States ``(6, n)`` after a piece with errors ``(3, n)``, and the displacement ``(2, n)`` [m]."""
+    length, turn, time, _ = motion
+    forward, left = errors[0] + state[3] * length, errors[1]
+    turned = errors[2] + (state[4] * turn + state[5] * time)
+    course = (state[2] + 0.5 * turned).astype(np.float32)  # to 1e-6 of a turn; six times as fast
+    cos, sin = np.cos(course).astype(float), np.sin(course).astype(float)
+    way = np.stack([forward * cos - left * sin, forward * sin + left * cos])
+    after = state.copy()
+    after[:2] += way
+    after[2] += turned
+    return after, way
+
+
+def _clearances(state: Array, way: Array, motion: Motion, walls: Walls) -> Array:
+    """Distance ``(looks, n)`` [m] from the walls along displacements ``way (2, n)`` [m]."""
+    looks = motion[-1]
+    places = (np.arange(1, looks + 1)[:, None] / looks) * way[:, None]
+    places += state[:2, None]
+    return walls.distance(places)
+
+
+def _first_compiled(
+    kernels: ModuleType, state: Array, errors: Array, motion: Motion, walls: Walls
+) -> tuple[Array, Array, Index] | None:
+    """As `_first_try`; None where tiles of the distance field are missing, which only that computes."""
+    course = kernels.courses(state, np.arange(state.shape[1]), errors, motion)
+    table = walls.field.pixel_table(walls.tiles)
+    after, price, stopped, complete = kernels.first_try(
+        state, errors, np.cos(course), np.sin(course), motion, costs(), table
+    )
+    return (after, price, stopped) if complete else None
+
+
+def _further_compiled(
+    kernels: ModuleType,
+    state: Array,
+    stopped: Index,
+    errors: Array,
+    motion: Motion,
+    walls: Walls,
+    after: Array,
+    price: Array,
+) -> bool:
+    """As `_further_tries`; False where tiles of the distance field are missing."""
+    course = kernels.courses(state, np.repeat(stopped, PARTICLES.tries), errors, motion)
+    cos, sin, table = np.cos(course), np.sin(course), walls.field.pixel_table(walls.tiles)
+    return kernels.further_tries(state, stopped, errors, cos, sin, motion, costs(), table, PARTICLES.odds, after, price)
+
+
+LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
 
 
 @dataclass(frozen=True)
@@ -231,7 +554,7 @@ def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
 
 def _varied(c: Array, prior: Prior, information: Array, random: np.random.Generator) -> Array:
     """Calibrations ``(3, n)`` after a Metropolis move with the kernel, which the prior accepts or rejects."""
-    before = _errors(c, prior)
+    before = _calibration_errors(c, prior)
     apart = before - before.mean(axis=1, keepdims=True)
     covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
@@ -248,7 +571,7 @@ def _calibrated(errors: Array, prior: Prior) -> Array:
     return np.stack([stride * np.exp(errors[0]), turn + errors[1], drift + errors[2]])
 
 
-def _errors(c: Array, prior: Prior) -> Array:
+def _calibration_errors(c: Array, prior: Prior) -> Array:
     """The inverse of `_calibrated`."""
     stride, turn, drift = prior.mean
     return np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])
@@ -285,7 +608,7 @@ def advance_through(particles: ParticleFilter, graph: WalkGraph, begin: int) -> 
             _pieces(graph, interval),
             [floor_sequence.field(m) for m in here],
             {m - first: ways[m] for m in here if m in ways},
-            measurements_at(graph.measurements, interval + 1),
+            pose_costs(graph.measurements, interval + 1),
         )
 
 
@@ -310,10 +633,5 @@ def _begin(particles: ParticleFilter, graph: WalkGraph) -> None:
         float(graph.start.poses[0, 2]),
         graph.sigma_direction,
         complex(track[fixes.keyframe[first]]),
-        measurements_at(graph.measurements, 0),
+        pose_costs(graph.measurements, 0),
     )
-
-
-def measurements_at(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
-    """The measurements of all kinds at a keyframe."""
-    return pose_costs(measurements, keyframe)

@@ -1,4 +1,4 @@
-"""The step of `particle_motion` compiled by numba: the same numbers to the last bit, without temporary arrays.
+"""The step of `particle_filter` compiled by numba: the same numbers to the last bit, without temporary arrays.
 
 Numba compiles these functions once for a machine and keeps them on disk. Every constant is an argument, since it
 compiles again only when this file changes. Cosines are NumPy's, whose last bits differ from those of compiled ones.
@@ -14,8 +14,8 @@ from pdr_graph.types import Array, Index
 
 WALLS = "Tuple((f8[::1], f8, i8[:,::1], i8, i8, i8[::1], f8[::1], i8))"  # of `DistanceField.pixel_table`
 ERRORS = "f8[:,::1], f4[::1], f4[::1]"  # random errors, cosine and sine of the course
-MOTION = "UniTuple(f8, 4)"  # `particle_motion.Motion`
-COSTS = "UniTuple(f8, 5)"  # `particle_motion.costs`
+MOTION = "UniTuple(f8, 4)"  # `particle_filter.Motion`
+COSTS = "UniTuple(f8, 5)"  # `particle_filter.costs`
 
 
 @njit(f"f4[::1](f8[:,::1], i8[::1], f8[:,::1], {MOTION})", cache=True)
@@ -56,7 +56,7 @@ def _clearances(x: Array, y: Array, dx: Array, dy: Array, looks: float, walls):
     cache=True,
 )
 def first_try(state: Array, errors: Array, cos: Array, sin: Array, motion, costs, walls):
-    """As `particle_motion._first_try`, and False if a tile is missing."""
+    """As `particle_filter._first_try`, and False if a tile is missing."""
     (length, turn, time, looks), (body, clear, clear_price, outside_price, _) = motion, costs
     n, after = len(cos), state.copy()
     dx, dy, price, stopped, count = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int64), 0
@@ -87,7 +87,7 @@ def first_try(state: Array, errors: Array, cos: Array, sin: Array, motion, costs
 def further_tries(
     state: Array, stopped: Index, errors: Array, cos: Array, sin: Array, motion, costs, walls, odds, after, price
 ):
-    """As `particle_motion._further_tries`; False, and nothing written, if a tile is missing."""
+    """As `particle_filter._further_tries`; False, and nothing written, if a tile is missing."""
     (length, turn, time, looks), body, wall_cost = motion, costs[0], costs[4]
     tries = len(odds) - 1
     origin = np.repeat(stopped, tries)

@@ -9,14 +9,14 @@ import numpy as np
 from pdr_graph.errors import expect
 from pdr_graph.estimation.ambiguity.bank import contradictions, paths, probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, joint_solutions, localized
-from pdr_graph.estimation.consistency import plan_contradictions
-from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
+from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
     calibration_of,
     contradiction_warnings,
+    plan_contradictions,
     stated_probability,
     warnings,
 )

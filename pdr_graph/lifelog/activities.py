@@ -13,8 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.estimation.gps_track import LOST, way_through
-from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
+from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
 from pdr_graph.lifelog.observation import StatedActivity

@@ -18,7 +18,7 @@ from pdr_graph.geometry import interpolate, length_along, nearest, wrap_angle
 from pdr_graph.types import INSTANT, Array, OneLineRepr, Trajectory, time_span
 
 WALKING, STANDING, VEHICLE, GAP = "walking", "standing", "vehicle", "gap"
-KINDS = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.transport_mode`
+KINDS = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.gps_track`
 
 
 @dataclass(frozen=True)

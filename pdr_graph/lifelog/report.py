@@ -37,8 +37,8 @@ from pdr_graph.lifelog.timeline import (
 )
 from pdr_graph.report import charts_and_tables, page
 from pdr_graph.report.charts_and_tables import Table, table
-from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, rings, runs, track
-from pdr_graph.report.plotting import TRACK, picture_bytes
+from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, TRACK, column, rings, runs, track
+from pdr_graph.report.plotting import picture_bytes
 from pdr_graph.types import Array, Trajectory
 
 PICTURE_DPI = 130

@@ -7,9 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.consistency import ROUTE, plan_placement, wall_crossings
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.results import Placement, calibration_warnings, contradiction_warnings, used_fixes
+from pdr_graph.estimation.results import (
+    ROUTE,
+    Placement,
+    calibration_warnings,
+    contradiction_warnings,
+    plan_placement,
+    used_fixes,
+    wall_crossings,
+)
 from pdr_graph.floor.building import Building
 from pdr_graph.types import Array, Contradiction, Estimate, Trajectory
 

@@ -16,15 +16,15 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
-from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
+from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
-from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_floors import FloorsCheckpoint, LiveFloors
 from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
 from pdr_graph.estimation.live.window import Window
+from pdr_graph.estimation.results import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of

@@ -16,8 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.factors.fixes import OUTSIDE
-from pdr_graph.estimation.factors.receivers import duplicates
+from pdr_graph.estimation.factors.fixes import OUTSIDE, duplicates
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.plan_files import Building, plan_fingerprint

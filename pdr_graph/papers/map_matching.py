@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors.turns import range_of_turn
+from pdr_graph.estimation.factors.corridors import range_of_turn
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import courses, row_times, turn_between, unit, wrap_angle

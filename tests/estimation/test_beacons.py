@@ -8,8 +8,7 @@ from test_live_smoother import some
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor, levels_along
-from pdr_graph.estimation.factors.level_collector import LevelCollector
+from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor, LevelCollector, levels_along
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.optimizer import optimize

@@ -9,8 +9,7 @@ import shapely
 from plans import MAPS, plan
 
 from pdr_graph import FloorPlan
-from pdr_graph.estimation.factors.corridor import straight_runs
-from pdr_graph.estimation.factors.turns import turns_along
+from pdr_graph.estimation.factors.corridors import straight_runs, turns_along
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.network import derived_network
 from pdr_graph.frames import Frame

@@ -8,9 +8,8 @@ import shapely
 from plans import plan
 from walks import fixes_at, steps_of
 
-from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.geometry import wrap_angle

@@ -12,13 +12,12 @@ import pytest
 import shapely
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation.factors import losses
+from pdr_graph.estimation.factors import base as losses
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
-from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.marginal import marginalized
 from pdr_graph.estimation.optimizer import optimize
@@ -312,7 +311,6 @@ def test_losses_are_those_of_the_page():
     laws = {
         "Huber": (lambda k: np.where(s <= k, s**2 / 2, k * (s - k / 2)), lambda k: np.minimum(1, k / np.maximum(s, k))),
         "GemanMcClure": (lambda k: k**2 * s**2 / (k**2 + s**2) / 2, lambda k: (k**2 / (k**2 + s**2)) ** 2),
-        "L2WithDeadZone": (lambda k: np.maximum(0, s - k) ** 2 / 2, lambda k: np.maximum(0, 1 - k / np.maximum(s, k))),
     }
     for name, (rho, weight) in laws.items():
         for width in (LOSSES.huber, LOSSES.closure):
@@ -321,13 +319,11 @@ def test_losses_are_those_of_the_page():
             assert [gtsams.weight(v) for v in s] == pytest.approx(weight(width), abs=1e-9), name
     assert losses.huber_weight(s, 2.45) == pytest.approx(laws["Huber"][1](2.45))
     assert losses.geman_mcclure_weight(s) == pytest.approx(laws["GemanMcClure"][1](2.45))
-    assert losses.dead_zone_weight(s, 2.0) == pytest.approx(laws["L2WithDeadZone"][1](2.0), abs=1e-9)
     none, every = np.zeros(7, dtype=bool), np.ones(7, dtype=bool)
     for loss, name, width in (
         (losses.RobustLoss(none), "Huber", 2.45),
         (losses.RobustLoss(every), "GemanMcClure", 2.45),
         (losses.RobustLoss(every, LOSSES.closure), "GemanMcClure", LOSSES.closure),
-        (losses.RobustLoss(none, flat=2.0), "L2WithDeadZone", 2.0),
     ):
         assert loss.cost(s) == pytest.approx(laws[name][0](width)), name
         assert loss.weight(s) == pytest.approx(laws[name][1](width), abs=1e-9), name

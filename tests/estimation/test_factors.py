@@ -13,10 +13,10 @@ from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.factors.base import Stage
+from pdr_graph.estimation.factors.corridors import TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -69,12 +69,6 @@ def received():
     return graph
 
 
-def flat():
-    """Fixes of a receiver that states a radius and no more."""
-    steps = wandering_walk(30, 2)
-    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=6), prior=Prior(fix_flat=1.5))
-
-
 def beside_beacons():
     """Levels of three beacons, one of which nobody surveyed."""
     steps = wandering_walk(30, 3)
@@ -118,7 +112,6 @@ GRAPHS = {
     "turns": lambda: in_corridors("turns"),
     "directions": lambda: in_corridors("directions"),
     "a receiver": received,
-    "radius": flat,
     "beacons": beside_beacons,
     "compass": with_a_compass,
     "closures": lambda: closed(Stage.FINAL),

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
-from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.fixes import FixFactor, drift, independent_sigmas
 from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
-from pdr_graph.estimation.factors.receivers import drift, independent_sigmas
-from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
@@ -158,17 +156,6 @@ def test_worse_fixes_beside_a_good_one_share_its_error():
     track = smooth(WalkGraph(steps, named(fixes))).trajectory
     row = np.argmin(np.abs(truth.time - time[good]))
     assert np.hypot(*(track.position[row] - truth.position[row])) < 2.0
-
-
-def test_a_flat_zone_has_no_effect_within_the_radius():
-    """For receivers that state only a radius: fixes 1 σ off, on alternate sides, do not bend the walk."""
-    steps = meander(100)
-    truth = dead_reckon(steps)
-    off = 3.0 * np.where(np.arange(20) % 4 < 2, 1.0, -1.0)[:, None] * np.array([1.0, 0.0])
-    fixes = fixes_at(truth.time[:100:5], truth.position[:100:5] + off, 3.0)
-    bent, flat = (smooth(WalkGraph(steps, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
-    shape = [np.std(track.position - truth.position, axis=0).max() for track in (bent, flat)]
-    assert shape[1] < 0.5 * shape[0]
 
 
 def test_a_frozen_receiver_is_not_used_until_it_moves_again():

@@ -5,9 +5,7 @@ import pytest
 from scipy.stats import chi2
 from streets import SIGMA, gauss_markov
 
-from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, smooth_track
-from pdr_graph.estimation.gps_track import LOST, way_through
-from pdr_graph.estimation.transport_mode import WALKS
+from pdr_graph.estimation.gps_track import LOST, WALKS, GpsKnots, Motion, smooth_track, way_through
 from pdr_graph.priors import TRACK
 from pdr_graph.types import Fixes
 

@@ -12,9 +12,8 @@ from test_ranging import ranged
 from walks import drawn_from_the_model
 
 import pdr_graph as pdr
-from pdr_graph.estimation.factors.base import extract
+from pdr_graph.estimation.factors.base import Loss, extract
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.factors.losses import Loss
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.io.beacons import drawn_beacons

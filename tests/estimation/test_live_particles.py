@@ -9,12 +9,11 @@ from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
+from pdr_graph.estimation.factors.chain import intervals, whole_pieces
 from pdr_graph.estimation.factors.fixes import FixCosts
 from pdr_graph.estimation.factors.heading_prior import HeadingCosts
-from pdr_graph.estimation.factors.preintegration import intervals, whole_pieces
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.particle_filter import ParticleFilter, measurements_at, particle_filter
-from pdr_graph.estimation.particle_motion import COMPILED
+from pdr_graph.estimation.particle_filter import COMPILED, ParticleFilter, particle_filter, pose_costs
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 
@@ -72,7 +71,7 @@ def test_interval_by_interval_equals_the_whole_walk():
     turn, time = 2 * (pieces.to_end - pieces.to_middle)
 
     def seen(keyframe):
-        return measurements_at(graph.measurements, keyframe)
+        return pose_costs(graph.measurements, keyframe)
 
     cloud = ParticleFilter(graph.prior, 0, fewest=1000, most=8000)
     cloud.begin(place[0], 0.5, graph.start.poses[0, 2], graph.sigma_direction, measured=seen(0))

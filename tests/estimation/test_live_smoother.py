@@ -12,7 +12,8 @@ from nees import gaussian, interval
 from walks import PERIOD, drawn_from_the_model, fixes_at, fixes_on, steps_of, wandering_walk
 
 from pdr_graph import Prior, smooth
-from pdr_graph.estimation.factors import preintegration, start
+from pdr_graph.estimation.factors import chain as chains
+from pdr_graph.estimation.factors import start
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
@@ -119,7 +120,7 @@ def test_linear_case_is_kalman():
 
     def chain(until):
         """Mean and covariance of the positions until a step."""
-        sigma = np.hypot(sigma_step, preintegration.SIGMA_STILL)
+        sigma = np.hypot(sigma_step, chains.SIGMA_STILL)
         A = np.concatenate([np.diff(np.eye(until + 1), axis=0) / sigma, np.eye(until + 1)[at + 1] / sigma_fix])
         y = np.concatenate([np.full(until, 0.7) / sigma, measured / sigma_fix])
         return np.linalg.solve(A.T @ A, A.T @ y), np.diag(np.linalg.inv(A.T @ A))

@@ -10,10 +10,10 @@ from test_live_smoother import some
 from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver, fixes_on, square_walk
 
 from pdr_graph import smooth
-from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.factors.base import RobustLoss
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan

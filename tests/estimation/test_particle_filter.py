@@ -7,8 +7,7 @@ from plans import MAPS, plan
 from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, WalkGraph
-from pdr_graph.estimation.particle_filter import particle_filter
-from pdr_graph.estimation.particle_motion import Walls, stepped
+from pdr_graph.estimation.particle_filter import Walls, particle_filter, stepped
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.priors import PARTICLES, REGIONS
 from pdr_graph.types import Fixes

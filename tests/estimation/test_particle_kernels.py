@@ -9,12 +9,19 @@ from plans import plan
 from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, WalkGraph, estimation
-from pdr_graph.estimation import particle_motion
+from pdr_graph.estimation import particle_filter as filter_module
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.particle_filter import ParticleFilter, particle_filter
-from pdr_graph.estimation.particle_motion import COMPILED, LOAD_AFTER, Compiled, Walls, stepped
+from pdr_graph.estimation.particle_filter import (
+    COMPILED,
+    LOAD_AFTER,
+    Compiled,
+    ParticleFilter,
+    Walls,
+    particle_filter,
+    stepped,
+)
 
-NUMPYS = particle_motion._first_try
+NUMPYS = filter_module._first_try
 
 
 @pytest.fixture
@@ -33,7 +40,7 @@ def by(functions, monkeypatch, run):
     monkeypatch.setattr(COMPILED, "moved", LOAD_AFTER)
     tried = []
     monkeypatch.setattr(
-        particle_motion, "_first_try", lambda state, *rest: tried.append(state.shape[1]) or NUMPYS(state, *rest)
+        filter_module, "_first_try", lambda state, *rest: tried.append(state.shape[1]) or NUMPYS(state, *rest)
     )
     result = run()
     monkeypatch.undo()
@@ -107,8 +114,8 @@ def test_a_walk_of_compiled_steps_is_the_same_walk(compiled, monkeypatch):
 
 def moved(loader, monkeypatch, **given):
     """Move 1000 particles until loading is repaid, and once more."""
-    monkeypatch.setattr(particle_motion, "COMPILED", loader)
-    monkeypatch.setattr(particle_motion, "LOAD_AFTER", 3000)
+    monkeypatch.setattr(filter_module, "COMPILED", loader)
+    monkeypatch.setattr(filter_module, "LOAD_AFTER", 3000)
     particles = ParticleFilter(Prior(), 0, fewest=1000, most=1000, **given)
     particles.begin_at(crowd(1000, 5))
     for _ in range(4):

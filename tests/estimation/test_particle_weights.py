@@ -13,8 +13,8 @@ import pdr_graph as pdr
 from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.factors.likelihood import WeighsPoses, pose_costs
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.particle_filter import WeighsPoses, pose_costs
 from pdr_graph.geometry import interpolate
 from pdr_graph.priors import PARTICLES, RANGES
 from pdr_graph.types import Ranges

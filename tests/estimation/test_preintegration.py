@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from walks import PERIOD, wandering_walk
 
-from pdr_graph.estimation.factors.preintegration import SIGMA_STILL, bridge, cut, preintegrate
+from pdr_graph.estimation.factors.chain import SIGMA_STILL, bridge, cut, preintegrate
 from pdr_graph.priors import MOTION
 from pdr_graph.types import Steps
 

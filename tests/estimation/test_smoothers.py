@@ -18,7 +18,7 @@ from walks import (
 )
 
 from pdr_graph import Prior, smooth
-from pdr_graph.estimation.factors import preintegration
+from pdr_graph.estimation.factors import chain as chains
 from pdr_graph.estimation.factors.base import extract
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
@@ -87,9 +87,9 @@ def test_linear_case_is_kalman():
     certain = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
     estimate = smooth(WalkGraph(steps, fixes, prior=certain))
 
-    moves = np.diff(np.eye(n + 1), axis=0) / np.hypot(sigma_step, preintegration.SIGMA_STILL)
+    moves = np.diff(np.eye(n + 1), axis=0) / np.hypot(sigma_step, chains.SIGMA_STILL)
     A = np.concatenate([moves, np.eye(n + 1)[at + 1] / sigma_fix])
-    y = np.concatenate([np.full(n, 0.7) / np.hypot(sigma_step, preintegration.SIGMA_STILL), measured / sigma_fix])
+    y = np.concatenate([np.full(n, 0.7) / np.hypot(sigma_step, chains.SIGMA_STILL), measured / sigma_fix])
     information = A.T @ A
     expected, variance = np.linalg.solve(information, A.T @ y), np.diag(np.linalg.inv(information))
     assert estimate.trajectory.position[:-1, 0] == pytest.approx(expected, abs=1e-3)

@@ -22,9 +22,10 @@ from pdr_graph.lifelog import cluster as clusters
 from pdr_graph.lifelog import time_limits
 from pdr_graph.lifelog import workers as fleets
 from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
+from pdr_graph.lifelog.remote_tasks import ONE_THREAD
 from pdr_graph.lifelog.store import StoredDay
 from pdr_graph.lifelog.time_limits import FleetLostError
-from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, fleet, pack
+from pdr_graph.lifelog.workers import MAX_TASK_SIZE, CrashedItem, fleet, pack
 
 FORKED = {"distributed.worker.multiprocessing-method": "forkserver"}  # of a process that has imported Dask: at once
 

@@ -18,10 +18,10 @@ from made_walks import estimated, laps, recording_of, shown
 from pdr_graph.batch import smooth_recording
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.online.replay import replay_recording
-from pdr_graph.pipeline import Options
 from pdr_graph.report.page import page
 from pdr_graph.report.walk import content
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
+from pdr_graph.walk_options import Options
 
 MAPS = Path(__file__).parents[2] / "maps"
 HOUR = 70  # laps of 55 s

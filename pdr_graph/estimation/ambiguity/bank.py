@@ -22,9 +22,8 @@ import numpy as np
 
 from pdr_graph.errors import percent
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
-from pdr_graph.estimation.factors.base import AnyArray
+from pdr_graph.estimation.factors.base import AnyArray, Doubted, decisions_of
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.protocols import Doubted, decisions_of
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize
 from pdr_graph.priors import DOUBTS, SEARCH
 from pdr_graph.types import Array, Contradiction, Index

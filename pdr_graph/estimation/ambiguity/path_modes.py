@@ -17,7 +17,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import pruned
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.normal_equations import Solution
+from pdr_graph.estimation.linear_system import Solution
 from pdr_graph.estimation.optimizer import (
     Optimum,
     continued,
@@ -44,14 +44,6 @@ def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Op
     if graph.walled:
         return pruned(_in_the_building(graph, without_walls or solve_robust(graph.without_plan())))
     return pruned([solve_robust(start) for start in rotated(graph)])
-
-
-def corrected_solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
-    """As `solutions`, repeated without listed positions that the most probable walk contradicts (relocated beacons)."""
-    optima = solutions(graph, without_walls)
-    while corrected := optima[0].graph.corrected(optima[0].at):
-        optima = solutions(corrected)
-    return optima
 
 
 def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = None) -> Optimum:

@@ -20,7 +20,6 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Wording, wording_of
 from pdr_graph.estimation.ambiguity.path_modes import (
-    corrected_solutions,
     different_directions,
     mode_starts,
     near_walk,
@@ -29,7 +28,7 @@ from pdr_graph.estimation.ambiguity.path_modes import (
 )
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
-from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
+from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, pose_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
@@ -71,7 +70,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
 def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
     """Walks between the walls: on each path for the best walk ``free`` without walls, then near each other one."""
     best, *others = free
-    first, *more = corrected_solutions(graph, best)
+    first, *more = solutions(graph, best)
     yield from (_assuming(walk, best) for walk in (first, *more))
     for other in others:
         same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
@@ -120,7 +119,7 @@ def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
     positions = free.graph.positions
     wide = free.graph.assuming((positions.misplaced(DOUBTS.misplaced),))
     wrong = Hypothesis((PLAN, "wrong"), price=PRICES.displaced_plan + float(np.log(2)))  # it, or the position
-    for walk in corrected_solutions(graph, optimize(wide, free.state)):
+    for walk in solutions(graph, optimize(wide, free.state)):
         fix = int(np.argmax(positions.used))
         by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
         displaced = Hypothesis((PLAN, "displaced"), parameter=(float(np.round(np.hypot(*by))),))
@@ -200,7 +199,7 @@ def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Pat
     count = times * int(min(max(ANYWHERE.density * area, ANYWHERE.fewest_at_first), most))
     per_bin = ANYWHERE.per_bin * count / area
     particles = ParticleFilter(graph.prior, seed, fewest=ANYWHERE.fewest, most=count, per_bin=per_bin)
-    particles.begin_anywhere(floor, measurements_at(graph.measurements, 0))
+    particles.begin_anywhere(floor, pose_costs(graph.measurements, 0))
     advance_through(particles, graph, 0)
     return particles.paths(ANYWHERE.kept), particles.evidence
 

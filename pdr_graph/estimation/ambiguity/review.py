@@ -18,8 +18,7 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, paths, probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, localized
-from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.protocols import decisions_of
+from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture

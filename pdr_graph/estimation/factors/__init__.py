@@ -11,18 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, Measurement
+from pdr_graph.estimation.factors.base import AnyArray, Locating, Measurement, Remembered
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
-from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
-from pdr_graph.estimation.factors.protocols import Locating, Remembered
 from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.types import Closures, Fixes, Headings, Index, Levels, Ranges, Steps
 
@@ -84,6 +82,7 @@ register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
 
+Positions, Directions = FixFactor, HeadingFactor  # what fixes and headings are in a graph, which starts from them
 CORRIDORS = {"directions": CorridorFactor, "turns": TurnFactor}  # by `Prior.corridors`
 
 

@@ -1,8 +1,13 @@
-"""Building blocks of factors (variables, states, residuals with derivatives), and the interface of measurement kinds.
+"""Building blocks of factors (variables, states, losses, residuals with derivatives), and what a measurement kind is.
 
 A `Measurement` is all instances of one kind on one walk: the times at which it needs keyframes, the variables it adds,
 its residuals with derivatives and weights, and its reports. Batch smoother, live smoother, filter, GTSAM export,
-reports and journal loop over a list of them and name none. They ask what else a kind does by `protocols`.
+reports and journal loop over a list of them and name none. What else a kind may do is an interface by structure
+(`Structural`, at the end of this file).
+
+A loss is a function of the deviation s of a factor, in sigmas; its weight w(s) = ρ'(s) / s is the share of the factor's
+information that is used. Huber's never reaches 0 and has one minimum. Geman and McClure's tends to 0 far off, and is
+used only for outliers from a first optimum.
 """
 
 from __future__ import annotations
@@ -17,14 +22,79 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
-from pdr_graph.types import Array, Index
+from pdr_graph.priors import LOSSES
+from pdr_graph.types import Array, Fixes, Index, Mask
 
 if TYPE_CHECKING:
     import gtsam
 
+    from pdr_graph.estimation.ambiguity.hypothesis import Proposal
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+
+def huber_weight(deviation: Array, width: float | None = None) -> Array:
+    """Huber's weight ``(n,)`` at deviations ``(n,)`` [σ]: full up to ``width``."""
+    return np.minimum(1.0, (width or LOSSES.huber) / np.maximum(np.abs(deviation), 1e-9))
+
+
+def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
+    """Geman and McClure's weight ``(n,)`` at deviations ``(n,)`` [σ]: it tends to 0 far off."""
+    square = (width or LOSSES.geman_mcclure) ** 2
+    return (square / (square + deviation**2)) ** 2
+
+
+class Loss:
+    """Half the squared deviation: errors are Gaussian."""
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        return np.ones(len(deviation))
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
+        return 0.5 * deviation**2
+
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base | None:
+        """GTSAM's noise model of factor ``n`` with this loss, None if GTSAM has none; noise: its Gaussian model.
+
+        The export puts a loss that GTSAM does not have into the residual.
+        """
+        return noise if type(self) is Loss else None
+
+
+GAUSSIAN = Loss()
+
+
+@dataclass(frozen=True)
+class RobustLoss(Loss):
+    """Huber's loss, and Geman and McClure's for outliers.
+
+    outlier: ``(n,)``; width: of Geman and McClure's [σ].
+    """
+
+    outlier: Mask
+    width: float = field(default_factory=lambda: LOSSES.geman_mcclure)
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        return np.where(self.outlier, geman_mcclure_weight(deviation, self.width), huber_weight(deviation))
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
+        far, square = np.abs(deviation), deviation**2
+        inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
+        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
+
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+        """GTSAM's noise model of factor ``n``."""
+        import gtsam
+
+        robust, estimator = gtsam.noiseModel.Robust, gtsam.noiseModel.mEstimator
+        if self.outlier[n]:
+            return robust.Create(estimator.GemanMcClure.Create(self.width), noise)
+        return robust.Create(estimator.Huber.Create(LOSSES.huber), noise)
+
 
 AnyArray = NDArray[Any]
 POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
@@ -291,7 +361,7 @@ class Measurement(ABC):
     name: in reports, decisions and blocks; determines_position: True if it measures absolute positions; overhang: time
     [s] by which an instance may lie before or after the steps; on_plan: True if it uses the floor plan.
     A kind that is made from data has ``of(data, steps, prior, number)`` too, see `register`. What else a kind may do is
-    in `factors.protocols`.
+    in `factors.base`.
     """
 
     name: ClassVar[str] = ""
@@ -333,3 +403,152 @@ def initial_state(poses: Array, c: Array, measurements: Iterable[Measurement]) -
 def poses_at(time: Array, keyframe_time: Array, poses: Array) -> Array:
     """Poses ``(n, 3)`` at times ``(n,)`` [s], linear between keyframes; headings are unwrapped."""
     return interpolate(time, keyframe_time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+
+
+class Structural(ABC):  # noqa: B024, its subclasses have the methods
+    """Base of the interfaces: their subclasses are all classes that have their methods."""
+
+    @classmethod
+    def __subclasshook__(cls, other: type) -> Any:
+        if cls is Structural:
+            return NotImplemented
+        return all(hasattr(other, name) for name in cls.__abstractmethods__)
+
+
+class Itemized(Structural):
+    """A kind with a report for each instance; other kinds have summaries."""
+
+    @property
+    @abstractmethod
+    def instances(self) -> tuple[Index, Array]:
+        """Numbers and times ``(n,)`` [s] of the instances that have a report, in the order of the reports."""
+
+
+class OnPlan(Structural):
+    """A kind whose instances belong to rooms or corridors of the floor plan."""
+
+    @abstractmethod
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
+        """Associate instances with rooms or corridors along the walk ``at``.
+
+        stray: sigma of that walk, everywhere or at the end of each piece ``(m,)`` [m]; alike: number of pieces in a row
+        with the same error.
+        """
+
+
+class Priced(Structural):
+    """A kind whose association with regions of the plan has a price."""
+
+    @abstractmethod
+    def same_association(self, other: Measurement) -> bool:
+        """True if ``other``, a version of the same kind, has the same rooms or corridors."""
+        ...
+
+    @property
+    @abstractmethod
+    def price(self) -> float:
+        """Cost of the association in addition to the residuals, in units of half a squared sigma."""
+
+
+class Staged(Structural):
+    """A kind that is tighter or looser in some stages of the search."""
+
+    @abstractmethod
+    def staged(self, stage: Stage) -> Self:
+        """The version for a stage of the search."""
+        ...
+
+
+class Multimodal(Structural):
+    """A kind one of whose local optima hides another."""
+
+    @abstractmethod
+    def alternatives(self) -> Sequence[Self]:
+        """Versions from whose optima the search must also start."""
+        ...
+
+
+class Initialized(Structural):
+    """A kind whose unknown variables start from the initial walk."""
+
+    @abstractmethod
+    def initialized(self, poses: Array) -> Self:
+        """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
+        ...
+
+
+class Restarted(Structural):
+    """A kind that depends on where the search starts."""
+
+    @abstractmethod
+    def restarted(self, poses: Array) -> Self:
+        """Adapt to a search that starts at other poses ``(k + 1, 3)``."""
+        ...
+
+
+class Locating(Structural):
+    """A kind from which positions can be read before the walk is solved."""
+
+    @abstractmethod
+    def rough_fixes(self) -> Fixes:
+        """Positions to start from where the walk has no fix."""
+        ...
+
+
+class Refined(Structural):
+    """A kind that is modelled better once a first optimum is known."""
+
+    @abstractmethod
+    def refined(self, at: Evaluation) -> Measurement:
+        """The second pass: outliers lose weight, common errors are modelled. ``self`` if nothing changes."""
+        ...
+
+
+class Gated(Structural):
+    """A kind whose instances may be outliers of a walk under way."""
+
+    @abstractmethod
+    def reclassified(self, at: Evaluation) -> Self:
+        """Lower the weight of instances far from the walk, and restore it for those that are near again."""
+        ...
+
+    @property
+    @abstractmethod
+    def diverged(self) -> bool:
+        """True if its last instances agree with one another and all lie far from the walk: the estimate diverged."""
+
+    @abstractmethod
+    def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
+        """True if instances that were used before are now inconsistent with the others."""
+        ...
+
+
+class Remembered(Structural):
+    """A kind that decides about its instances, in a way that a walk under way must remember."""
+
+    @abstractmethod
+    def decisions(self) -> dict[str, AnyArray]:
+        """Decisions about its instances, for `continued`; empty if there are none."""
+        ...
+
+    @abstractmethod
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Apply earlier decisions to the instances that are still there."""
+        ...
+
+
+class Doubted(Structural):
+    """A kind that may err beyond what it states."""
+
+    @abstractmethod
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """What may be wrong with the instances, so that they fit better than at ``at``; the most promising first.
+
+        by_others: returns the walk by the other sources alone; None if these do not determine its place.
+        """
+        ...
+
+
+def decisions_of(kind: Measurement) -> dict[str, AnyArray]:
+    """The decisions of a kind about its instances; empty for kinds that decide nothing."""
+    return kind.decisions() if isinstance(kind, Remembered) else {}

@@ -1,4 +1,4 @@
-"""Bluetooth beacons: received levels as coarse ranges.
+"""Bluetooth beacons: received levels as coarse ranges, and doubts about the list of their places.
 
 Log-distance path loss (Rappaport, *Wireless Communications*, Sec. 4.9): a beacon m at height HEIGHT above the phone and
 d metres aside is received with
@@ -8,27 +8,30 @@ d metres aside is received with
 on average over a stretch of the walk; the last term is shadowing by the walker's body. Variables: q = (P, n, k) of
 phone and building, b_m = (x, y, a_m) of each beacon, surveyed to a metre or unknown. Fading depends on the place and
 stays the same where nobody moves, so levels are averaged over metres walked, not over seconds.
+
+A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels,
+received and *not* received, with those expected at every possible place: that a near beacon is not received is stronger
+evidence than the level of a far one.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.beacon_list import (
-    placement_costs,
-    relocated_beacons,
-)
-from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, RobustLoss, Variables
+from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.priors import BEACONS, PRICES
-from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Levels, Sightings, Steps, take
+from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps, minor_number
+from pdr_graph.types import Levels
+from pdr_graph.types import take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -214,17 +217,6 @@ class BeaconRssiFactor(Measurement):
         near = np.maximum(BEACONS.nearest, distance)
         return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
 
-    def corrected(self, at: Evaluation) -> Self | None:
-        """Drop the listed positions of beacons whose levels fit another place; None if there are none."""
-        moved = relocated_beacons(
-            replace(self.listed, position=self.position), at.chain.time, at.state.poses[:, :2], at.state["q"][0]
-        )
-        if not moved:
-            return None
-        position = self.position.copy()
-        position[moved] = np.nan
-        return replace(self, position=position).initialized(at.state.poses)
-
     def at_places(self, position: Array) -> Self:
         """The same levels with beacons listed at other positions ``(m, 2)`` [m], NaN where unknown."""
         prior = self.prior.copy()
@@ -377,3 +369,147 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     else:
         text = "the list of beacons is of another place"
     return Wording(BeaconRssiFactor.name, text, "the positions in the list of beacons")
+
+
+POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
+MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading
+MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
+
+
+def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
+    """How well the levels of each surveyed beacon fit each place.
+
+    Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
+    """
+    track, table = level_table(levels, keyframe_time, position)
+    every = -(-len(track) // MOST_STRETCHES)
+    track, table = track[::every], table[:, ::every]
+    surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
+    places = np.concatenate([levels.position[surveyed], _grid(track)])
+    square = np.sum((track - places[:, None]) ** 2, axis=2) + BEACONS.height**2
+    expected = q[0] - 5 * q[1] * np.log10(square)
+    parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_AT_ONCE)
+    return surveyed, places, np.concatenate([_negative_log_likelihood(table[surveyed], part) for part in parts], axis=1)
+
+
+def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
+    """Places ``(s, 2)`` [m] of the stretches of a walk; levels ``(m, s)`` of the beacons, NaN where not received."""
+    stretch, of = np.unique(levels.time, return_inverse=True)
+    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    table = np.full((len(levels.position), len(stretch)), np.nan)
+    table[levels.beacon, of] = levels.rssi
+    return track, table
+
+
+def _grid(track: Array) -> Array:
+    """Candidate positions ``(n, 2)`` [m] around a walk."""
+    low, high = track.min(axis=0) - BEACONS.beside, track.max(axis=0) + BEACONS.beside
+    axes = (np.arange(a, b, BEACONS.grid) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
+    """Negative log-likelihood ``(m, p)`` of the levels of each beacon at each place, at its most likely power.
+
+    levels: ``(m, s)`` of each stretch, NaN where not received; expected: ``(p, s)``.
+    """
+    silent = _bounded(-log_ndtr((BEACONS.weakest - expected[:, None] - POWERS[:, None]) / BEACONS.level_sigma))
+    least = np.empty((len(levels), len(expected)))
+    for m, received in enumerate(np.isfinite(levels)):
+        expected_here = np.compress(received, expected, axis=1)[:, None]
+        off = (levels[m, received] - expected_here - POWERS[:, None]) / BEACONS.level_sigma
+        total = _bounded(0.5 * off**2).sum(axis=2) + np.compress(~received, silent, axis=2).sum(axis=2)
+        least[m] = np.min(total + 0.5 * (POWERS / BEACONS.power_sigma) ** 2, axis=1)
+    return least
+
+
+def _bounded(cost: Array) -> Array:
+    """Costs of levels, each at most MOST_EVIDENCE."""
+    return np.minimum(cost, BEACONS.most_evidence)
+
+
+MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
+
+
+class LevelCollector:
+    """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
+
+    A stretch ends after BEACONS.stretch metres, or after BEACONS.longest_stretch seconds.
+    """
+
+    def __init__(self, beacons: Beacons):
+        self._beacons = beacons
+        surveyed = np.isfinite(beacons.position[:, 0])
+        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if surveyed[m]}
+        self._by_minor = {minor_number(name): m for name, m in self._by_name.items()}
+        self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
+        self._window = np.empty((0, 3))  # the same of all advertisements in the window
+        self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
+
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Store advertisements; True if any is of a surveyed beacon.
+
+        Those of other radios are not: an access point may have the address of a beacon.
+        """
+        if radio != "bluetooth":
+            return False
+        minors = received.minor or ("",) * len(received)
+        rows = []
+        for time, name, minor, rssi in zip(
+            received.time.tolist(), received.transmitter, minors, received.rssi.tolist(), strict=True
+        ):
+            beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
+            if beacon is not None and np.isfinite([time, rssi]).all():
+                rows.append((time, beacon, rssi))
+        table = np.array(rows).reshape(-1, 3)
+        self._waiting = np.vstack([self._waiting, table])[-MOST_RECEPTIONS:]
+        self._window = np.vstack([self._window, table])[-MOST_RECEPTIONS:]
+        return len(rows) > 0
+
+    def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
+        """Yield, once, the levels of the stretches that are complete until ``until`` [s]."""
+        time = self._waiting[:, 0]
+        if not len(time) or time.min() > until:
+            return
+        stretch, now = walked(time) // BEACONS.stretch, float(walked(np.array([until]))[0] // BEACONS.stretch)
+        complete = (time <= until) & ((stretch < now) | (time < until - BEACONS.longest_stretch))
+        if complete.any():
+            time, beacon, rssi = self._waiting[complete].T
+            for m in beacon.astype(int).tolist():
+                self._met.setdefault(m, len(self._met))
+            levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
+            yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
+        self._waiting = self._waiting[~complete]
+
+    def _among_met(self, levels: Levels, received: Index) -> Levels:
+        """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
+        row = np.array([self._met[m] for m in received.tolist()])
+        met, beacons = np.array(list(self._met)), self._beacons
+        return Levels(
+            time=np.round(levels.time, DECIMALS),
+            beacon=row[levels.beacon],
+            rssi=levels.rssi,
+            label=tuple(beacons.label[m] for m in met),
+            position=beacons.position[met],
+            sigma=beacons.sigma[met],
+        )
+
+    def complete(self, steps: Steps) -> Iterable[Levels]:
+        """The levels of the window, as the batch makes them."""
+        time, beacon, rssi = self._window.T
+        names = tuple(self._beacons.name[int(m)] for m in beacon)
+        levels = levels_along(Sightings(time, names, rssi), self._beacons, steps)
+        return [levels] if len(levels) else []
+
+    def forget(self, before: float) -> None:
+        """Drop advertisements from before ``before`` [s]."""
+        self._window = self._window[self._window[:, 0] >= before]
+
+    def checkpoint(self) -> dict[str, AnyArray]:
+        """Return the state as arrays by name."""
+        return {"waiting": self._waiting, "window": self._window, "met": np.array(list(self._met), dtype=float)}
+
+    def restore(self, checkpoint: Mapping[str, Array]) -> None:
+        """Set the state to a checkpoint with the same beacons."""
+        self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
+        self._met = {m: n for n, m in enumerate(checkpoint["met"].astype(int).tolist())}

@@ -1,18 +1,340 @@
-"""The chain of keyframes, and the poses of the steps between them at one state of the variables."""
+"""The chain of keyframes: steps preintegrated between them, and the poses of the steps at one state of the variables.
+
+A walk is cut into *pieces* at every step's end, at both ends of every pause, and at every keyframe (a fix has its own
+time: the step that it falls into is split linearly). The pieces between two keyframes i and j are preintegrated into
+one increment in the frame of x_i, exact in the calibration c = (R_s, R_d, b), after k of them:
+
+    Δp_k(c) = Σ_{m≤k} R_s l_m e(R_d turn_m + b time_m)      turn and time from x_i to the middle of piece m
+    Δθ_k(c) = R_d turn_k + b time_k                          turn and time from x_i to the end of piece k
+
+which is the papers' recursion ([heading] Sec. 1; [calibration-walk] Eqs. (8), (9)). Everything is one flat array
+over the pieces of the whole walk, so that all keyframes are evaluated at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, State
-from pdr_graph.estimation.factors.preintegration import Bridge, Increments, Pieces, bridge, preintegrate
-from pdr_graph.estimation.factors.protocols import Priced
+from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
-from pdr_graph.types import INSTANT, Array, Complex, Index
+from pdr_graph.priors import MOTION
+from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
+
+DECIMALS = 6  # of time [s]: see INSTANT
+MOST_AT_ONCE = 10_000  # pieces whose sums fit into a processor's cache
+SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of a walk: ``m`` pieces in ``k`` intervals between ``k + 1`` keyframes.
+
+    length: ``(m,)`` [m].
+    to_middle, to_end: ``(2, m)`` turn [rad] and time [s] from the interval's start to the piece's middle and end.
+    variance: ``(m, 3)`` of length [m²], sideways [m²], turn [rad²].
+    interval: ``(m,)`` the interval of each piece; first, last: ``(k,)`` the pieces of each interval.
+    keyframe_time: ``(k + 1,)`` [s].
+    row_end: ``(n + 1,)`` the piece that ends at each row of the trajectory after the first.
+    """
+
+    length: Array
+    to_middle: Array
+    to_end: Array
+    variance: Array
+    interval: Index
+    first: Index
+    last: Index
+    keyframe_time: Array
+    row_end: Index
+
+    def running(self, per_piece: NDArray[np.floating]) -> Array:
+        """Sums ``(…, m)`` of quantities per piece ``(…, m)``, from the interval's start to each piece's end."""
+        total = np.cumsum(per_piece, axis=-1)
+        before = (total - per_piece)[..., self.first]
+        return total - before[..., self.interval]
+
+    def only(self, i: int) -> Pieces:
+        """The pieces of interval ``i`` alone."""
+        return self.between(i, i + 1)
+
+    def between(self, begin: int, end: int) -> Pieces:
+        """The intervals from number ``begin`` to before ``end``; without rows of a trajectory."""
+        m = self.first[begin]
+        here = slice(m, self.last[end - 1] + 1)
+        return Pieces(
+            length=self.length[here],
+            to_middle=self.to_middle[:, here],
+            to_end=self.to_end[:, here],
+            variance=self.variance[here],
+            interval=self.interval[here] - begin,
+            first=self.first[begin:end] - m,
+            last=self.last[begin:end] - m,
+            keyframe_time=self.keyframe_time[begin : end + 1],
+            row_end=np.empty(0, dtype=np.intp),
+        )
+
+    def parts(self) -> list[tuple[int, int, slice]]:
+        """First interval, the one after the last, and the pieces of parts that are evaluated by themselves."""
+        cuts = np.searchsorted(self.first, np.arange(MOST_AT_ONCE, len(self.length), MOST_AT_ONCE))
+        of_parts = pairwise(np.unique([0, *cuts, len(self.first)]).tolist())
+        return [(a, b, slice(self.first[a], self.last[b - 1] + 1)) for a, b in of_parts]
+
+    @classmethod
+    def none(cls, time: float) -> Pieces:
+        """No intervals: a single keyframe at a time [s]."""
+        none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
+        turns = np.empty((2, 0))
+        return cls(none, turns, turns, np.empty((0, 3)), numbers, numbers, numbers, np.array([time]), numbers)
+
+    def after(self, first: int) -> Pieces:
+        """The intervals from number ``first`` on."""
+        m = self.first[first] if first < len(self.first) else len(self.length)
+        return Pieces(
+            length=self.length[m:],
+            to_middle=self.to_middle[:, m:],
+            to_end=self.to_end[:, m:],
+            variance=self.variance[m:],
+            interval=self.interval[m:] - first,
+            first=self.first[first:] - m,
+            last=self.last[first:] - m,
+            keyframe_time=self.keyframe_time[first:],
+            row_end=self.row_end[self.row_end >= m] - m,
+        )
+
+    @classmethod
+    def together(cls, parts: Sequence[Pieces]) -> Pieces:
+        """Concatenate intervals that follow one another; without rows of a trajectory."""
+        sizes = np.concatenate([part.last + 1 - part.first for part in parts])
+        last = np.cumsum(sizes) - 1
+        return cls(
+            length=np.concatenate([part.length for part in parts]),
+            to_middle=np.concatenate([part.to_middle for part in parts], axis=1),
+            to_end=np.concatenate([part.to_end for part in parts], axis=1),
+            variance=np.concatenate([part.variance for part in parts]),
+            interval=np.repeat(np.arange(len(sizes)), sizes),
+            first=last + 1 - sizes,
+            last=last,
+            keyframe_time=np.concatenate([parts[0].keyframe_time[:1], *(part.keyframe_time[1:] for part in parts)]),
+            row_end=np.empty(0, dtype=np.intp),
+        )
+
+
+def cut(steps: Steps, at: Array) -> Pieces:
+    """Cut a walk into pieces, with a keyframe at the start, the end and each of the times ``at`` [s] within.
+
+    Between these, a keyframe follows at least every ``MOTION.steps_per_keyframe`` pieces.
+    """
+    start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
+    required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
+    required = np.unique(required[required > start]).astype(float)
+
+    end = np.union1d(whole[:, 0], required).astype(float)
+    interval, first = _intervals(np.searchsorted(required, end))
+    row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
+    return _pieces(whole, start, end, interval, first, row_end)
+
+
+def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
+    """The parts of the pieces ``whole`` between keyframes at ``begin`` and ``ends (k,)`` [s], in order.
+
+    start: start of the first whole piece [s].
+    """
+    within = whole[(whole[:, 0] > begin) & (whole[:, 0] < ends[-1]), 0]
+    end = np.union1d(within, ends).astype(float)
+    interval = np.searchsorted(ends, end)
+    first = np.flatnonzero(np.diff(interval, prepend=-1))
+    return _pieces(whole, start, end, interval, first, np.empty(0, dtype=np.intp), begin)
+
+
+def _pieces(
+    whole: Array, start: float, end: Array, interval: Index, first: Index, row_end: Index, begin: float | None = None
+) -> Pieces:
+    """Pieces that end at ``end (m,)`` [s], each a share of one whole piece; the first from ``begin``, or ``start``."""
+    begins = np.append(start if begin is None else begin, end[:-1])
+    of = np.searchsorted(whole[:, 0], end)
+    share = (end - begins) / np.diff(whole[:, 0], prepend=start)[of]
+    length, turn = whole[of, 1] * share, whole[of, 2] * share
+    last = np.append(first[1:], len(end)) - 1
+    empty, keyframe_time = np.empty((2, 0)), np.append(begins[0], end[last])
+    variance = whole[of, 3:6] * share[:, None]
+    pieces = Pieces(length, empty, empty, variance, interval, first, last, keyframe_time, row_end)
+    turn_and_time = np.stack([turn, end - begins])
+    to_end = pieces.running(turn_and_time)
+    return replace(pieces, to_end=to_end, to_middle=to_end - turn_and_time / 2)
+
+
+def whole_pieces(steps: Steps) -> Array:
+    """Pauses and steps before any split ``(m, 6)``; the last row is the pause until the end of the recording.
+
+    Columns: end [s], length [m], turn [rad], variances of length [m²], sway [m²] and turn [rad²].
+    """
+    n = len(steps)
+    rows = np.zeros((2 * n + 1, 6))
+    pauses, moves = rows[0:-1:2], rows[1::2]
+    pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
+    moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
+    sigma_lateral = np.where(~steps.is_gap, MOTION.lateral, steps.sigma_length)  # the direction of a gap is unknown
+    moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
+    rows[-1, :3] = steps.end, 0.0, steps.final_turn
+    rows[0::2, 5] = MOTION.standing_turn**2
+    rows[:, 0] = np.round(rows[:, 0], DECIMALS)
+    return rows[np.diff(rows[:, 0], prepend=round(steps.start, DECIMALS)) > 0]
+
+
+def _intervals(gap: Index) -> tuple[Index, Index]:
+    """Split the pieces between required keyframes into equal intervals: interval of each piece, first pieces.
+
+    gap: ``(m,)`` number of the span between required keyframes that each piece lies in, 0, 0, 1, …
+    """
+    size = np.bincount(gap)
+    starts = np.concatenate([[0], np.cumsum(size)[:-1]])
+    parts = -(-size // MOTION.steps_per_keyframe)
+    offset = np.concatenate([[0], np.cumsum(parts)[:-1]])
+    within = np.arange(len(gap)) - starts[gap]
+    interval = offset[gap] + within * parts[gap] // size[gap]
+    return interval, np.flatnonzero(np.diff(interval, prepend=-1))
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Partial sums Δ_k(c) to the end of each piece, in the frame of its interval's start.
+
+    delta: ``(m, 3)`` x, y [m], heading [rad]; by_c: ``(m, 3, 3)`` derivative by (R_s, R_d, b).
+    """
+
+    delta: Array
+    by_c: Array
+
+
+def preintegrate(pieces: Pieces, c: Array) -> Increments:
+    """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
+    count = len(pieces.length)
+    if count <= MOST_AT_ONCE:
+        return _preintegrated(pieces, c)
+    whole = Increments(np.empty((count, 3)), np.empty((count, 3, 3)))
+    for a, b, here in pieces.parts():
+        part = _preintegrated(pieces.between(a, b), c[a:b])
+        whole.delta[here], whole.by_c[here] = part.delta, part.by_c
+    return whole
+
+
+def _preintegrated(pieces: Pieces, c: Array) -> Increments:
+    R_s, R_d, b = c[pieces.interval].T
+    turn, time = pieces.to_middle
+    course = R_d * turn + b * time
+    per_piece = np.empty((2, 3, len(course)))  # of x and y, derivatives by R_s, R_d and b
+    per_piece[0, 0], per_piece[1, 0] = pieces.length * np.cos(course), pieces.length * np.sin(course)
+    per_piece[:, 1] = R_s * per_piece[::-1, 0]
+    per_piece[0, 1] *= -1
+    per_piece[:, 2] = per_piece[:, 1] * time
+    per_piece[:, 1] *= turn
+    turn, time = pieces.to_end
+    by_c = np.zeros((len(course), 3, 3))
+    by_c[:, :2] = pieces.running(per_piece).transpose(2, 0, 1)
+    by_c[:, 2, 1], by_c[:, 2, 2] = turn, time
+    delta = R_s[:, None] * by_c[:, :, 0]
+    delta[:, 2] = R_d * turn + b * time
+    return Increments(delta, by_c)
+
+
+@dataclass(frozen=True)
+class Bridge:
+    """How the error of an interval is distributed over its pieces.
+
+    root: ``(k, 3, 3)`` W with WᵀW = Q⁻¹, Q the covariance of the whole increment.
+    gain: ``(m, 3, 3)`` G_k = Cov(Δ_k, Δ_K) Q⁻¹: the expected share of the whole interval's error after piece k.
+    spread: ``(m, 3, 3)`` covariance of Δ_k given both ends.
+    """
+
+    root: Array
+    gain: Array
+    spread: Array
+
+    @classmethod
+    def none(cls) -> Bridge:
+        """The bridge of a chain without intervals."""
+        return cls(*(np.empty((0, 3, 3)) for _ in range(3)))
+
+    @classmethod
+    def together(cls, parts: Sequence[Bridge]) -> Bridge:
+        """Concatenate the bridges of intervals that follow one another."""
+        columns = zip(*((part.root, part.gain, part.spread) for part in parts), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
+
+def bridge(pieces: Pieces, increments: Increments) -> Bridge:
+    """Covariances of the partial sums, by first-order propagation of each piece's length, sway and turn.
+
+    A turn error δθ made half-way through a piece, at u, swings all that follows: δp_k = J (Δp_k − u) δθ, J = +90°.
+    Hence with s the turn's variance and A the sum of the lengths' and sways' covariances,
+
+        Cov(p_k, p_o) = A_k + J [ Σs p_k p_oᵀ − p_k Σ(s u)ᵀ − Σ(s u) p_oᵀ + Σ(s u uᵀ) ] Jᵀ
+        Cov(p_k, θ) = J [ Σs p_k − Σ(s u) ],      Cov(θ, θ) = Σs
+
+    with all sums over the pieces up to k, for any o that ends no earlier.
+    """
+    intervals, count = len(pieces.last), len(pieces.length)
+    if count <= MOST_AT_ONCE:
+        return _bridge(pieces, increments.delta)
+    whole = Bridge(*(np.empty((n, 3, 3)) for n in (intervals, count, count)))
+    for a, b, here in pieces.parts():
+        part = _bridge(pieces.between(a, b), increments.delta[here])
+        whole.root[a:b], whole.gain[here], whole.spread[here] = part.root, part.gain, part.spread
+    return whole
+
+
+def increment_covariance(pieces: Pieces, increments: Increments) -> Array:
+    """Covariance ``(k, 3, 3)`` of the whole increment of each interval, see `bridge`."""
+    x, y = increments.delta[:, :2].T
+    return _covariance_with(pieces, x, y)(x, y)[pieces.last]
+
+
+def _bridge(pieces: Pieces, delta: Array) -> Bridge:
+    x, y = delta[:, :2].T
+    covariance = _covariance_with(pieces, x, y)
+    at_piece = covariance(x, y)
+    end = pieces.last[pieces.interval]
+    cross = covariance(x[end], y[end])
+    inverse = np.linalg.inv(at_piece[pieces.last])
+    gain = cross @ inverse[pieces.interval]
+    return Bridge(
+        root=np.linalg.cholesky(inverse).transpose(0, 2, 1).astype(float),
+        gain=gain,
+        spread=at_piece - gain @ cross.transpose(0, 2, 1),
+    )
+
+
+def _covariance_with(pieces: Pieces, x: Array, y: Array) -> Callable[[Array, Array], Array]:
+    """The function that returns Cov(Δ_k, Δ_o) ``(m, 3, 3)`` of each piece k, at x, y, with a piece at ``o``."""
+    move_x, move_y = x.copy(), y.copy()
+    move_x[1:] -= x[:-1]
+    move_y[1:] -= y[:-1]
+    move_x[pieces.first], move_y[pieces.first] = x[pieces.first], y[pieces.first]
+    u_x, u_y = x - move_x / 2, y - move_y / 2
+    along, across = pieces.variance[:, 0] + SIGMA_STILL**2, pieces.variance[:, 1] + SIGMA_STILL**2
+    course = np.arctan2(move_y, move_x)
+    cos, sin, s = np.cos(course), np.sin(course), pieces.variance[:, 2]
+    A = (along * cos**2 + across * sin**2, (along - across) * cos * sin, along * sin**2 + across * cos**2)
+    swings = (s, s * u_x, s * u_y, s * u_x * u_x, s * u_x * u_y, s * u_y * u_y)
+    A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(np.array([*A, *swings]))
+
+    def covariance(o_x: Array, o_y: Array) -> Array:
+        """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` of each piece k with a piece at ``o`` that ends no earlier."""
+        xx = A_xx + S * y * o_y - y * Su_y - Su_y * o_y + Su_yy
+        xy = A_xy - (S * y * o_x - y * Su_x - Su_y * o_x + Su_xy)
+        yx = A_xy - (S * x * o_y - x * Su_y - Su_x * o_y + Su_xy)
+        yy = A_yy + S * x * o_x - x * Su_x - Su_x * o_x + Su_xx
+        columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
+        return np.ascontiguousarray(np.array(columns).T).reshape(-1, 3, 3)
+
+    return covariance
+
 
 Priors = frozenset[tuple[str, int]]  # names of blocks, and numbers of the factors in them
 

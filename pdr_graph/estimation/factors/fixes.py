@@ -1,4 +1,4 @@
-"""Fixes: measured positions, and their longest consistent chain.
+"""Fixes: measured positions of one receiver or several, and their longest consistent chain.
 
 A robust loss handles scattered outliers. Consecutive outliers that agree with one another (a receiver locked to a
 reflection, a wrongly listed beacon) bend the walk until the good fixes beside them look wrong, and no loss recovers
@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
-from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
-from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import distance_walked, pose_rotation
-from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS
+from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate, pose_rotation
+from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -32,7 +30,6 @@ MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
-RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
@@ -48,7 +45,7 @@ class FixFactor(Measurement):
     independent_sigma: ``(f,)`` wider, so that correlated fixes of one receiver may be treated as independent [m].
     outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` with a factor, here or in `GnssBias`.
     biased: ``(f,)`` with a factor in `GnssBias`, which models their common error, and none here.
-    keyframe: ``(f,)``; flat: see `Prior.fix_flat`; approximate: the fixes only initialise the search.
+    keyframe: ``(f,)``; approximate: the fixes only initialise the search.
     widened: ``(f,)`` factor by which sigmas are wider than stated; wrong: ``(f,)`` assumed to be.
     """
 
@@ -66,7 +63,6 @@ class FixFactor(Measurement):
     held: Mask
     biased: Mask
     keyframe: Index
-    flat: float = 0.0
     approximate: bool = False
     widened: Array | float = 1.0
     wrong: Mask | bool = False
@@ -101,7 +97,6 @@ class FixFactor(Measurement):
             held=consistent,
             biased=none,
             keyframe=np.full(len(fixes), -1),
-            flat=prior.fix_flat,
             approximate=approximate,
         )
 
@@ -122,17 +117,9 @@ class FixFactor(Measurement):
         return np.flatnonzero(self.held & ~self.biased & (self.keyframe >= 0))
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """One factor for each fix; with ``flat`` a second, loose one, since the first has no gradient within it."""
+        """One factor for each fix that is treated as independent."""
         which = self.independent
-        sigma = self.sigma if self.flat else self.independent_sigma
-        loss = RobustLoss(self.outlier[which], flat=self.flat)
-        blocks = [self._positions(at, self.name, which, sigma[which], loss)]
-        if self.flat:
-            loosely = FIXES.loosely * self.independent_sigma[which]
-            blocks.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
-        return blocks
-
-    def _positions(self, at: Evaluation, name: str, which: Index, sigma: Array, loss: Loss) -> FactorBlock:
+        sigma, loss = self.independent_sigma[which], RobustLoss(self.outlier[which])
         pose, position = at.state.poses[self.keyframe[which]], self.fixes.position[which]
 
         def jacobian() -> list[Array]:
@@ -143,12 +130,12 @@ class FixFactor(Measurement):
 
             pose_key = int(at.state.keys("x", self.keyframe[which])[n])
             noise = loss.noise(n, gtsam.noiseModel.Isotropic.Sigma(2, sigma[n]))
-            assert noise is not None, "GTSAM has the losses of fixes"
             return gtsam.PoseTranslationPrior2D(pose_key, position[n], noise)
 
         value = (pose[:, :2] - position) / sigma[:, None]
         variables = [("x", self.keyframe[which])]
-        return FactorBlock.uniform(name, value, variables, jacobian, self.number[which], loss=loss, native=native)
+        number = self.number[which]
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, native=native)]
 
     def pose_costs(self, keyframe: int) -> FixCosts | None:
         """The used fixes at a keyframe, as if independent; not the rough fixes of another kind, which weighs itself."""
@@ -193,14 +180,14 @@ class FixFactor(Measurement):
             scatter = np.hypot(*(off[middle] - (off[indices[:-2]] + off[indices[2:]]) / 2).T) / np.sqrt(1.5)
             within = time[2:] - time[:-2] <= FIXES.seconds
             if within.sum() >= FIXES.fewest_scatter:
-                share = float(np.median((scatter / self.sigma[middle])[within])) / RAYLEIGH
+                share = float(np.median((scatter / self.sigma[middle])[within])) / VERDICTS.fix_median
                 factor[indices] = share / RECEIVERS.white if share > FIXES.suspicious else 1.0
         return factor
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
         of_receiver = sourced(self.fixes)
-        return replace(self, outlier=outlier, held=held, biased=held & of_receiver & (self.flat == 0))
+        return replace(self, outlier=outlier, held=held, biased=held & of_receiver)
 
     def misplaced(self, sigma: float) -> Self:
         """The same fixes with an error of ``sigma`` [m] per axis in addition to theirs."""
@@ -228,7 +215,7 @@ class FixFactor(Measurement):
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """A fix beside the one farthest from the walk, or that one, is wrong: the walk may have followed it."""
         own = self.independent[np.argsort(self.fixes.time[self.independent], kind="stable")]
-        if self.approximate or self.flat or len(own) < 2:
+        if self.approximate or len(own) < 2:
             return ()
         sigmas = (self.distance(at) / self.sigma)[own]
         worst = int(np.argmax(sigmas))
@@ -453,3 +440,70 @@ def _mostly(far: Mask, run: Index) -> Mask:
     """
     share = np.bincount(run + 1, far) / np.maximum(np.bincount(run + 1), 1)
     return share[run + 1] > 0.5
+
+
+def duplicates(fixes: Fixes) -> Mask:
+    """True ``(f,)`` where a receiver repeats its last position, as receivers do while they detect no motion."""
+    result = np.zeros(len(fixes), dtype=bool)
+    for indices in by_source(fixes, np.ones(len(fixes), dtype=bool)):
+        result[indices[1:]] = (np.diff(fixes.position[indices], axis=0) == 0).all(axis=1)
+    return result
+
+
+def frozen(fixes: Fixes, steps: Steps) -> Mask:
+    """True ``(f,)`` for the fixes of a receiver that holds its position while the steps lead away, but the first.
+
+    Receivers do so where signals are weak (static navigation): the fixes agree with one another, and are sure.
+    """
+    result = np.zeros(len(fixes), dtype=bool)
+    sources = by_source(fixes, np.ones(len(fixes), dtype=bool))
+    if not sources:
+        return result
+    track = dead_reckon(steps)
+    for indices in sources:
+        place = as_complex(fixes.position[indices]).tolist()
+        walked = as_complex(interpolate(fixes.time[indices], track.time, track.position))
+        first = 0
+        for n in range(1, len(indices) + 1):
+            if n < len(indices) and abs(place[n] - place[first]) < RECEIVERS.still:
+                continue
+            if n > first + 1 and np.abs(walked[first:n] - walked[first]).max() > RECEIVERS.away:
+                result[indices[first + 1 : n]] = True
+            first = n
+    return result
+
+
+def sourced(fixes: Fixes) -> Mask:
+    """True ``(f,)`` for fixes of a receiver."""
+    return np.array([bool(source) for source in fixes.source], dtype=bool)
+
+
+def by_source(fixes: Fixes, used: Mask) -> list[Index]:
+    """The used fixes of each source that has a name, in order of time."""
+    if not any(fixes.source):
+        return []
+    names = np.where(used, np.array(fixes.source, dtype=str), "")
+    order = np.argsort(fixes.time, kind="stable")
+    return [order[names[order] == name] for name in np.unique(names[names != ""])]
+
+
+def drift(steps: Steps, time: Array) -> Array:
+    """Drift ``(n,)`` of a receiver's errors by times ``(n,)`` [s]: at a difference of 1 their correlation is 1/e.
+
+    Signal paths change with the place, and little where nobody moves.
+    """
+    return time / RECEIVERS.standing + distance_walked(steps, time) / RECEIVERS.along
+
+
+def alike(drifted: Array) -> tuple[Index, Index]:
+    """Begin and end ``(f,)`` of the range of fixes with about the same error as each, from their drift ``(f,)``."""
+    return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
+
+
+def independent_sigmas(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
+    """Sigmas ``(f,)`` [m] with which n fixes of the same error have the information of one."""
+    result = sigma.copy()
+    for indices in by_source(fixes, used):
+        first, after = alike(drift(steps, fixes.time[indices]))
+        result[indices] *= np.sqrt(after - first)
+    return result

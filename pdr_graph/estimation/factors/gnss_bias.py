@@ -24,10 +24,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.losses import RobustLoss
-from pdr_graph.estimation.factors.receivers import alike, by_source, drift
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, RobustLoss, Variables
+from pdr_graph.estimation.factors.fixes import FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.priors import FIXES, PRICES, RECEIVERS

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
-from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.priors import COMPASS, PARTICLES, PRICES

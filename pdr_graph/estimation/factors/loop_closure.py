@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
-from pdr_graph.estimation.factors.losses import GAUSSIAN, RobustLoss
+from pdr_graph.estimation.factors.base import GAUSSIAN, FactorBlock, Measurement, RobustLoss, Stage
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import LOSSES

@@ -21,8 +21,15 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.losses import Loss, RobustLoss, huber_weight
+from pdr_graph.estimation.factors.base import (
+    AnyArray,
+    FactorBlock,
+    Loss,
+    Measurement,
+    RobustLoss,
+    Variables,
+    huber_weight,
+)
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
 from pdr_graph.priors import LOSSES, RANGES, REPORTS

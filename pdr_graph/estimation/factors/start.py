@@ -33,8 +33,6 @@ class Prior:
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
     corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
         "turns" at intersections.
-    fix_flat: distance from a fix [σ] within which all positions are about equally likely, for receivers that state only
-        a radius; the common error of one source is then not modelled.
     """
 
     mean: tuple[float, float, float] = field(default_factory=lambda: WALKER.mean)
@@ -44,7 +42,6 @@ class Prior:
     wall_margin: float = field(default_factory=lambda: WALLS.margin)
     wall_sigma: float = field(default_factory=lambda: WALLS.sigma)
     corridors: tuple[Literal["directions", "turns"], ...] = ()
-    fix_flat: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise ValueError for a sigma that is not positive and finite, or an unknown factor of corridors."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import paths, probabilities
-from pdr_graph.estimation.ambiguity.path_modes import corrected_solutions
-from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.protocols import decisions_of
+from pdr_graph.estimation.ambiguity.path_modes import solutions
+from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import GaussianMixture
@@ -75,7 +74,7 @@ class BatchQuestion:
     def answer(self) -> BatchSolution:
         """The most probable walk, with a test whether it is certain, and the other ways that remain."""
         graph = self.graph()
-        optima = corrected_solutions(graph)
+        optima = solutions(graph)
         best, path = optima[0], paths(optima)
         walled, at, chain = best.graph.walled, best.at, best.at.chain
         probability = probabilities(optima, path)

@@ -24,9 +24,8 @@ from pdr_graph.estimation.ambiguity.review import (
     Review,
 )
 from pdr_graph.estimation.factors import kind_of_type, made_from
-from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.protocols import Gated
-from pdr_graph.estimation.factors.receivers import sourced
+from pdr_graph.estimation.factors.base import Gated, poses_at
+from pdr_graph.estimation.factors.fixes import sourced
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
 from pdr_graph.estimation.live.live_graph import LiveGraph
@@ -38,7 +37,7 @@ from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL
-from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
+from pdr_graph.estimation.particle_filter import KeyframeMeasurements, pose_costs
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask
 
@@ -282,7 +281,7 @@ class LiveAmbiguity:
     def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
         """The measurements at the keyframe with this number, for the particles."""
         factors = self.graph.factors
-        return measurements_at(factors.measurements, int(np.flatnonzero(factors.chain.number == keyframe)[0]))
+        return pose_costs(factors.measurements, int(np.flatnonzero(factors.chain.number == keyframe)[0]))
 
     def move_particles(self, busy: bool) -> None:
         """Let the particles do a little; compare them with the path when they reach a keyframe."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.review import Excess
 from pdr_graph.estimation.factors import corridors_of
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
-from pdr_graph.estimation.factors.protocols import Itemized, decisions_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.linear_system import NormalEquations, Solution
 from pdr_graph.estimation.live.finalization import FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
@@ -34,7 +34,6 @@ from pdr_graph.estimation.live.measurement_log import (
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import Part, Window, WindowCheckpoint
-from pdr_graph.estimation.normal_equations import NormalEquations, Solution
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation

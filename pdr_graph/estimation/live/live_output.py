@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.factors import made_from
+from pdr_graph.estimation.factors.base import Itemized
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.protocols import Itemized
 from pdr_graph.estimation.kalman import GaussianMixture
+from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.modes import Modes, after_headings, in_walkable_area

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.factors.preintegration import intervals
+from pdr_graph.estimation.factors.chain import intervals
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.batch_start import BatchSolution
 from pdr_graph.estimation.live.prediction import SHORTEST, Position, corrected_by_heading, in_any_direction, predict

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.factors.preintegration import increment_covariance, intervals, preintegrate
+from pdr_graph.estimation.factors.chain import increment_covariance, intervals, preintegrate
 from pdr_graph.estimation.kalman import (
     FAR,
     OF_POSITION,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.factors.preintegration import (
+from pdr_graph.estimation.factors.chain import (
     DECIMALS,
     Bridge,
     Pieces,

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
-from pdr_graph.estimation.factors.chain import Chain
-from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preintegrate
+from pdr_graph.estimation.factors.chain import Bridge, Chain, Pieces, preintegrate
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_on_plan
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint

@@ -10,18 +10,11 @@ import numpy as np
 
 from pdr_graph.io.past_day import GOOGLE_PATH, MS, PHONE, SIGHTING, Rows
 from pdr_graph.io.validation import float_of
+from pdr_graph.lifelog.facts import Guess
 from pdr_graph.lifelog.observation import LATEST_EPOCH
 from pdr_graph.lifelog.past.google_records import RADIOS
 from pdr_graph.lifelog.past.json_values import Point, at, batch_of, coordinates, elements, items
-from pdr_graph.lifelog.past.past_rows import (
-    FIRST_TIME,
-    PATH_ACCURACY,
-    Batch,
-    Guess,
-    guess,
-    unix_time,
-    with_guesses,
-)
+from pdr_graph.lifelog.past.past_rows import FIRST_TIME, PATH_ACCURACY, Batch, guess, unix_time, with_guesses
 
 NAME = "Google Timeline"
 SIGN = re.compile(rb'"(?:semanticSegments|rawSignals)"\s*:\s*\[')

@@ -7,8 +7,7 @@ from derivatives import linear_graph
 from walks import drawn_from_the_model
 
 from pdr_graph import WalkGraph
-from pdr_graph.estimation.block_cholesky import Elimination, Factorization
-from pdr_graph.estimation.normal_equations import NormalEquations
+from pdr_graph.estimation.linear_system import Elimination, Factorization, NormalEquations
 
 COUNT = 300  # variables: several rounds, and a root
 
