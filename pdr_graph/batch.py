@@ -1,19 +1,16 @@
 """``pdr-graph smooth``: one walk, from input files to output files.
 
-This module imports little: what an estimate needs is loaded while the recording is read, and the picture is prepared
-while the walk is estimated.
+This module imports little, so that a recording that cannot be read is refused at once.
 """
 
 from __future__ import annotations
 
 import gc
-from functools import cache, partial
-from importlib import import_module
+from functools import cache
 from pathlib import Path
 
 from pdr_graph.io.loading import load
 from pdr_graph.progress import Stages
-from pdr_graph.second_core import in_background
 from pdr_graph.walk_options import Options
 from pdr_graph.whole_files import output_folder
 
@@ -28,21 +25,19 @@ def smooth_recording(
     """
     options, stage = options or Options(), Stages()
     with stage("reading"):
-        with in_background(partial(import_module, "pdr_graph.pipeline")):
-            walk = load(recording, options.gnss_latency)
+        walk = load(recording, options.gnss_latency)
         from pdr_graph.inputs import read
-        from pdr_graph.outputs import REPORT, picture_call, write
-        from pdr_graph.pipeline import causal_tracks, estimate, observe, positions_alone
+        from pdr_graph.outputs import REPORT, write
+        from pdr_graph.pipeline import estimate, observe, positions_alone
 
         keep_modules()
         inputs = read(recording, options, walk=walk)
     with stage("steps"):
         evidence = observe(inputs, options)
-    causal = partial(causal_tracks, evidence, options.method) if report else dict
-    with picture_call(inputs, causal) as call, output_folder(out, without=() if report else (REPORT,)) as staged:
+    with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("estimate"):
             result = estimate(evidence, options.method) if inputs.walk.signals else positions_alone(inputs.fixes)
-        return write(staged, inputs, result, options, stage, report, call)
+        return write(staged, inputs, result, options, stage, report)
 
 
 @cache

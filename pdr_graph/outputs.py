@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,9 +21,7 @@ from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
-from pdr_graph.report.evaluation import circular_error, coverage, error_text, evaluate, pair
-from pdr_graph.report.page import packed_library
-from pdr_graph.second_core import ForkedCall, in_background
+from pdr_graph.report.evaluation import circular_error, coverage
 from pdr_graph.types import Estimate, Steps, Trajectory, Verdict
 from pdr_graph.walk_options import Options
 
@@ -73,35 +68,26 @@ class Result:
 
 
 def write(
-    out: Path,
-    inputs: Inputs,
-    result: Result,
-    options: Options,
-    stage: Stages,
-    report: bool = True,
-    call: ForkedCall[PictureAndTracks] | None = None,
+    out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages, report: bool = True
 ) -> tuple[str, ...]:
     """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each.
 
-    report: False leaves ``report.html`` out; call: one of `picture_call` that has not been started.
+    report: False leaves ``report.html`` out.
     """
     estimate, missing = result.estimate, result.missing
-    call = call or picture_call(inputs, result.tracks if report else dict)
-    with stage("write"), in_background(packed_library) if report else nullcontext():
-        call.start(estimate)
+    with stage("write"):
         write_tracks(out, inputs, estimate, options.rate)
         if result.steps is not None and teaches_profile(estimate):
             walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
             origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
-        drawn, tracks = call.result()
-        missing += _write_picture(out / "figure.png", drawn)
+        missing += _write_picture(out / "figure.png", inputs, estimate)
     summary = summarize(inputs, result) | live_scores(inputs, result) | {"seconds": stage.seconds}
     summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
     with stage("report"):
         if report:
             seconds = stage.seconds.get("estimate", 0.0)
-            missing += write_report(out, inputs, result, tracks, options.method, summary, seconds)
+            missing += write_report(out, inputs, result, options.method, summary, seconds)
         missing += _unscored(options.truth, inputs, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
@@ -124,45 +110,16 @@ def write_tracks(out: Path, inputs: Inputs, estimate: Estimate, rate: float | No
         gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
 
 
-Picture = bytes | str
-"""A PNG, or why there is none."""
-PictureAndTracks = tuple[Picture, Mapping[str, Trajectory] | None]
-"""The picture, and the causal tracks if they are known."""
-
-
-def picture_call(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] | None]) -> ForkedCall[PictureAndTracks]:
-    """The call that draws the picture of an estimate; as a context it has a process of its own.
-
-    causal: computes the causal tracks, before the estimate is known.
-    """
-
-    def prepare() -> Mapping[str, Trajectory] | None:
-        tracks = None
-        with suppress(Exception):  # of the report, which says so, and of a package that cannot be loaded
-            import_module("pdr_graph.report.plotting")
-            tracks = causal()
-        return tracks
-
-    return ForkedCall(partial(_draw, inputs), prepare)
-
-
-def _draw(inputs: Inputs, tracks: Mapping[str, Trajectory] | None, estimate: Estimate) -> PictureAndTracks:
-    """The picture of a walk, or a text if it cannot be drawn, since the result is still useful; and the tracks."""
+def _write_picture(path: Path, inputs: Inputs, estimate: Estimate) -> tuple[str, ...]:
+    """Write ``figure.png``; returns why there is none: without it the result is still useful."""
     try:
         from pdr_graph.report.plotting import picture_bytes, plot
 
         title = f"{inputs.walk.source}   {_length(estimate):.0f} m"
         picture = picture_bytes(plot(estimate, inputs.building, _truth_beside(inputs, estimate), title))
     except Exception as error:
-        return f"{type(error).__name__}: {error}", tracks
-    return picture, tracks
-
-
-def _write_picture(path: Path, drawn: Picture) -> tuple[str, ...]:
-    """Write ``figure.png``; returns what could not be drawn."""
-    if isinstance(drawn, str):
-        return (f"{path.name} ({drawn})",)
-    path.write_bytes(drawn)
+        return (f"{path.name} ({type(error).__name__}: {error})",)
+    path.write_bytes(picture)
     return ()
 
 
@@ -180,25 +137,20 @@ def write_report(
     out: Path,
     inputs: Inputs,
     result: Result,
-    tracks: Mapping[str, Trajectory] | None,
     method: str,
     summary: dict[str, Any],
     seconds: float = 0.0,
 ) -> tuple[str, ...]:
-    """Write ``report.html``; returns what could not be written.
-
-    tracks: the causal ones, None if they are not known yet; seconds: computing time of the estimate [s].
-    """
+    """Write ``report.html``; returns what could not be written. seconds: computing time of the estimate [s]."""
     try:
         from pdr_graph.report.page import page
         from pdr_graph.report.walk import WalkReport, content
 
         estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
-        tracks = result.tracks() if tracks is None else tracks
         longest = max(LONGEST_SOURCES * seconds, 1.0)  # least sources [s] that these tracks may always take
         sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
         shown = WalkReport(
-            inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth, sources
+            inputs.walk, inputs.building, estimate, method, summary, result.steps, result.tracks(), truth, sources
         )
         html = page(content(shown))
     except Exception as error:  # without a report the result is still useful

@@ -197,14 +197,6 @@ def estimate(evidence: Evidence, method: str = "graph") -> Result:
     )
 
 
-def causal_tracks(evidence: Evidence, method: str) -> Mapping[str, Trajectory] | None:
-    """The causal tracks of the result of `estimate` by name; None if they are not known before it."""
-    graph = evidence.graph()
-    if graph is None or method not in SMOOTHED:
-        return {}
-    return None if evidence.others else _filter_track(graph)
-
-
 def positions_alone(fixes: Fixes) -> Result:
     """Smooth the fixes of a recording without any sensor, as of a GPX track: all that it has, so nothing is missing."""
     return Result(follow(fixes), issues=(POSITIONS_ALONE,))

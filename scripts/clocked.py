@@ -40,7 +40,7 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
         "pdr_graph.io.writers:write_summary",
         "pdr_graph.io.gpx:write",
     ),
-    "picture": ("pdr_graph.outputs:import_module", "pdr_graph.outputs:_draw"),
+    "picture": ("pdr_graph.outputs:_write_picture",),
     "report: filter": ("pdr_graph.pipeline:kalman_filter",),
     "report: page": ("pdr_graph.outputs:write_report",),
     "summary": ("pdr_graph.outputs:summarize",),
@@ -79,9 +79,8 @@ def clocked(arguments):
         for function in functions:
             module, name = function.split(":")
             clocks.around(importlib.import_module(module), name, stage)
-    from pdr_graph import cli, second_core
+    from pdr_graph import cli
 
-    second_core._may_fork = lambda: False
     sys.argv[1:] = arguments
     at_start = np.array([time.process_time(), time.time() - _born()])
     before = _now()

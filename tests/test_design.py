@@ -29,7 +29,6 @@ FLOORS = [
     ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "types"],
     ["notebook_html"],
-    ["second_core"],
     ["errors", "whole_files", "progress", "priors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}

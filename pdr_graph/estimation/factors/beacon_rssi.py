@@ -29,9 +29,7 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Meas
 from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.priors import BEACONS, PRICES
-from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps, minor_number
-from pdr_graph.types import Levels
-from pdr_graph.types import take
+from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Levels, Sightings, Steps, minor_number, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
