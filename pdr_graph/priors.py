@@ -117,11 +117,6 @@ class CandidatePriors(Table):
         0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.48, 0.96)
     )
 
-    @property
-    def reach(self) -> float:
-        """Time to either side of a sample on which its smoothed |a| and tilt depend. [s]"""
-        return 4 * self.tilt_smoothing + self.tilt_window / 2 + 0.1
-
 
 @dataclass(frozen=True)
 class BoutPriors(Table):

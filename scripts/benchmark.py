@@ -28,8 +28,7 @@ from tables import publish, table
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.gait.live_steps import StepDetector
-from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.io.loading import load

@@ -74,7 +74,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "evaal": (5, 551),
     "floor": (10, 1233),
     "floor/formats": (20, 1936),
-    "gait": (14, 1694),
+    "gait": (13, 1480),
     "inertial": (6, 604),
     "io": (20, 1737),
     "lifelog": (53, 6299),

@@ -4,15 +4,19 @@ A stride resembles the one before. Where |a| repeats itself from stride to strid
 duration of a step, and |a| at that frequency rises and falls once per step. This holds even if a loose phone is thrown
 about several times within a step, or if one leg hardly moves the arm that holds the phone. Motion that does not repeat
 itself, tilts the phone to and fro, or lifts it higher than a walking body bobs is not a step: shaking, gestures,
-vehicles, standing. `live_steps` has the same detector for samples as they arrive.
+vehicles, standing.
+
+There is one detector, `StepDetector`, for samples as they arrive. It computes the candidates of the last seconds anew
+with each block of samples. A whole recording is a few long blocks.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.priors import BOUT, CANDIDATE, STEP
@@ -69,7 +73,6 @@ def _step_durations(landed: Array, start: float) -> Array:
 
 DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
 LAGS: Array = np.concatenate([DURATIONS, 2 * DURATIONS])  # [s] at which |a| is correlated with itself
-WINDOWS_AT_ONCE = 2_000  # copied to be correlated with a kernel
 SHORTEST_SIGNAL = 2.5 * float(DURATIONS[-1])  # [s] in which the rhythm can be found
 
 
@@ -89,7 +92,7 @@ class Candidates:
 
     def __getitem__(self, which: Mask) -> Candidates:
         """The candidates that a mask ``(n,)`` selects."""
-        return Candidates(*(values[which] for values in vars(self).values()))
+        return Candidates(**{name: values[which] for name, values in vars(self).items()})
 
 
 NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
@@ -101,145 +104,30 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     acceleration ``(n, 3)`` [m/s²], one sample per period [s]; look_ahead: duration of the samples after a landing that
     are used for it [s].
     """
-    smooth, steady = smoothed_magnitude(acceleration, period)
-    return candidates_in_magnitude(smooth, steady, period * decimation(period), look_ahead)
-
-
-def smoothed_magnitude(acceleration: Array, period: float) -> tuple[Array, Array]:
-    """Smoothed |a| [m/s²] and steadiness of the vertical [0–1], both ``(m,)``, at every `decimation`-th sample."""
     stride = decimation(period)
-    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), CANDIDATE.smoothing / period)
-    return smooth[::stride], _tilt_steadiness(acceleration, period)[::stride]
-
-
-def candidates_in_magnitude(smooth: Array, steady: Array, sampling: float, look_ahead: float) -> Candidates:
-    """`candidates` from the output of `smoothed_magnitude` ``(n,)``, one sample per ``sampling`` [s]."""
-    if sampling > CANDIDATE.slowest or len(smooth) * sampling < SHORTEST_SIGNAL:
+    sampling = period * stride
+    if sampling > CANDIDATE.slowest or len(acceleration) * period < SHORTEST_SIGNAL:
         return NO_CANDIDATES
+    signals = np.vstack([acceleration.T, _lengths(acceleration.T)])
+    *gravity, smooth = gaussian_filter1d(signals, CANDIDATE.smoothing / period, axis=1)[:, ::stride]
     level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
-    which, regularity = _rhythm(level, sampling, look_ahead)
-    wave = at_frequency(np.pad(level, longest_reach(sampling)), which, sampling)
-    return strong_maxima(wave, which, regularity, steady, sampling, look_ahead)
+    which, regularity = _rhythm(level, sampling)
+    available = np.maximum(np.arange(len(level)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
+    which, regularity = which[available], regularity[available]
+    wave = _at_frequency(level, which, sampling)
 
-
-def strong_maxima(
-    wave: Complex,
-    which: Index,
-    regularity: Array,
-    steady: Array,
-    sampling: float,
-    look_ahead: float,
-    first: int = 0,
-) -> Candidates:
-    """The maxima of an analytic signal ``(n,)`` that are high enough, and whether a walking body can move so.
-
-    first: number of the first sample.
-    """
-    peaks, time = maxima(wave, sampling, first)
+    # The maxima that are high enough, and whether a walking body can move so
+    peaks, time = _maxima(wave, sampling)
     amplitude = 2 * np.abs(wave)
     past, future = round(CANDIDATE.look_ahead / sampling), round(look_ahead / sampling)
     shift = (past + future + 1) // 2 - future
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
-    high = amplitude[peaks], around[peaks]
-    strong = (high[0] > CANDIDATE.weakest) & (high[0] > CANDIDATE.weakest_share * high[1])
-    peaks, time = peaks[strong], time[strong]
+    strong = (amplitude > CANDIDATE.weakest) & (amplitude > CANDIDATE.weakest_share * around)
+    peaks, time = peaks[strong[peaks]], time[strong[peaks]]
     step = DURATIONS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
-    bodily &= steady[peaks] > CANDIDATE.steadiest_tilt
+    bodily &= _steadiness(np.stack(gravity), sampling)[peaks] > CANDIDATE.steadiest_tilt
     return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
-
-
-def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
-    """The index in DURATIONS that fits best at each sample, and the correlation of |a| with itself, both ``(n,)``."""
-    which, regularity = best_duration(*(_correlations(level, lags, sampling) for lags in (DURATIONS, 2 * DURATIONS)))
-    available = np.maximum(np.arange(len(level)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
-    return which[available], regularity[available]
-
-
-def best_duration(once: Array, twice: Array) -> tuple[Index, Array]:
-    """The index in DURATIONS that fits best ``(n,)``, and its correlation ``(n,)``.
-
-    once, twice: ``(k, n)`` correlation with the signal a step and a stride earlier. The signal must repeat itself after
-    a stride, and fits better if it repeats itself after a step too: this excludes half and double the true duration. An
-    unusual duration must fit better.
-    """
-    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
-    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
-    samples = np.arange(len(which))
-    return which, np.maximum(once[which, samples], twice[which, samples])
-
-
-def _correlations(level: Array, lags: Array, sampling: float) -> Array:
-    """Correlation ``(k, n)`` of a signal with itself each of ``lags (k,)`` [s] earlier, in a moving window."""
-    product, power = np.zeros((2, len(lags), len(level)))
-    square = level**2 / 2
-    for row, apart in enumerate(np.maximum(1, np.round(lags / sampling)).astype(int).tolist()):
-        middle = slice(apart // 2, len(level) - (apart - apart // 2))
-        np.multiply(level[:-apart], level[apart:], out=product[row, middle])
-        np.add(square[:-apart], square[apart:], out=power[row, middle])
-    window = max(1, round(CANDIDATE.window / sampling))
-    product = uniform_filter1d(product, window, axis=1, mode="constant")
-    return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
-
-
-def at_frequency(level: Array, which: Index, sampling: float) -> Complex:
-    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``.
-
-    level: the signal, with `longest_reach` more samples at either end.
-    """
-    wave, longest = np.empty(len(which), dtype=complex), longest_reach(sampling)
-    for n in np.flatnonzero(np.bincount(which)).tolist():
-        kernel = _kernel(n, sampling)
-        around = np.arange(kernel.shape[1]) + longest - kernel.shape[1] // 2
-        here = np.flatnonzero(which == n)
-        for first in range(0, len(here), WINDOWS_AT_ONCE):
-            part = here[first : first + WINDOWS_AT_ONCE]
-            wave[part] = np.vecdot(level[part[:, None, None] + around], kernel).view(complex)[:, 0]
-    return wave
-
-
-def longest_reach(sampling: float) -> int:
-    """Number of samples on either side of one on which its analytic signal depends."""
-    return _kernel(len(DURATIONS) - 1, sampling).shape[1] // 2
-
-
-@lru_cache(maxsize=256)
-def _kernel(which: int, sampling: float) -> Array:
-    """Gabor kernel ``(2, 2 reach + 1)`` at the frequency of a step, real and imaginary part, to correlate with."""
-    reach = round(2.5 * CANDIDATE.kernel * DURATIONS[which] / sampling)
-    at = np.arange(-reach, reach + 1) * sampling / DURATIONS[which]
-    window = np.exp(-((at / CANDIDATE.kernel) ** 2) / 2)
-    kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
-    return np.ascontiguousarray([kernel.real[::-1], kernel.imag[::-1]])
-
-
-def maxima(wave: Complex, sampling: float, first: int = 0) -> tuple[Index, Array]:
-    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s].
-
-    first: number of its first sample.
-    """
-    before, after = wave.imag[:-1], wave.imag[1:]
-    top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
-    return top, (top + first + before[top] / (before[top] - after[top])) * sampling
-
-
-def _tilt_steadiness(acceleration: Array, period: float) -> Array:
-    """Length ``(n,)`` of the mean direction of gravity in the device: 1 if the device does not tilt."""
-    return steadiness(gaussian_filter1d(acceleration.T.copy(), CANDIDATE.tilt_smoothing / period, axis=1), period)
-
-
-def steadiness(gravity: Array, period: float) -> Array:
-    """Length ``(n,)`` of the mean direction of gravity, which is ``(3, n)`` in device axes."""
-    window = max(1, round(CANDIDATE.tilt_window / period))
-    length = _lengths(gravity)
-    mean = uniform_filter1d(np.vstack([gravity, length]), window, axis=1)
-    return _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)
-
-
-def _lengths(vectors: Array) -> Array:
-    """Lengths ``(n,)`` of vectors ``(3, n)``; `np.linalg.norm` takes three times as long for a few of them."""
-    x, y, z = vectors
-    return np.sqrt(x * x + y * y + z * z)
 
 
 def decimation(period: float) -> int:
@@ -247,16 +135,70 @@ def decimation(period: float) -> int:
     return max(1, int(CANDIDATE.sampling / period + 1e-6))
 
 
-def walking_steps(time: Array, acceleration: Array, look_ahead: float | None = None) -> Landings:
-    """The landings of a whole recording.
+def _rhythm(level: Array, sampling: float) -> tuple[Index, Array]:
+    """The index in DURATIONS that fits best at each sample, and the correlation of |a| with itself, both ``(n,)``.
 
-    time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
+    The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
+    half and double the true duration. An unusual duration must fit better.
     """
-    start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
-    landed, amplitude = Bout().steps(
-        candidates(acceleration, period, CANDIDATE.look_ahead if look_ahead is None else look_ahead)
-    )
-    return Landings.at(start + landed, amplitude, start)
+    once, twice = np.split(_correlations(level, sampling), 2)
+    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
+    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
+    samples = np.arange(len(which))
+    return which, np.maximum(once[which, samples], twice[which, samples])
+
+
+def _correlations(level: Array, sampling: float) -> Array:
+    """Correlation ``(k, n)`` of a signal with itself each of LAGS earlier, in a moving window."""
+    apart = np.maximum(1, np.round(LAGS / sampling)).astype(int)[:, None]
+    before, after = apart // 2, apart - apart // 2
+    margin, at = int(after.max()), np.arange(len(level))
+    padded = np.pad(level, margin)
+    earlier, later = padded[at + margin - before], padded[at + margin + after]
+    power = (earlier**2 + later**2) / 2 * ((at >= before) & (at < len(level) - after))
+    window = max(1, round(CANDIDATE.window / sampling))
+    product = uniform_filter1d(earlier * later, window, axis=1, mode="constant")
+    return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
+
+
+def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
+    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``."""
+    kernels = _kernels(sampling)
+    around = sliding_window_view(np.pad(level, kernels.shape[2] // 2), kernels.shape[2])
+    return np.vecdot(around[:, None], kernels[which]).view(complex)[:, 0]
+
+
+@lru_cache(maxsize=64)
+def _kernels(sampling: float) -> Array:
+    """Gabor kernels ``(k, 2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part."""
+    widest = 2.5 * CANDIDATE.kernel
+    reach = round(widest * DURATIONS[-1] / sampling)
+    at = np.arange(-reach, reach + 1) * sampling / DURATIONS[:, None]
+    window = np.exp(-((at / CANDIDATE.kernel) ** 2) / 2) * (np.abs(at) < widest + sampling / DURATIONS[:, None] / 2)
+    kernel = 2 / window.sum(axis=1, keepdims=True) * window * np.exp(2j * np.pi * at)
+    return np.stack([kernel.real, -kernel.imag], axis=1)
+
+
+def _maxima(wave: Complex, sampling: float) -> tuple[Index, Array]:
+    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s]."""
+    before, after = wave.imag[:-1], wave.imag[1:]
+    top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
+    return top, (top + before[top] / (before[top] - after[top])) * sampling
+
+
+def _steadiness(acceleration: Array, sampling: float) -> Array:
+    """Length ``(n,)`` of the mean of gravity ``(3, n)`` in device axes: 1 if the device does not tilt."""
+    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
+    gravity = gaussian_filter1d(acceleration, width / sampling, axis=1)
+    window = max(1, round(CANDIDATE.tilt_window / sampling))
+    mean = uniform_filter1d(np.vstack([gravity, _lengths(gravity)]), window, axis=1)
+    return _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)
+
+
+def _lengths(vectors: Array) -> Array:
+    """Lengths ``(n,)`` of vectors ``(3, n)``; `np.linalg.norm` takes three times as long for a few of them."""
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
 
 
 _Steps = list[tuple[float, float]]  # times and amplitudes
@@ -275,7 +217,8 @@ class Bout:
 
     def steps(self, following: Candidates) -> tuple[Array, Array]:
         """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
-        columns = (values.tolist() for values in vars(following).values())
+        names = ("time", "step", "amplitude", "regularity", "bodily")
+        columns = (getattr(following, name).tolist() for name in names)
         certain = [step for candidate in zip(*columns, strict=True) for step in self._add(*candidate)]
         time, amplitude = np.array(certain).reshape(-1, 2).T
         return time, amplitude
@@ -303,3 +246,73 @@ class Bout:
             usual = float(np.median([amplitude for _, amplitude in self.waiting]))
             self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
             self.walking = True
+
+
+@dataclass
+class StepDetector:
+    """Detects steps as samples arrive.
+
+    period: between samples [s]; start: time of the first sample [s]; look_ahead: duration of the samples after a
+    landing that are used for its rhythm and amplitude [s]. A step is certain 3 s after that. A shorter look-ahead than
+    the default misses or adds a step now and then.
+
+    samples: ``(n, 3)`` the last ones; first: number of the first of them; decided: time since the start up to which
+    steps are certain [s]; pending: candidates after it.
+    """
+
+    period: float
+    start: float = 0.0
+    look_ahead: float = CANDIDATE.look_ahead
+    bout: Bout = field(default_factory=Bout)
+    samples: Array = field(default_factory=lambda: np.empty((0, 3)))
+    first: int = 0
+    decided: float = -np.inf
+    pending: Candidates = NO_CANDIDATES
+
+    def update(self, acceleration: Array) -> tuple[Array, Array]:
+        """Add samples ``(n, 3)``; returns times ``(m,)`` [s] and amplitudes of newly certain steps."""
+        needed = int(max(0.0, self.decided - BOUT.past) / self.period)
+        drop = needed // decimation(self.period) * decimation(self.period) - self.first
+        self.samples, self.first = np.concatenate([self.samples[drop:], acceleration]), self.first + drop
+        found = candidates(self.samples, self.period, self.look_ahead)
+        found = replace(found, time=found.time + self.first * self.period)
+        self.pending = found[found.time > self.decided]
+        return self._decide((self.first + len(self.samples)) * self.period - BOUT.future - self.look_ahead)
+
+    def finish(self) -> tuple[Array, Array]:
+        """Times [s] and amplitudes of the last steps: no more samples follow."""
+        return self._decide(np.inf)
+
+    def provisional(self) -> tuple[Array, Array]:
+        """Times [s] and amplitudes of the steps after the certain ones, which later samples may still change."""
+        landed, amplitude = replace(self.bout).steps(self.pending)
+        return self.start + landed, amplitude
+
+    @property
+    def earliest(self) -> float:
+        """Earliest time at which a new landing can still be found. [s]"""
+        late = [time for time, _ in self.bout.waiting if time > self.decided - BOUT.late]
+        return self.start + min([self.decided, *late])
+
+    def _decide(self, until: float) -> tuple[Array, Array]:
+        """Times and amplitudes of the steps up to ``until`` [s] after the start among the pending candidates."""
+        self.decided = max(self.decided, until)
+        certain = self.pending.time <= until
+        landed, amplitude = self.bout.steps(self.pending[certain])
+        self.pending = self.pending[~certain]
+        return self.start + landed, amplitude
+
+
+LONGEST_BLOCK = 120.0  # [s] of samples that are evaluated together: quickest, and the memory does not grow
+
+
+def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDATE.look_ahead) -> Landings:
+    """The landings of a whole recording.
+
+    time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
+    """
+    start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
+    detector, size = StepDetector(period, start, look_ahead), round(LONGEST_BLOCK / period)
+    blocks = [detector.update(acceleration[first : first + size]) for first in range(0, len(time), size)]
+    landed, amplitude = (np.concatenate(column) for column in zip(*blocks, detector.finish(), strict=True))
+    return Landings.at(landed, amplitude, start)

@@ -14,10 +14,9 @@ import numpy as np
 from pdr_graph import storage
 from pdr_graph.gait.heading import Direction
 from pdr_graph.gait.heading_stream import HeadingStream
-from pdr_graph.gait.live_steps import DetectorCheckpoint, StepDetector
 from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.gait.step_detection import Landings, decimation
+from pdr_graph.gait.step_detection import Landings, StepDetector, decimation
 from pdr_graph.gait.steps import steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
@@ -265,7 +264,7 @@ class SegmentCheckpoint:
     """The state of a `SegmentStream`."""
 
     attitude: AttitudeCheckpoint
-    detector: DetectorCheckpoint
+    detector: StepDetector
     direction: HeadingStream
     end: float
     count: int
@@ -316,7 +315,7 @@ class SegmentStream:
         """The complete state."""
         return SegmentCheckpoint(
             attitude=storage.checkpoint(self.attitude, AttitudeCheckpoint),
-            detector=self.detector.checkpoint(),
+            detector=deepcopy(self.detector),
             direction=deepcopy(self.direction),
             end=self.end,
             count=self.count,
@@ -328,7 +327,7 @@ class SegmentStream:
     def restore(self, checkpoint: SegmentCheckpoint) -> None:
         """Continue from a checkpoint of a stream with the same walker."""
         storage.restore(self.attitude, checkpoint.attitude)
-        self.detector, self.direction = StepDetector.restored(checkpoint.detector), deepcopy(checkpoint.direction)
+        self.detector, self.direction = deepcopy(checkpoint.detector), deepcopy(checkpoint.direction)
         self.end, self.count, self.reported = checkpoint.end, checkpoint.count, checkpoint.reported
         self.landed, self.durations = checkpoint.landed.copy(), checkpoint.durations.copy()
 

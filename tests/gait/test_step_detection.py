@@ -8,8 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import StateSpace, lsim
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.gait.live_steps import StepDetector
-from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
