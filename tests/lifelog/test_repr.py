@@ -12,8 +12,7 @@ from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
 from pdr_graph.lifelog.maps import panels
 from pdr_graph.lifelog.multi_day import PersonDay
 from pdr_graph.lifelog.observation import Ends, Observation
-from pdr_graph.lifelog.privacy import HiddenRows
-from pdr_graph.lifelog.private_places import private_places
+from pdr_graph.lifelog.privacy import HiddenRows, private_places
 from pdr_graph.lifelog.sessions import Session
 from pdr_graph.lifelog.stays import VisiblePlaces
 from pdr_graph.lifelog.store import Entry, RecordingOptions, StoredDay
