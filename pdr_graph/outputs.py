@@ -21,7 +21,7 @@ from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
-from pdr_graph.report.evaluation import circular_error, coverage
+from pdr_graph.report.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.types import Estimate, Steps, Trajectory, Verdict
 from pdr_graph.walk_options import Options
 

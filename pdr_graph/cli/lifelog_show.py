@@ -72,7 +72,7 @@ def show(
         return
     if out is not None:
         check_replaceable(out, "overview.html", force)
-    from pdr_graph.lifelog.period import period_of
+    from pdr_graph.lifelog.local_time import period_of
     from pdr_graph.lifelog.show import Choice
     from pdr_graph.lifelog.show import show as shown
 

@@ -18,7 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
@@ -27,10 +27,8 @@ from pdr_graph.lifelog.day_rows import DayRows, Rows, profile_of, profile_row, r
 from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
 from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
-from pdr_graph.lifelog.remote_tasks import Work, knowing_kinds
 from pdr_graph.lifelog.store import ZONE, Entry, Store, StoredDay
-from pdr_graph.lifelog.unfinished import unfinished_lines
-from pdr_graph.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, fleet, pack
+from pdr_graph.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, knowing_kinds, pack
 from pdr_graph.storage import decode, encode, fingerprint
 
 if TYPE_CHECKING:
@@ -443,3 +441,30 @@ def _remove_unused_files(log: Store) -> None:
     cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
     cache.remove_all_but(log.folder / cache.DAYS, set())
     cache.remove_partial_copies(log.folder / cache.COPIES)
+
+
+MAX_NAMES = 5  # recordings named in a message
+
+
+def unfinished_lines(reason: str, recordings: Sequence[str], days: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    """A line for the recordings that were not observed, and one for the days (person, date) that were not built."""
+    lines: list[str] = []
+    if recordings:
+        more = [f"and {len(recordings) - MAX_NAMES} more"] if len(recordings) > MAX_NAMES else []
+        names = ", ".join([*recordings[:MAX_NAMES], *more])
+        lines.append(f"{reason}: {count(len(recordings), 'recording')} not observed, left to the next build: {names}")
+    if days:
+        names = ", ".join(_spans(days))
+        lines.append(f"{reason}: {count(len(days), 'person-day')} not built, left to the next build: {names}")
+    return tuple(lines)
+
+
+def _spans(days: Sequence[tuple[str, str]]) -> list[str]:
+    """Each person with the first and last date and the number of days."""
+    dates = defaultdict[str, list[str]](list)
+    for person, date in sorted(days):
+        dates[person].append(date)
+    return [
+        f"{one_line(person)} {own[0]}" + (f" to {own[-1]} ({len(own)})" if len(own) > 1 else "")
+        for person, own in dates.items()
+    ]

@@ -14,8 +14,7 @@ import numpy as np
 from pdr_graph.frames import enu
 from pdr_graph.lifelog.day import GAP, STANDING
 from pdr_graph.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, MODES, NAME, NOT_ME, SPLIT, Correction
-from pdr_graph.lifelog.masking import DELETED, steps_without, without_times
-from pdr_graph.lifelog.observation import Observation, is_usable
+from pdr_graph.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
 from pdr_graph.lifelog.sessions import is_located
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.types import Array, Fixes

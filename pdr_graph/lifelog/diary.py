@@ -18,26 +18,44 @@ import numpy as np
 from pdr_graph.errors import count
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.corrections import apply_to_entries, place_names
-from pdr_graph.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, split_at_gaps
 from pdr_graph.lifelog.facts import Correction
-from pdr_graph.lifelog.legs import cut, rows_of
 from pdr_graph.lifelog.local_time import LocalClock
-from pdr_graph.lifelog.places import NamedArea, Place, places_of
+from pdr_graph.lifelog.places import DAY_LENGTH, NamedArea, Place, places_of, plan_name
+from pdr_graph.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of, visits_of
 from pdr_graph.lifelog.store import ZONE, Store
-from pdr_graph.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, DayTotals, TimelineEntry, timeline
-from pdr_graph.lifelog.visits import SHORTEST_VISIT, Track, Visit, on_sphere, visits_of
+from pdr_graph.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.storage import compress, decompress
 from pdr_graph.types import OneLineRepr
 
-DAY = 86_400.0  # [s]
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over days of a person: times [s], distances [m]. days, recorded: number of days, and of those with data.
+
+    unknown: all time that is not walking, riding or staying; observed: time with data, since stays and legs go on over
+    short times without; places: time at each named place, longest first, weighted by the probability of the place.
+    """
+
+    days: int
+    recorded: int
+    walking: float
+    riding: float
+    staying: float
+    unknown: float
+    observed: float
+    walked: float
+    ridden: float
+    steps: int
+    places: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class DiaryDay(OneLineRepr):
     """A day of a person, from midnight to midnight of where the person was.
 
-    date: "2024-05-01"; start, end: Unix times of its midnights [s]; entries: its rows, in time order; outings: those
-    with a part in it.
+    date: "2024-05-01"; start, end: Unix times of its midnights [s]; entries: its rows, in time order; totals: of these;
+    outings: those with a part in it.
     """
 
     person: str
@@ -46,45 +64,70 @@ class DiaryDay(OneLineRepr):
     end: float
     entries: tuple[TimelineEntry, ...]
     outings: tuple[Outing, ...]
+    totals: Totals
+
+    @classmethod
+    def of(
+        cls,
+        person: str,
+        date: str,
+        midnights: tuple[float, float],
+        entries: Sequence[TimelineEntry],
+        outings: Sequence[Outing],
+    ) -> DiaryDay:
+        """Construct with the totals: times of the rows, distances of their parts; a walk at a place is walked too."""
+        first, last = (entries[0].start, entries[-1].end) if entries else (0.0, 0.0)  # days overlap in flights east
+        steps = sum(_steps_between(outing, first, last) for outing in outings)
+        totals = _totals(entries, midnights[1] - midnights[0], steps)
+        return cls(person, date, *midnights, tuple(entries), tuple(outings), totals)
 
     def _summary(self) -> list[str]:
         return [repr(self.person), self.date, count(len(self.entries), "row")]
 
     @property
-    def totals(self) -> DayTotals:
-        """Totals of the day: times of its rows, distances of their parts; a walk at a place counts as walked."""
-        first, last = self.entries[0].start, self.entries[-1].end  # days overlap for who flies to the east
-        steps = sum(_steps_between(outing, first, last) for outing in self.outings)
-        return totals_of(self.entries, steps)
+    def offset(self) -> float:
+        """Offset of local time from UTC at the start of the day [s]."""
+        return self.entries[0].offset if self.entries else 0.0
+
+    @property
+    def known(self) -> tuple[TimelineEntry, ...]:
+        """The entries from the first to the last one that is known."""
+        rows = [n for n, entry in enumerate(self.entries) if entry.is_known]
+        return self.entries[rows[0] : rows[-1] + 1] if rows else ()
 
 
 @dataclass(frozen=True)
 class Diary(OneLineRepr):
-    """The diary of a person. days: those asked for that have data, in order; places: of all days."""
+    """The diary of a person. days: those asked for that have data, in order; places: of all days, unless they are those
+    of an overview; visits: of an overview, in time order.
+    """
 
     person: str
     days: tuple[DiaryDay, ...]
     places: tuple[Place, ...]
+    visits: tuple[TimelineEntry, ...] = ()
 
     def _summary(self) -> list[str]:
         return [repr(self.person), count(len(self.days), "day"), count(len(self.places), "place")]
 
 
-def diary(log: Store, person: str, first: str = "", last: str = "") -> Diary:
+def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0) -> Diary:
     """The diary of a person from one date to another, both included; all days by default.
 
-    Places are those of all days. Raises InputError if the lifelog is damaged.
+    Places are those of all days. tolerance: [m] to which the tracks of outings are simplified, 0 for not. Raises
+    InputError if the lifelog is damaged.
     """
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
     days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
-    return Diary(person, tuple(_day(log, person, date, own, whole) for date, own in wanted.items()), whole.places)
+    made = (_day(log, person, date, own, whole) for date, own in wanted.items())
+    return Diary(person, tuple(_simplified(day, tolerance) if tolerance else day for day in made), whole.places)
 
 
 def _rows_near(rows: Sequence[TimelineEntry], first: str, last: str) -> list[TimelineEntry]:
     """The rows that may lie in the days from one date to another, in any time zone; "" for no limit."""
     start, end = (datetime.fromisoformat(f"{date}T00:00Z").timestamp() if date else np.nan for date in (first, last))
-    return [row for row in rows if not (row.end < start - DAY or row.start > end + 2 * DAY)]
+    return [row for row in rows if not (row.end < start - DAY_LENGTH or row.start > end + 2 * DAY_LENGTH)]
 
 
 @dataclass(frozen=True)
@@ -168,31 +211,18 @@ def with_places(
     rows: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()
 ) -> tuple[list[TimelineEntry], tuple[Place, ...]]:
     """The rows with the place of each visit, and all places. named: areas that the person gave a name."""
-    visits = {n: _visit(row) for n, row in enumerate(rows) if row.kind == STAY and _is_visit(row)}
+    visits = {n: row for n, row in enumerate(rows) if row.kind == STAY and _is_visit(row)}
     places = places_of(list(visits.values()), named)
     place_of = {id(visit): place for place in places for visit in place.visits}
     found = list(rows)
-    for n, visit in visits.items():
-        place = place_of[id(visit)]
-        found[n] = replace(rows[n], place=place.name, place_number=place.number)
+    for n, row in visits.items():
+        found[n] = replace(row, place=place_of[id(row)].name, place_number=place_of[id(row)].number)
     return found, places
 
 
 def _is_visit(row: TimelineEntry) -> bool:
     """True for a stay at a place: long enough, or at a named place on a plan."""
-    return bool(_plan_name(row)) or (row.end - row.start >= SHORTEST_VISIT and bool(np.isfinite(row.latitude)))
-
-
-def _plan_name(row: TimelineEntry) -> str:
-    """The most probable place on a plan; "" if it is not probable enough."""
-    # least name probability of a place on a plan that names a visit; chosen by hand
-    return row.facing[0][0] if row.facing and row.facing[0][1] >= 0.5 else ""
-
-
-def _visit(row: TimelineEntry) -> Visit:
-    """The visit of a stay."""
-    middle = on_sphere(np.array([[row.longitude, row.latitude]]))[0]
-    return Visit(row.start, row.end, middle, float(np.nan_to_num(row.sigma)), row.observed, _plan_name(row))
+    return bool(plan_name(row)) or (row.duration >= SHORTEST_VISIT and bool(np.isfinite(row.latitude)))
 
 
 def parted(rows: Sequence[TimelineEntry], clock: LocalClock, track: Track) -> dict[str, list[TimelineEntry]]:
@@ -220,33 +250,69 @@ def _day(log: Store, person: str, date: str, entries: Sequence[TimelineEntry], w
     touching = (digest for digest in whole.digests if digest.span[0] < end and digest.span[1] > start)
     days = [log.day(person, digest.date) for digest in touching]
     outings = [outing for day in days if day is not None for outing in day.outings]
-    own = tuple(o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start)
-    return DiaryDay(person, date, start, end, tuple(entries), own)
+    own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
+    return DiaryDay.of(person, date, (start, end), entries, own)
 
 
-def totals_of(entries: Sequence[TimelineEntry], steps: int) -> DayTotals:
-    """Totals of rows: their times, the distances of their parts, the time at each place, longest first."""
+def _simplified(day: DiaryDay, tolerance: float) -> DiaryDay:
+    """The day with fewer rows in the tracks of its outings, none of which lies farther off than `tolerance` [m]."""
+    return replace(day, outings=tuple(_with_fewer_rows(outing, tolerance) for outing in day.outings))
+
+
+def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
+    """The outing with the rows that a line through its track needs, without covariances."""
+    import shapely
+
+    kept = np.zeros(len(outing.trajectory), dtype=bool)
+    for track, _ in split_at_gaps(outing):
+        first = int(np.searchsorted(outing.trajectory.time, track.time[0]))
+        kept[[first, first + len(track) - 1]] = True
+        if len(track) > 2:
+            line = shapely.linestrings(np.column_stack([track.position, np.arange(len(track))]))
+            line = shapely.simplify(line, tolerance, preserve_topology=False)
+            kept[first + shapely.get_coordinates(line, include_z=True)[:, 2].astype(np.intp)] = True
+    return replace(outing, trajectory=replace(outing.trajectory, covariance=None)[np.flatnonzero(kept)])
+
+
+def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
+    """Totals of the rows of a day of a length [s]."""
     parts = [part for entry in entries for part in (entry.parts or (entry,))]
-    walked, ridden = (_sum_distance(parts, *kinds) for kinds in ((WALKING, PASSING), (VEHICLE,)))
     at_places: dict[str, float] = {}
     for row in (row for row in entries if row.kind == STAY):
         names = [(row.place, 1.0)] if row.place else row.facing or [(f"place {row.place_number}", row.place_number > 0)]
         for name, probability in names:
-            at_places[name] = at_places.get(name, 0.0) + (row.end - row.start) * probability
-    return DayTotals(
-        walked=walked,
-        walking=_sum_time(entries, WALKING, PASSING),
-        ridden=ridden,
-        riding=_sum_time(entries, VEHICLE),
-        staying=_sum_time(entries, STAY, STANDING),
-        unknown=_sum_time(entries, *KINDS_WITHOUT_DATA),
+            at_places[name] = at_places.get(name, 0.0) + row.duration * probability
+    walking, riding = _sum_time(entries, WALKING, PASSING), _sum_time(entries, VEHICLE)
+    staying = _sum_time(entries, STAY, STANDING)
+    observed = float(sum(entry.duration * entry.observed for entry in entries if entry.is_known))
+    return Totals(
+        days=1,
+        recorded=int(observed > 0),
+        walking=walking,
+        riding=riding,
+        staying=staying,
+        unknown=max(length - (walking + riding + staying), 0.0),
+        observed=observed,
+        walked=_sum_distance(parts, WALKING, PASSING),
+        ridden=_sum_distance(parts, VEHICLE),
         steps=steps,
         places=tuple(sorted(((n, t) for n, t in at_places.items() if t), key=lambda item: -item[1])),
     )
 
 
+def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
+    """Sums over days of one person. length: number of days of the period."""
+    every = [day.totals for day in days]
+    sums = {name: sum(getattr(own, name) for own in every) for name in SUMMED}
+    sums["unknown"] += (length - len(days)) * DAY_LENGTH
+    return Totals(days=length, **sums)
+
+
+SUMMED = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
+
+
 def _sum_time(entries: Sequence[TimelineEntry], *kinds: str) -> float:
-    return float(sum(entry.end - entry.start for entry in entries if entry.kind in kinds))
+    return float(sum(entry.duration for entry in entries if entry.kind in kinds))
 
 
 def _sum_distance(entries: Sequence[TimelineEntry], *kinds: str) -> float:

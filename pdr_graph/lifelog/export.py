@@ -23,8 +23,7 @@ from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, clipped, floors_visited, split_at_gaps
 from pdr_graph.lifelog.local_time import zone_of_outings
-from pdr_graph.lifelog.privacy import without_private_places
-from pdr_graph.lifelog.private_places import PrivatePlace, private_places
+from pdr_graph.lifelog.privacy import PrivatePlace, private_places, without_private_places
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import PASSING, STAY, timeline, timeline_csv
 from pdr_graph.types import Array, Trajectory

@@ -16,8 +16,15 @@ from pathlib import Path
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.lifelog import build, cache
 from pdr_graph.lifelog.facts import ALWAYS, FORGOTTEN, NAME, Correction, forgotten_times
-from pdr_graph.lifelog.masking import DELETED, without_times
-from pdr_graph.lifelog.observation import is_usable, read_observation, step_count, to_bytes, zone_at_start
+from pdr_graph.lifelog.observation import (
+    DELETED,
+    is_usable,
+    read_observation,
+    step_count,
+    to_bytes,
+    without_times,
+    zone_at_start,
+)
 from pdr_graph.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.lifelog.past.past_days import PastDays, cut_past
 from pdr_graph.lifelog.revision import OpenDiary, person_of

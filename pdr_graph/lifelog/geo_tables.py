@@ -23,8 +23,8 @@ from pdr_graph.lifelog.day import VEHICLE, WALKING, Day, Outing, split_at_gaps
 from pdr_graph.lifelog.diary import corrected_rows, with_places, without_overlaps
 from pdr_graph.lifelog.facts import Correction
 from pdr_graph.lifelog.places import Place
+from pdr_graph.lifelog.stays_and_legs import Track
 from pdr_graph.lifelog.timeline import PASSING, STAY, TimelineEntry, timeline
-from pdr_graph.lifelog.visits import Track
 from pdr_graph.types import Array, Index
 
 if TYPE_CHECKING:

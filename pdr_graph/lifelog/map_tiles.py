@@ -19,6 +19,7 @@ from matplotlib.image import imread
 
 from pdr_graph import __version__
 from pdr_graph.errors import InputError
+from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 from pdr_graph.web_request import FAULTS, answer_to, body_of, same_host
 
@@ -47,6 +48,16 @@ class MercatorFrame:
         east = (lonlat[:, 0] - self.longitude + 180) % 360 - 180
         north = _mercator(lonlat[:, 1]) - _mercator(np.array(self.latitude))
         return self.scale * np.column_stack([np.radians(east), north])
+
+    def to_lonlat(self, position: Array) -> Array:
+        """Longitudes and latitudes ``(n, 2)`` [deg] of positions [m]."""
+        share = self.shares(position)
+        latitude = np.degrees(np.arctan(np.sinh((0.5 - share[:, 1]) * 2 * np.pi)))
+        return np.column_stack([(share[:, 0] - 0.5) * 360.0, latitude])
+
+    def from_frame(self, other: Frame | MercatorFrame, position: Array) -> Array:
+        """Positions ``(n, 2)`` [m] from positions in another frame, which is georeferenced."""
+        return self.from_lonlat(other.to_lonlat(position))
 
     def shares(self, position: Array) -> Array:
         """Shares ``(n, 2)`` of the whole map's width and height, from its upper left corner, of positions [m]."""

@@ -1,89 +1,191 @@
-"""The report of a day of a lifelog: files that only their owner can read.
+"""The files of an overview, which only their owner can read.
 
-The page ``report.html`` has maps, hours and the timeline: the content of ``timeline.csv`` and ``day.png``, without
-names or paths of recordings and plans.
+``overview.html`` has the picture and the tables in one file, without scripts and without requests. Of one day of one
+person ``report.html`` has the same maps and rows to play with. Neither has names or paths of recordings and plans.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import datetime, tzinfo
+from html import escape
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pdr_graph.errors import InputError, one_line
+from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.geometry import confidence_band, horizontal_sigma
+from pdr_graph.geometry import confidence_band
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
-from pdr_graph.lifelog.export import as_geojson, not_exported
-from pdr_graph.lifelog.maps import COLOURS, DrawnPart, Panel, panels
-from pdr_graph.lifelog.picture import picture
+from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day
+from pdr_graph.lifelog.diary import DiaryDay, Totals, totals_of
+from pdr_graph.lifelog.export import as_geojson
+from pdr_graph.lifelog.local_time import DAY
+from pdr_graph.lifelog.maps import Dot, DrawnPart, Panel, panels
+from pdr_graph.lifelog.overview import Overview, tables
+from pdr_graph.lifelog.overview_text import (
+    distance_text,
+    hours_text,
+    list_texts,
+    period_title,
+    time_text,
+    visit_times,
+)
+from pdr_graph.lifelog.picture import COLOURS, picture
+from pdr_graph.lifelog.places import Place
 from pdr_graph.lifelog.timeline import (
     KIND_NAMES,
     PASSING,
     STAY,
-    DayTotals,
     TimelineEntry,
     duration_text,
     entry_texts,
     timeline,
     timeline_csv,
-    totals,
 )
-from pdr_graph.report import charts_and_tables, page
+from pdr_graph.priors import TRACK
+from pdr_graph.report import charts_and_tables
 from pdr_graph.report.charts_and_tables import Table, table
-from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, TRACK, column, rings, runs, track
+from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, plan_drawing, rings, runs, track
+from pdr_graph.report.page import page as interactive_page
 from pdr_graph.report.plotting import picture_bytes
 from pdr_graph.types import Array, Trajectory
 
 PICTURE_DPI = 130
 
 
-@dataclass(frozen=True)
-class DayRows:
-    """The rows of a day that its page lists, with their totals."""
+def write_overview(shown: Overview, out: Path, template: str, remarks: Sequence[str]) -> tuple[list[str], bytes]:
+    """Write the files of an overview; returns a line if there are no tiles, and the picture.
 
-    entries: tuple[TimelineEntry, ...]
-    totals: DayTotals
-
-    @classmethod
-    def of(cls, day: Day) -> DayRows:
-        """Every entry of the timeline."""
-        entries = timeline(day)
-        return cls(entries, totals(day, entries))
-
-
-def write_day(day: Day, zone: tzinfo, out: Path | None, rows: DayRows | None = None) -> list[str]:
-    """Write the files of a day to a folder, None for nowhere; returns its notes and what is missing, a line each.
-
-    rows: those of the diary, for the page; by default every entry of the timeline, as in ``timeline.csv``.
+    template: address of map tiles, "" for none.
     """
-    missing = [line for outing in day.outings for line in outing.missing]
-    notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
-    missing, notes = ([one_line(line) for line in dict.fromkeys(lines)] for lines in (missing, notes))
-    if out is not None:
-        cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
-        cache.write(out / "day.geojson", as_geojson([day]))
-        cache.write(out / "day.png", picture_bytes(picture(day, zone), PICTURE_DPI))
-        missing += _write_page(out / "report.html", day, zone, missing, notes, rows)
-    return [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
+    figure, failures = picture(shown, template)
+    for name, content in tables(shown).items():
+        cache.write(out / name, content)
+    drawn = picture_bytes(figure, PICTURE_DPI)
+    cache.write(out / "overview.png", drawn)
+    svg = picture_bytes(figure, PICTURE_DPI, "svg")
+    cache.write(out / "overview.html", page(shown, svg, [*remarks, *failures]))
+    return failures, drawn
 
 
-def _write_page(
-    path: Path, day: Day, zone: tzinfo, missing: Sequence[str], notes: Sequence[str], rows: DayRows | None
-) -> tuple[str, ...]:
-    """Write the HTML page of a day; returns a line for a failure, else nothing."""
+def write_day(
+    shown: Overview, day: Day, zone: tzinfo, out: Path, drawn: bytes, missing: Sequence[str], notes: Sequence[str]
+) -> list[str]:
+    """Write the files of the overview of one day of a person; returns a line for a failure, else nothing.
+
+    day: with the outings that began on that date, for ``timeline.csv`` and ``day.geojson``; drawn: the picture of the
+    overview, which is ``day.png``, too; missing, notes: a line each.
+    """
+    cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
+    cache.write(out / "day.geojson", as_geojson([day]))
+    cache.write(out / "day.png", drawn)
     try:
-        html = page.page(content(day, zone, missing, notes, rows))
+        html = interactive_page(content(shown, zone, missing, notes))
     except Exception as error:  # a failing report must not lose the result
-        return (one_line(f"{path.name} ({type(error).__name__}: {error})"),)
-    cache.write(path, html)
-    return ()
+        return [one_line(f"missing: report.html ({type(error).__name__}: {error})")]
+    cache.write(out / "report.html", html)
+    return []
+
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+STYLE = """
+body { font: 14px/1.45 system-ui, sans-serif; color: #26241f; background: #fff; margin: 1.5rem auto; max-width: 1180px;
+  padding: 0 1rem; }
+svg { width: 100%; height: auto; }
+h1 { position: absolute; left: -9999px; } /* the picture has it */
+ h2 { font-size: 1.05rem; margin: 1.6rem 0 0.4rem; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: 0.2rem 0.9rem 0.2rem 0; border-bottom: 1px solid #e4e0d8; vertical-align: top; }
+th { font-weight: 600; color: #6b655b; }
+"""
+MOST_VISITS = 500  # rows of the page's table; visits.csv has all
+MOST_PLACES = 200
+Rows = Sequence[Sequence[str]]
+
+
+def page(shown: Overview, svg: bytes, remarks: Sequence[str]) -> bytes:
+    """The page. svg: the picture of the overview; remarks: a line each."""
+    names = ", ".join(one_line(person) for person in shown.persons)
+    title = "  ".join(filter(None, [names, period_title(shown.period), one_line(shown.place)]))
+    picture = svg[svg.index(b"<svg") :].decode()
+    notes = "".join(f"<p>{escape(line)}</p>" for line in remarks)
+    tables = "".join(_html_table(title, head, rows) for title, head, rows in _tables(shown) if rows)
+    head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+    head += '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
+    body = f"<h1>{escape(title)}</h1>{notes}<div>{picture}</div>{tables}"
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'.encode()
+
+
+def _html_table(title: str, head: Sequence[str], rows: Rows) -> str:
+    """A table with a heading."""
+    cells = "".join(f"<th>{escape(name)}</th>" for name in head)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(one_line(cell))}</td>' for cell in row)}</tr>" for row in rows)
+    start = f'<h2>{escape(one_line(title))}</h2><div class="wide"><table>'
+    return f"{start}<thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def _tables(shown: Overview) -> Iterator[tuple[str, Sequence[str], Rows]]:
+    """Title, column names and rows of each table."""
+    is_list = shown.period.kind == DAY and not shown.place
+    for own in shown.diaries:
+        whose = f"{own.person}: " if len(shown.persons) > 1 else ""
+        if is_list:
+            rows = [texts for day in own.days for texts in list_texts(day.entries)]
+            yield f"{whose}the day", ("from", "to", "for", "what", "distance", "where"), rows
+        else:
+            yield f"{whose}days", DAY_HEAD, list(_day_rows(own.days, len(shown.period)))
+        if own.places:
+            yield f"{whose}places", PLACE_HEAD, [_place_row(place) for place in own.places[:MOST_PLACES]]
+            yield f"{whose}usual hours", HOURS_HEAD, list(_hours_rows(own.places[:MOST_PLACES]))
+        if own.visits and not is_list:
+            hidden = len(own.visits) - MOST_VISITS
+            earlier = f" ({count(hidden, 'earlier visit')} in visits.csv)" if hidden > 0 else ""
+            yield f"{whose}visits{earlier}", VISIT_HEAD, [_visit_row(visit) for visit in own.visits[-MOST_VISITS:]]
+
+
+DAY_HEAD = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
+PLACE_HEAD = ("place", "visits", "time", "first", "last", "latitude, longitude")
+HOURS_HEAD = ("place", "weekday", "arrivals", "comes (quartiles)", "departures", "leaves (quartiles)")
+VISIT_HEAD = ("place", "from", "to", "for", "with data")
+
+
+def _day_rows(days: Sequence[DiaryDay], length: int) -> Iterator[Sequence[str]]:
+    """A row per day with data, or per month if there are many; then the totals. length: of the period, in days."""
+    letters = 10 if len(days) <= 400 else 7  # most days
+    for name, same in groupby(days, key=lambda day: day.date[:letters]):
+        own = list(same)
+        yield _totals_row(name, totals_of(own, len(own)))
+    yield _totals_row("total", totals_of(days, length))
+
+
+def _totals_row(name: str, totals: Totals) -> Sequence[str]:
+    times = [time_text(time) for time in (totals.walking, totals.riding, totals.staying, totals.unknown)]
+    return [name, *times, distance_text(totals.walked), distance_text(totals.ridden), f"{totals.steps:,}"]
+
+
+def _place_row(place: Place) -> Sequence[str]:
+    where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
+    return [place.label, str(len(place.visits)), time_text(place.duration), place.first, place.last, where]
+
+
+def _hours_rows(places: Sequence[Place]) -> Iterator[Sequence[str]]:
+    """A row per place and weekday, with at least two arrivals or departures."""
+    for place in places:
+        for usual in place.hours:
+            if max(usual.arrivals, usual.departures) >= 2:
+                come, go = hours_text(usual.arrival), hours_text(usual.departure)
+                yield [place.label, usual.weekday, str(usual.arrivals), come, str(usual.departures), go]
+
+
+def _visit_row(visit: TimelineEntry) -> Sequence[str]:
+    seen = f"{visit.observed:.0%}" if visit.duration > 0 else ""
+    return [visit.label, *visit_times(visit), duration_text(visit.duration), seen]
 
 
 OFFSET_PERIOD = 900.0  # [s]; daylight saving time starts and ends at multiples of it
@@ -92,22 +194,19 @@ SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] diameter of the mark of a slow pas
 BLOCK_HEIGHT, LANE_HEIGHT = 14, 26  # [px] in the chart of the day
 
 
-def content(
-    day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str], rows: DayRows | None = None
-) -> dict[str, Any]:
-    """The content of the page, in the form documented in ``web/content.js``.
+def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str]) -> dict[str, Any]:
+    """The content of ``report.html``, in the form documented in ``web/content.js``, of one day of one person.
 
-    missing, warnings: a line each; rows: what the page lists, by default every entry of the timeline.
+    missing, warnings: a line each.
     """
-    every, maps = timeline(day), panels(day)
-    start, end = (every[0].start, max(e.end for e in every)) if every else (0.0, 0.0)
-    rows = rows or DayRows.of(day)
-    entries = rows.entries
+    [day], maps = shown.days, panels(shown)
+    entries = day.known
+    start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
     ways = [_joined_track(panel) for panel in maps]
     return {
         "title": f"{day.person}   {day.date}",
         "subtitle": f"times of {zone}",
-        "headline": _headline(rows.totals),
+        "headline": _headline(day.totals),
         "verdict": None,
         "missing": list(missing),
         "warnings": list(warnings),
@@ -117,24 +216,20 @@ def content(
         "end": end,
         "maps": [_map(panel, n) for n, panel in enumerate(maps)],
         "tracks": [line for n, panel in enumerate(maps) for line in _tracks(panel, ways[n], n, len(maps))],
-        "marks": [marks for n, panel in enumerate(maps) for marks in _stay_marks(panel, n)],
+        "marks": [marks for n, panel in enumerate(maps) for marks in _marks(panel, n)],
         "charts": [_hours_chart(entries), *([_sigma_chart(ways[0])] if ways else [])] if entries else [],
         "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
         "tables": [_timeline_table(entries, zone)],
     }
 
 
-def _headline(sums: DayTotals) -> list[list[str]]:
-    figures = [["walked", f"{_distance_text(sums.walked)} in {duration_text(sums.walking)}"]]
-    figures += [["ridden", f"{_distance_text(sums.ridden)} in {duration_text(sums.riding)}"]] if sums.riding else []
+def _headline(sums: Totals) -> list[list[str]]:
+    figures = [["walked", f"{distance_text(sums.walked)} in {duration_text(sums.walking)}"]]
+    figures += [["ridden", f"{distance_text(sums.ridden)} in {duration_text(sums.riding)}"]] if sums.riding else []
     figures += [["stayed", duration_text(sums.staying)]] if sums.staying else []
     figures += [["steps", f"{sums.steps:,}"]] if sums.steps else []
     figures += [["no data", duration_text(sums.unknown)]] if sums.unknown else []
     return figures + [[name, duration_text(time)] for name, time in sums.places[:3]]
-
-
-def _distance_text(metres: float) -> str:
-    return f"{metres / 1000:.2f} km" if metres >= 1000 else f"{metres:.0f} m"
 
 
 def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
@@ -158,7 +253,7 @@ def _plan(panel: Panel) -> dict[str, Any] | None:
         floors = Building.load(panel.plan).floors
     except InputError:
         return None
-    return page.plan_drawing(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    return plan_drawing(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
 
 
 def _joined_track(panel: Panel) -> Trajectory:
@@ -214,34 +309,32 @@ def _activity_track(name: str, colour: str, drawn: Sequence[DrawnPart], number: 
     return track(name, colour, bare, [number] * len(bare))
 
 
-def _stay_marks(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
-    """The marks of the stays and of the slow passes on a map."""
+def _marks(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
+    """The marks of the places and stays, and of the slow passes, on a map."""
     for kind in (STAY, PASSING):
-        own = [stay for stay in panel.stays if stay.passing == (kind == PASSING)]
+        own = [dot for dot in panel.dots if dot.kind == kind]
         if own:
-            x, y = (column(axis, CENTIMETRE) for axis in np.array([stay.position for stay in own]).T)
+            x, y = (column(axis, CENTIMETRE) for axis in np.array([dot.position for dot in own]).T)
             marks = {"name": KIND_NAMES.get(kind, kind), "colour": COLOURS[kind], "symbol": "circle", "x": x, "y": y}
-            dots = {"size": [_dot_diameter(stay) for stay in own], "text": [_stay_label(stay) for stay in own]}
+            dots = {"size": [_diameter(dot) for dot in own], "text": [dot.text for dot in own]}
             yield marks | dots | {"on": runs([number] * len(own))}
 
 
-def _dot_diameter(stay: Stay) -> float:
-    """Diameter [px] of the mark of a stay, by its duration."""
+def _diameter(dot: Dot) -> float:
+    """Diameter [px] of the mark of a place or stay, by the time there."""
     # longest stay [s]: duration of a stay with the largest mark
-    share = 0.0 if stay.passing else min((stay.end - stay.start) / 7200.0, 1.0)
+    share = 0.0 if dot.kind == PASSING else min(dot.time / 7200.0, 1.0)
     return round(float(np.sqrt(SMALLEST_DOT**2 + share * (LARGEST_DOT**2 - SMALLEST_DOT**2))), 1)
 
 
-def _stay_label(stay: Stay) -> str:
-    named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
-    return "\n".join(
-        [f"{duration_text(stay.end - stay.start)}, ± {float(horizontal_sigma(stay.covariance)):.1f} m", *named]
-    )
-
-
 def _entry_label(entry: TimelineEntry) -> str:
-    _, what, _, floor, place = entry_texts(entry)
+    _, what, _, floor, place = entry_texts(_labelled(entry))
     return ", ".join(part for part in (what, floor, place) if part)
+
+
+def _labelled(entry: TimelineEntry) -> TimelineEntry:
+    """The entry with the number of its place as its name, if it has none and none on a plan."""
+    return entry if entry.facing else replace(entry, place=entry.label)
 
 
 def _hours_chart(entries: Sequence[TimelineEntry]) -> dict[str, Any]:
@@ -256,7 +349,7 @@ def _lane(kind: str, entries: Sequence[TimelineEntry], lane: int) -> dict[str, A
     """The blocks of one lane; each has a point in its middle for the hover text."""
     time = np.array([(e.start, (e.start + e.end) / 2, e.end, e.end) for e in entries]).ravel()
     y = np.tile([lane, lane, lane, np.nan], len(entries))
-    text = [f"{duration_text(e.end - e.start)}\n{_entry_label(e)}" for e in entries for _ in range(4)]
+    text = [f"{duration_text(e.duration)}\n{_entry_label(e)}" for e in entries for _ in range(4)]
     block = {"name": kind, "colour": COLOURS[kind], "width": BLOCK_HEIGHT, "text": text}
     return block | {"time": column(time, CENTISECOND), "y": column(y, 1.0)}
 
@@ -266,6 +359,6 @@ def _sigma_chart(way: Trajectory) -> dict[str, Any]:
 
 
 def _timeline_table(entries: Sequence[TimelineEntry], zone: tzinfo) -> Table:
-    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *entry_texts(e)] for e in entries]
+    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *entry_texts(_labelled(e))] for e in entries]
     head = ["from", "for", "what", "distance", "floor", "where"]
     return table("The day", head, rows, [round(e.start, 2) for e in entries])

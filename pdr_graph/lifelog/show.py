@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
-from pdr_graph.errors import InputError, count
-from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.local_time import zone_of_outings
-from pdr_graph.lifelog.overview import DayView, Overview, is_known, overview, view_of
-from pdr_graph.lifelog.overview_tables import as_json, tables
+from pdr_graph.errors import InputError, count, one_line
+from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.diary import Diary, DiaryDay, diary
+from pdr_graph.lifelog.local_time import ALL, DAY, LAST_DATE, Period, zone_of_outings
+from pdr_graph.lifelog.overview import Overview, as_json, overview
 from pdr_graph.lifelog.overview_text import as_text
-from pdr_graph.lifelog.period import ALL, DAY, LAST_DATE, Period
-from pdr_graph.lifelog.place_visits import place_label
 from pdr_graph.lifelog.places import Place, likely_home
 from pdr_graph.lifelog.store import ZONE, Store
-from pdr_graph.lifelog.timeline import TimelineEntry
 from pdr_graph.whole_files import output_folder
 
-TOLERANCES = {DAY: 1.0}  # [m] by which drawn tracks may be simplified
+TOLERANCE = 10.0  # [m] to which the tracks of more than a day are simplified
 LIKELY_HOME = "home?"  # name of the place where somebody spends the nights, for those who ask for the guess
 MOST_NAMES = 12  # places that a message names
 
@@ -70,20 +66,18 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
     with Store(path) as log:
         persons = _persons(log, choice.persons)
         period = choice.period or _default_period(log, persons, choice)
-        days, known = _views(log, persons, period, choice.guess_home)
-        if not days:
+        diaries = list(_diaries(log, persons, period, choice.guess_home))
+        if not diaries:
             raise _no_day(log, persons, period)
         if period.kind == ALL:
-            dates = [date.fromisoformat(day.date) for day in days]
+            dates = [date.fromisoformat(day.date) for own in diaries for day in own.days]
             period = replace(period, first=min(dates), last=max(dates))
-        chosen = overview(days, period, choice.place, known)
+        chosen = overview(diaries, period, choice.place)
         if choice.place and not chosen.visits:
-            raise _no_place(choice.place, days, period)
+            raise _no_place(choice.place, diaries, period)
         folder = out or path.with_name(_folder_name(path, period))
         with output_folder(folder, private=True) if write else nullcontext() as staged:
-            remarks = _written_day(log, chosen, staged)
-            if staged is not None:
-                remarks += _write(chosen, staged, template, remarks)
+            remarks = _written(log, chosen, staged, template)
     return Shown(chosen, tuple(remarks), folder)
 
 
@@ -106,22 +100,18 @@ def _default_period(log: Store, persons: Sequence[str], choice: Choice) -> Perio
     return Period(DAY, last.isoformat(), last, last)
 
 
-def _views(
-    log: Store, persons: Sequence[str], period: Period, guess_home: bool
-) -> tuple[list[DayView], dict[tuple[str, int], Place]]:
-    """The days of a period that are not all without data, and all places by person and number."""
-    tolerance = TOLERANCES.get(period.kind, 10.0)  # coarse tolerance [m], of longer periods
-    days, places = list[DayView](), dict[tuple[str, int], Place]()
+def _diaries(log: Store, persons: Sequence[str], period: Period, guess_home: bool) -> Iterator[Diary]:
+    """The diaries of persons with known days in a period, and these days."""
     for person in persons:
-        found = diary(log, person, period.first.isoformat(), period.last.isoformat())
+        tolerance = 0.0 if period.kind == DAY else TOLERANCE
+        found = diary(log, person, period.first.isoformat(), period.last.isoformat(), tolerance)
         home = likely_home(found.places) if guess_home else None
-        own = [view_of(day, tolerance) for day in found.days if any(is_known(entry) for entry in day.entries)]
-        days += [_with_home(day, home) for day in own] if home is not None else own
-        places |= {(person, place.number): place for place in found.places}
-    return days, places
+        days = [day if home is None else _with_home(day, home) for day in found.days if day.known]
+        if days:
+            yield replace(found, days=tuple(days))
 
 
-def _with_home(day: DayView, home: Place) -> DayView:
+def _with_home(day: DiaryDay, home: Place) -> DiaryDay:
     """The day with LIKELY_HOME as the name of a place that has none."""
     entries = (
         replace(entry, place=LIKELY_HOME) if entry.place_number == home.number and not entry.place else entry
@@ -130,9 +120,8 @@ def _with_home(day: DayView, home: Place) -> DayView:
     return replace(day, entries=tuple(entries))
 
 
-def _no_place(place: str, days: Sequence[DayView], period: Period) -> InputError:
-    entries = [entry for day in days for entry in day.entries]
-    labels = dict.fromkeys(filter(None, (place_label(entry.place, entry.place_number) for entry in entries)))
+def _no_place(place: str, diaries: Sequence[Diary], period: Period) -> InputError:
+    labels = dict.fromkeys(e.label for own in diaries for day in own.days for e in day.entries if e.label)
     named = ", ".join(list(labels)[:MOST_NAMES]) or "none"
     more = f" and {count(len(labels) - MOST_NAMES, 'other')}" if len(labels) > MOST_NAMES else ""
     return InputError("--place", period.name, repr(place), f"a place that was visited: {named}{more}")
@@ -148,37 +137,28 @@ def _folder_name(path: Path, period: Period) -> str:
     return f"{path.stem}-{'shown' if period.kind == DAY else period.name.replace(' ', '-')}"
 
 
-def _written_day(log: Store, chosen: Overview, folder: Path | None) -> list[str]:
-    """Write the report of one day of one person; returns its remarks."""
-    if chosen.period.kind != DAY or len(chosen.persons) != 1 or chosen.place:
-        return []
-    stored = log.day(chosen.persons[0], chosen.period.name)
-    if stored is None:  # of an outing that began on the day before
-        return []
-    from pdr_graph.lifelog.report import DayRows, write_day  # imports matplotlib, which is slow
+def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -> list[str]:
+    """Write the files of an overview to a folder, None for nowhere; returns the remarks on it."""
+    is_day = chosen.period.kind == DAY and len(chosen.persons) == 1 and not chosen.place
+    # none of an outing that began on the day before
+    stored = log.day(chosen.persons[0], chosen.period.name) if is_day else None
+    notes, missing = _remarks(stored) if stored else ([], [])
+    remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
+    if folder is not None:
+        from pdr_graph.lifelog.report import write_day, write_overview  # imports matplotlib, which is slow
 
-    [day] = chosen.days
-    known = [n for n, entry in enumerate(day.entries) if is_known(entry)]
-    entries = (_labelled(entry) for entry in day.entries[known[0] : known[-1] + 1])
-    rows = DayRows(tuple(entries), day.totals)
-    return write_day(stored, zone_of_outings(log.setting(ZONE), stored.outings), folder, rows)
-
-
-def _labelled(entry: TimelineEntry) -> TimelineEntry:
-    """The entry with the number of its place as its name, if it has none and none on a plan."""
-    return entry if entry.facing else replace(entry, place=place_label(entry.place, entry.place_number))
+        failures, drawn = write_overview(chosen, folder, template, remarks)
+        if stored is not None:
+            zone = zone_of_outings(log.setting(ZONE), stored.outings)
+            remarks += write_day(chosen, stored, zone, folder, drawn, missing, notes)
+        remarks += failures
+    return remarks
 
 
-def _write(chosen: Overview, folder: Path, template: str, remarks: Sequence[str]) -> list[str]:
-    """Write the files of an overview; returns a line for each map without tiles."""
-    from pdr_graph.lifelog import overview_page, overview_picture
-    from pdr_graph.lifelog.report import PICTURE_DPI
-    from pdr_graph.report.plotting import picture_bytes
+def _remarks(day: Day) -> tuple[list[str], list[str]]:
+    """The notes of the outings of a day, and what is missing, a line each."""
+    from pdr_graph.lifelog.export import not_exported
 
-    figure, failures = overview_picture.picture(chosen, template)
-    for name, table in tables(chosen).items():
-        cache.write(folder / name, table)
-    cache.write(folder / "overview.png", picture_bytes(figure, PICTURE_DPI))
-    svg = picture_bytes(figure, PICTURE_DPI, "svg")
-    cache.write(folder / "overview.html", overview_page.page(chosen, svg, [*remarks, *failures]))
-    return failures
+    notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
+    missing = [line for outing in day.outings for line in outing.missing]
+    return [one_line(line) for line in dict.fromkeys(notes)], [one_line(line) for line in dict.fromkeys(missing)]

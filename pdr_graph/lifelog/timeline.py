@@ -49,6 +49,7 @@ class TimelineEntry(OneLineRepr):
     end_offset: of local time from UTC at start and end [s]; observed: share of the time with data; parts: the finer
     entries that it covers, in time order, none for a single one.
     mode: what the person calls the activity, as "bus", "" by default; corrected: True if the person states it.
+    Of a visit: arrived, left: True if its start and end were observed, not inside a time without data.
     """
 
     kind: str
@@ -70,28 +71,37 @@ class TimelineEntry(OneLineRepr):
     parts: tuple[TimelineEntry, ...] = ()
     mode: str = ""
     corrected: bool = False
+    arrived: bool = False
+    left: bool = False
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.end - self.start
+
+    @property
+    def is_known(self) -> bool:
+        """True if it is known what the person did; a stay may go on without data."""
+        return self.kind not in KINDS_WITHOUT_DATA
+
+    @property
+    def is_seen(self) -> bool:
+        """True if it has data."""
+        return self.is_known and self.observed > 0
+
+    @property
+    def label(self) -> str:
+        """The name of its place, else the number of the place, else ""."""
+        return place_label(self.place, self.place_number)
 
     def _summary(self) -> list[str]:
         names = [repr(self.place or self.facing[0][0])] if self.place or self.facing else []
-        return [self.kind, duration_text(self.end - self.start), f"{self.distance:.0f} m", *names]
+        return [self.kind, duration_text(self.duration), f"{self.distance:.0f} m", *names]
 
 
-@dataclass(frozen=True)
-class DayTotals:
-    """Totals of a day. Distances [m], times [s].
-
-    places: time spent at each named place, longest first; the time of a stay is weighted by the probability of the
-    place.
-    """
-
-    walked: float
-    walking: float
-    ridden: float
-    riding: float
-    staying: float
-    unknown: float
-    steps: int
-    places: tuple[tuple[str, float], ...]
+def place_label(name: str, number: int) -> str:
+    """The name of a place, else its number, else "" (a stay that belongs to no place)."""
+    return name or (f"place {number}" if number >= 0 else "")
 
 
 @dataclass(frozen=True)
@@ -118,28 +128,6 @@ def timeline(day: Day) -> tuple[TimelineEntry, ...]:
             entries.append(TimelineEntry(GAP, entries[-1].end, own[0].start))
         entries += own
     return tuple(entries)
-
-
-def totals(day: Day, entries: Sequence[TimelineEntry]) -> DayTotals:
-    """Totals of a day: distances from its segments, times from the entries of its timeline."""
-    at_places = dict[str, float]()
-    for stay in (entry for entry in entries if entry.kind == STAY):
-        for name, probability in stay.facing:
-            at_places[name] = at_places.get(name, 0.0) + (stay.end - stay.start) * probability
-    return DayTotals(
-        walked=day.total(WALKING)[1],
-        walking=_total_duration(entries, WALKING, PASSING),
-        ridden=day.total(VEHICLE)[1],
-        riding=_total_duration(entries, VEHICLE),
-        staying=_total_duration(entries, STAY),
-        unknown=_total_duration(entries, *KINDS_WITHOUT_DATA),
-        steps=sum(outing.steps for outing in day.outings),
-        places=tuple(sorted(at_places.items(), key=lambda item: -item[1])),
-    )
-
-
-def _total_duration(entries: Sequence[TimelineEntry], *kinds: str) -> float:
-    return float(sum(entry.end - entry.start for entry in entries if entry.kind in kinds))
 
 
 def _pieces(outing: Outing) -> list[_Piece]:
@@ -231,26 +219,12 @@ def _row(entry: TimelineEntry, zone: tzinfo) -> str:
     floor, place, others = (cell(one_line(word)) for word in words)
     distance = "" if entry.kind in KINDS_WITHOUT_DATA else f"{entry.distance:.1f}"
     numbers = [_number(entry.latitude, 7), _number(entry.longitude, 7), *(_number(n, 2) for n in (entry.x, entry.y))]
-    entry_texts = [*moment, entry.kind, distance, floor, place, _number(probability, 3), others, *numbers]
-    return ",".join([*entry_texts, _number(entry.sigma, 2)])
+    cells = [*moment, entry.kind, distance, floor, place, _number(probability, 3), others, *numbers]
+    return ",".join([*cells, _number(entry.sigma, 2)])
 
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
-
-
-def as_text(day: Day, entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
-    """The timeline as text for a terminal, with the totals of the day below."""
-    lines = [f"{one_line(day.person)}  {day.date}  {zone}".rstrip()]
-    for entry in entries:
-        clock = "  ".join(f"{datetime.fromtimestamp(t, zone):%H:%M:%S}" for t in (entry.start, entry.end))
-        lasted, what, far, floor, place = entry_texts(entry)
-        lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {place}".rstrip())
-    sums = totals(day, entries)
-    # shortest total [s] at a place that the totals name
-    places = ", ".join(f"{one_line(name)} {duration_text(time)}" for name, time in sums.places if time >= 60.0)
-    lines += ["", "; ".join(total_texts(sums)), *([f"at places: {places}"] if places else [])]
-    return "\n".join(lines) + "\n"
 
 
 def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
@@ -258,7 +232,7 @@ def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
     what, floor = entry.mode or KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
     far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
     place = "  ".join(filter(None, [_place_text(entry), "(corrected)" if entry.corrected else ""]))
-    return duration_text(entry.end - entry.start), what, far, floor, place
+    return duration_text(entry.duration), what, far, floor, place
 
 
 def _place_text(entry: TimelineEntry) -> str:
@@ -273,15 +247,6 @@ def _place_text(entry: TimelineEntry) -> str:
     if np.isfinite(entry.latitude):
         return f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
     return f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m" if np.isfinite(entry.x) else ""
-
-
-def total_texts(sums: DayTotals) -> list[str]:
-    """Totals as texts, one per kind of activity that occurred."""
-    counted = f", {sums.steps} steps" if sums.steps else ""  # unknown without an accelerometer
-    texts = [f"walked {sums.walked / 1000:.2f} km in {duration_text(sums.walking)}{counted}"]
-    texts += [f"rode {sums.ridden / 1000:.2f} km in {duration_text(sums.riding)}"] if sums.riding else []
-    texts += [f"stayed {duration_text(sums.staying)}"] if sums.staying else []
-    return texts + ([f"no data {duration_text(sums.unknown)}"] if sums.unknown else [])
 
 
 def duration_text(seconds: float) -> str:

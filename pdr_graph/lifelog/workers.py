@@ -1,25 +1,254 @@
 """Workers of a build: this process, several processes, or a cluster (Dask).
 
 Results are bitwise identical for all of them: a task depends on its files only and uses one BLAS thread. Whatever
-happens to workers, a build ends: an item that crashes or hangs costs itself, a fleet that is lost the items left.
+happens to workers, a build ends: an item that crashes or hangs costs itself, a fleet that is lost the items left. Any
+worker of a cluster may go at any time, as may its scheduler.
 """
 
 from __future__ import annotations
 
+import asyncio
+import faulthandler
+import logging
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from io import TextIOWrapper
 from itertools import chain
-from typing import Any, Generic, TypeVar
+from threading import Lock, get_ident
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from pdr_graph.errors import InputError
-from pdr_graph.lifelog.remote_tasks import ONE_THREAD, Look, Tasks, Work, collected, finished
-from pdr_graph.lifelog.time_limits import FleetLostError, StallWatch
+from pdr_graph.errors import InputError, install
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+_deadlines: dict[int, float] = {}  # of each thread of this process that works on an item, as of `monotonic`
+_lock = Lock()
+
+
+def limited(results: Iterator[Item], limit: float) -> Iterator[Item]:
+    """Yield from an iterator; this process ends if an item takes longer than ``limit`` [s]."""
+    while True:
+        with _deadline_in(limit):
+            try:
+                item = next(results)
+            except StopIteration:
+                return
+        yield item
+
+
+@contextmanager
+def _deadline_in(limit: float) -> Iterator[None]:
+    """End this process if the context takes longer than ``limit`` [s], also if it hangs in compiled code."""
+    thread = get_ident()
+    with _lock:
+        _deadlines[thread] = monotonic() + limit
+        _set_timer()
+    try:
+        yield
+    finally:
+        with _lock:
+            del _deadlines[thread]
+            _set_timer()
+
+
+def _set_timer() -> None:
+    """Let faulthandler, whose timer is a thread in C, end this process at the earliest deadline."""
+    if _deadlines:
+        left = max(min(_deadlines.values()) - monotonic(), 1e-3)
+        faulthandler.dump_traceback_later(left, exit=True, file=_nowhere())
+    else:
+        faulthandler.cancel_dump_traceback_later()
+
+
+@cache
+def _nowhere() -> TextIOWrapper:
+    """A file for the stack of the thread that hangs: the build names the item instead."""
+    return open(os.devnull, "w")
+
+
+class FleetLostError(Exception):
+    """The workers of a build can do nothing more; the message says why."""
+
+
+class StallWatch:
+    """Raises FleetLostError when workers have written no result for longer than ``limit`` [s].
+
+    written: number of results in files now.
+    """
+
+    PERIOD = 1.0  # [s] between looks at the files
+
+    def __init__(self, limit: float, written: Callable[[], int]):
+        self._limit, self._written = limit, written
+        self._count, self._looked, self._changed = -1, 0.0, monotonic()
+
+    def look(self) -> None:
+        """Look at the files, once a PERIOD. Raises FleetLostError."""
+        now = monotonic()
+        if now - self._looked < self.PERIOD:
+            return
+        count, self._looked = self._written(), now
+        if count != self._count:
+            self._count, self._changed = count, now
+        elif now - self._changed > self._limit:
+            raise FleetLostError(f"no recording and no day was finished for {self._limit / 60:.0f} min")
+
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+Tasks = Sequence[tuple[Any, ...]]
+Work = Callable[[tuple[Any, ...]], Iterator[Any]]
+Look = Callable[[], None]  # called while waiting; raises FleetLostError
+
+
+def knowing_kinds(work: Work) -> Work:
+    """The work, for a process that has yet to learn the kinds of measurements that this one has registered."""
+    factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
+    kinds = factors.kinds_of_others() if factors else []
+    return partial(_with_kinds, kinds, work) if kinds else work
+
+
+def _with_kinds(kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, task: tuple[Any, ...]) -> Iterator[Any]:
+    """Register kinds of measurements, and do the work."""
+    from pdr_graph.estimation.factors import register
+
+    for data_type, of_type in kinds:
+        register(data_type, *of_type)
+    return work(task)
+
+
+def collected(work: Work, number: int, task: tuple[Any, ...], time_limit: float) -> tuple[int, list[Any]]:
+    """The results of a task in a worker process, which ends if one takes longer than ``time_limit`` [s]; its number."""
+    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
+    threadpool_limits(limits=1)  # for libraries that are loaded
+    return number, list(limited(work(task), time_limit))
+
+
+def finished(futures: Sequence[Any], look: Look) -> Iterator[Any]:
+    """Yield each future when it is done."""
+    left = list(futures)
+    while left:
+        done, running = list[Any](), list[Any]()
+        for future in left:
+            (done if future.done() else running).append(future)
+        yield from done
+        left = running
+        if left and not done:
+            look()
+            sleep(0.05)  # poll period [s] between looks at the tasks; chosen by hand
+
+
+# Chosen by hand
+CONNECT_TIMEOUT = 15.0  # [s] for a scheduler to answer
+ASK_PERIOD = 3.0  # [s] between questions which workers there are
+RESTART_TIME = 60.0  # [s] without any worker after which the cluster is lost; a worker under load restarts in 20 s
+
+
+class Cluster:
+    """The workers of a Dask scheduler."""
+
+    def __init__(self, client: Client, address: str):
+        self._client, self._address = client, address
+        self._asked = self._with_workers = monotonic()
+
+    def threads(self) -> int:
+        """Number of tasks that run at the same time. Raises InputError without workers."""
+        threads = self._threads()
+        if not threads:
+            raise InputError(
+                "--scheduler", self._address, "no workers", "at least one: start dask worker on each machine"
+            )
+        return threads
+
+    def execute(self, time_limit: float, work: Work, tasks: Tasks, look: Look) -> Iterator[tuple[int, Iterator[Any]]]:
+        """Yield number and results of each task, except tasks that crash several processes. Raises FleetLostError."""
+        from distributed import KilledWorker
+        from distributed.client import ClosedClientError, FutureCancelledError
+
+        def look_here() -> None:
+            look()
+            self._expect_workers()
+
+        self._asked = self._with_workers = monotonic()
+        try:
+            submit = self._client.submit
+            futures = [submit(collected, work, n, task, time_limit, pure=False) for n, task in enumerate(tasks)]
+            for future in finished(futures, look_here):
+                try:
+                    number, results = _result(future, look_here)
+                except KilledWorker:
+                    continue
+                finally:
+                    future.release()  # otherwise it is repeated if its worker ends
+                yield number, iter(results)
+        except (ClosedClientError, FutureCancelledError):
+            raise FleetLostError(f"the scheduler {self._address} does not answer any more") from None
+
+    def _expect_workers(self) -> None:
+        """Raise FleetLostError if there was no worker for RESTART_TIME: those that crashed may be restarting."""
+        if monotonic() - self._asked < ASK_PERIOD:
+            return
+        if self._threads():
+            self._with_workers = monotonic()
+        self._asked = monotonic()
+        if self._asked - self._with_workers > RESTART_TIME:
+            raise FleetLostError(f"the scheduler {self._address} has no worker any more")
+
+    def _threads(self) -> int:
+        """Number of threads of all workers; 0 if the scheduler does not answer in time."""
+        try:
+            threads: Any = self._client.nthreads(callback_timeout=CONNECT_TIMEOUT)
+        except (OSError, AttributeError):  # no connection, or none any more
+            return 0
+        return sum(threads.values())
+
+
+def _result(future: Any, look: Look) -> tuple[int, list[Any]]:
+    """The result of a task that is done, which Dask computes again if the worker that holds it has died."""
+    while True:
+        try:
+            return future.result(timeout=ASK_PERIOD)
+        except TimeoutError:
+            if future.status == "error":  # of a worker's disk
+                raise
+            look()
+
+
+@contextmanager
+def connected(scheduler: str) -> Iterator[Cluster]:
+    """The cluster of a Dask scheduler. Raises InputError if Dask is missing or nothing answers."""
+    try:
+        from distributed import Client
+        from distributed.comm.core import connect
+    except ImportError:
+        raise InputError("--scheduler", "", "no Dask", install("fleet")) from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
+
+    async def greet() -> None:
+        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
+        await comm.close()
+
+    try:
+        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop
+            thread.submit(asyncio.run, greet()).result()
+    except (OSError, ValueError) as error:
+        found = str(error) or "no answer"
+        raise InputError("--scheduler", scheduler, found, "a Dask scheduler, as tcp://host:8786") from None
+    with Client(
+        scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False
+    ) as client:  # hangs if nothing answers, hence the check above
+        yield Cluster(client, scheduler)
+
 
 # Chosen by hand
 MAX_TASK_SIZE = 20  # person-days or recordings: a task takes seconds, its transfer milliseconds
@@ -100,8 +329,6 @@ def fleet(workers: int = 1, scheduler: str = "", time_limit: float = ITEM_LIMIT)
     if scheduler and workers != 1:
         raise InputError("--scheduler", "", f"--workers {workers} too", "only one of the two options")
     if scheduler:
-        from pdr_graph.lifelog.cluster import connected  # Dask is an extra
-
         with connected(scheduler) as cluster:
             yield Fleet(cluster.threads(), partial(cluster.execute, time_limit), time_limit)
     elif workers > 1:

@@ -21,11 +21,12 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.lifelog import forgetting, overview_page, overview_picture, revision
-from pdr_graph.lifelog.day_list import ListRow, row_texts
+from pdr_graph.lifelog import forgetting, report, revision
 from pdr_graph.lifelog.diary import DiaryDay, diary
 from pdr_graph.lifelog.facts import MODES
-from pdr_graph.lifelog.period import period_of
+from pdr_graph.lifelog.local_time import period_of
+from pdr_graph.lifelog.overview_text import row_texts
+from pdr_graph.lifelog.picture import picture as drawn_picture
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
 from pdr_graph.lifelog.timeline import TimelineEntry
@@ -42,7 +43,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-STYLE = overview_page.STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.3rem; }")
+STYLE = report.STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.3rem; }")
 STYLE += """
 form { margin: 0.5rem 0; } input, select, button { font: inherit; padding: 0.15rem 0.4rem; } nav { margin: 0.6rem 0; }
 .fault { color: #a3261f; } pre { white-space: pre-wrap; }
@@ -157,7 +158,7 @@ def _row(day: DiaryDay, n: int, entry: TimelineEntry) -> str:
 
 
 def _texts(entry: TimelineEntry) -> Sequence[str]:
-    return row_texts(ListRow(entry, entry.start, entry.end, entry.distance))
+    return row_texts(entry)
 
 
 def _query(person: str, on: str) -> str:
@@ -171,7 +172,7 @@ def _link(path: str, query: str, text: str) -> str:
 def day_picture(store: Path, query: Fields) -> bytes:
     """The picture of a day as SVG."""
     choice = Choice((query.get("person", ""),), period_of(day=query.get("date", "")))
-    figure, _ = overview_picture.picture(show(store, choice, write=False).overview, "")
+    figure, _ = drawn_picture(show(store, choice, write=False).overview, "")
     return picture_bytes(figure, file_format="svg")
 
 

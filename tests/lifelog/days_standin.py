@@ -14,7 +14,7 @@ import numpy as np
 
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.geolife import DAY, EPOCH_1899
-from pdr_graph.lifelog import time_limits
+from pdr_graph.lifelog import workers
 from pdr_graph.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
 from pdr_graph.lifelog.day import Day as OneDay
 from pdr_graph.lifelog.observation import observe
@@ -108,8 +108,8 @@ def dying_or_hanging(person, date, observations, profile):
     if (person, date) == ("person1", "2024-05-02"):
         os._exit(11)
     if (person, date) == ("person2", "2024-05-02"):
-        time_limits._deadlines[get_ident()] -= LIMIT - 0.5
-        time_limits._set_timer()
+        workers._deadlines[get_ident()] -= LIMIT - 0.5
+        workers._set_timer()
         clock.sleep(3600)
     return reconstruct(person, date, observations, profile)
 

@@ -1,9 +1,15 @@
 """Days made by hand, for tests of timelines, pictures and exports."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay
+from pdr_graph.lifelog.diary import Diary, DiaryDay
+from pdr_graph.lifelog.local_time import period_of
+from pdr_graph.lifelog.overview import overview
+from pdr_graph.lifelog.timeline import timeline
 from pdr_graph.types import Trajectory
 
 MIDNIGHT = 1_714_536_000.0  # Unix time of 2024-05-01T00:00 in Santiago, four hours behind
@@ -53,6 +59,13 @@ def stay(start, end, position=(0.0, 0.0), facing=(), passing=False, floor="", si
 def day(*outings):
     """A day of Anna."""
     return Day("Anna", "2024-05-01", outings)
+
+
+def overview_of(made):
+    """The overview of a day in Santiago, with its fine entries."""
+    entries = [replace(entry, offset=-4 * 3600.0, end_offset=-4 * 3600.0) for entry in timeline(made)]
+    own = DiaryDay.of(made.person, made.date, (MIDNIGHT, MIDNIGHT + 86_400.0), entries, made.outings)
+    return overview([Diary(made.person, (own,), ())], period_of(day=made.date))
 
 
 NOWHERE = Frame()

@@ -26,8 +26,8 @@ from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import diary
 from pdr_graph.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
 from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.masking import without_times
 from pdr_graph.lifelog.multi_day import estimate_together
+from pdr_graph.lifelog.observation import without_times
 from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.lifelog.store import Store
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry

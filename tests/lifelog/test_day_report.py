@@ -5,7 +5,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 from browser import Page, chromium
-from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, stay
+from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.report import content
@@ -34,7 +34,7 @@ def made():
 @pytest.fixture(scope="module")
 def report(browser, tmp_path_factory):
     path = tmp_path_factory.mktemp("day") / "report.html"
-    path.write_bytes(page(content(made(), ZONE, ["steps: none"], ["GNSS was poor"])))
+    path.write_bytes(page(content(overview_of(made()), ZONE, ["steps: none"], ["GNSS was poor"])))
     return Page(browser, path)
 
 
@@ -72,7 +72,7 @@ def test_stays_have_names_and_probabilities(report):
 def test_the_page_has_no_file_names_hashes_or_paths():
     """Like the files beside it."""
     plan = outing([(WALKING, 20.0, 0.0)], plan="/home/anna/secret/mall.geojson", floor="1")
-    html = page(content(day(plan, *made().outings), ZONE, [], [])).decode()
+    html = page(content(overview_of(day(plan, *made().outings)), ZONE, [], [])).decode()
     written = html[html.index('type="application/json"') : html.index('<script id="library"')]
     for secret in ("/home", "from home", "secret", "mall.geojson", "5f3b"):
         assert secret not in written, secret
@@ -82,7 +82,7 @@ def test_a_change_of_daylight_saving_time_is_in_the_offsets():
     """In Santiago clocks went back an hour at midnight of 6 April 2025: 03:00 UTC is 23:00 for the second time."""
     change = 1_743_908_400.0 + 4 * HOUR - HOUR * 4  # 2025-04-06T03:00Z
     late = outing([(WALKING, 1800.0, 0.0)], epoch=change - 900.0)
-    offsets = content(day(late), ZONE, [], [])["offsets"]
+    offsets = content(overview_of(day(late)), ZONE, [], [])["offsets"]
     assert [by for _, by in offsets] == [-3 * HOUR, -4 * HOUR]
     assert offsets[1][0] == change
 
@@ -97,5 +97,5 @@ def test_a_change_of_daylight_saving_time_is_in_the_offsets():
     ],
 )
 def test_days_of_any_kind_have_a_page(browser, tmp_path, outings):
-    (tmp_path / "report.html").write_bytes(page(content(day(*outings), ZONE, [], [])))
+    (tmp_path / "report.html").write_bytes(page(content(overview_of(day(*outings)), ZONE, [], [])))
     assert Page(browser, tmp_path / "report.html").errors == []

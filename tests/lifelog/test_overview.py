@@ -17,12 +17,10 @@ from typer.testing import CliRunner
 from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog.day import GAP, VEHICLE, WALKING
-from pdr_graph.lifelog.day_list import MOST_ROWS, day_list, distance_text, row_texts
-from pdr_graph.lifelog.overview import NO_DATA, RIDE, STAYED, WALK
-from pdr_graph.lifelog.overview_tables import tables
-from pdr_graph.lifelog.overview_text import fitted, text_width
-from pdr_graph.lifelog.period import period_of
-from pdr_graph.lifelog.place_visits import EVERY_DAY, clock_quartiles, joined_visits
+from pdr_graph.lifelog.local_time import period_of
+from pdr_graph.lifelog.overview import tables
+from pdr_graph.lifelog.overview_text import MOST_ROWS, day_list, distance_text, fitted, row_texts, text_width
+from pdr_graph.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 
@@ -47,8 +45,9 @@ def month(log):
 
 def test_every_second_of_a_day_counts_once(month):
     for day in month.days:
-        assert sum(day.time(group) for group in (WALK, RIDE, STAYED, NO_DATA)) == pytest.approx(day.end - day.start)
-        assert 0 <= day.observed <= day.end - day.start
+        sums = day.totals
+        assert sums.walking + sums.riding + sums.staying + sums.unknown == pytest.approx(day.end - day.start)
+        assert 0 <= sums.observed <= day.end - day.start
 
 
 def test_distances_and_rides_of_a_month_are_those_of_its_days(month):
@@ -62,17 +61,16 @@ def test_distances_and_rides_of_a_month_are_those_of_its_days(month):
 
 def test_a_night_at_home_is_one_visit(month):
     """All nights in Berlin, except those about the day without data: a silence of 31 h parts two stays."""
-    home = month.places[0]
-    own = [visit for visit in month.visits if visit.number == home.number]
-    nights = [v for v in own if v.end - v.start > 10 * HOUR]
+    [(_, home), *_] = month.places
+    nights = [visit for visit in home.visits if visit.duration > 10 * HOUR]
     assert len(nights) == 17
-    assert max(v.end - v.start for v in own) < 24 * HOUR
-    assert all(v.observed < v.end - v.start for v in nights), "nothing is recorded at night"
+    assert max(visit.duration for visit in home.visits) < 24 * HOUR
+    assert all(visit.observed < 1 for visit in nights), "nothing is recorded at night"
 
 
 def test_usual_hours_are_those_of_the_weekday_and_of_the_place(month):
     """Ada comes to work in Berlin at about ten past eight, in Tokyo too, by the local clock."""
-    offices = [place for place in month.places if 7.8 < place.hours[0].arrival[1] < 8.3]
+    offices = [place for _, place in month.places if 7.8 < place.hours[0].arrival[1] < 8.3]
     assert len(offices) == 2
     for office in offices:
         assert office.hours[0].weekday == EVERY_DAY
@@ -84,11 +82,11 @@ def test_an_arrival_after_a_time_without_data_is_unknown():
     walk = TimelineEntry(WALKING, 0.0, 600.0, 500.0)
     silence = TimelineEntry(GAP, 600.0, 3600.0)
     stay = TimelineEntry(STAY, 3600.0, 7200.0, latitude=1.0, longitude=2.0, place_number=1)
-    [visit] = joined_visits("Ada", [walk, silence, stay])
+    [visit] = joined_visits([walk, silence, stay])
     assert not visit.arrived
     assert not visit.left, "the last one"
     direct = replace(stay, start=600.0)
-    [visit] = joined_visits("Ada", [walk, direct, replace(walk, start=7200.0, end=9000.0)])
+    [visit] = joined_visits([walk, direct, replace(walk, start=7200.0, end=9000.0)])
     assert visit.arrived
     assert visit.left
 
@@ -126,10 +124,12 @@ def test_the_list_of_a_day_fits_a_screen_and_covers_the_day(seed, n):
     day = entries(seed, n)
     rows = day_list(day)
     assert len(rows) <= MOST_ROWS
-    assert (rows[0].start, rows[-1].end) == (day[0].start, day[-1].end)
-    assert all(one.end == other.start for one, other in pairwise(rows))
-    assert sum(row.distance for row in rows) == pytest.approx(sum(entry.distance for entry in day))
-    assert len(rows) + sum(sum(row.merged.values()) for row in rows) <= n  # neighbours that became one are not counted
+    assert (rows[0][0].start, rows[-1][0].end) == (day[0].start, day[-1].end)
+    assert all(one.end == other.start for (one, _), (other, _) in pairwise(rows))
+    assert sum(row.distance for row, _ in rows) == pytest.approx(sum(entry.distance for entry in day))
+    assert (
+        len(rows) + sum(sum(merged.values()) for _, merged in rows) <= n
+    )  # neighbours that became one are not counted
 
 
 def test_short_stops_of_a_walk_are_counted():
@@ -139,9 +139,9 @@ def test_short_stops_of_a_walk_are_counted():
         TimelineEntry(k, a, b, place_number=n)
         for n, (k, a, b) in enumerate(zip(kinds, ends[:-1], ends[1:], strict=True))
     ]
-    walk, stay = day_list(day, 2)
-    assert (walk.entry.kind, stay.entry.kind) == (WALKING, STAY)
-    assert row_texts(walk)[-1].endswith("and 2 short stops")
+    (walk, merged), (stay, _) = day_list(day, 2)
+    assert (walk.kind, stay.kind) == (WALKING, STAY)
+    assert row_texts(walk, merged)[-1].endswith("and 2 short stops")
     assert (walk.start, walk.end) == (0.0, 1870.0)
 
 
@@ -208,10 +208,10 @@ def test_another_text_is_refused_with_an_example(options, complaint):
 
 
 def test_a_place_is_chosen_by_number_and_shows_its_visits_alone(log, month):
-    home = month.places[0].number
+    home = month.places[0][1].number
     own = shown(log, "Ada", place=str(home)).overview
-    assert {visit.number for visit in own.visits} == {home}
-    assert [place.number for place in own.places] == [home]
+    assert {visit.place_number for _, visit in own.visits} == {home}
+    assert [place.number for _, place in own.places] == [home]
     with pytest.raises(InputError, match="a place that was visited: place 1, place 2"):
         shown(log, "Ada", place="Mars")
 
@@ -237,11 +237,11 @@ def test_the_default_is_the_last_day_and_all_days_of_a_person(log):
 
 
 def test_home_is_guessed_for_those_who_ask_alone(log, month):
-    assert not any(place.name for place in month.places)
+    assert not any(place.name for _, place in month.places)
     guessed = show(log, Choice(("Ada",), period_of(month="2024-05"), guess_home=True), write=False).overview
-    assert guessed.places[0].name == "home?"
-    assert guessed.places[0].number == month.places[0].number
-    assert not any(place.name for place in guessed.places[1:])
+    assert guessed.places[0][1].name == "home?"
+    assert guessed.places[0][1].number == month.places[0][1].number
+    assert not any(place.name for _, place in guessed.places[1:])
 
 
 def run(*arguments):

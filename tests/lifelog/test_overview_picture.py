@@ -21,11 +21,11 @@ from pdr_graph.errors import InputError
 from pdr_graph.lifelog import map_tiles
 from pdr_graph.lifelog.day import STANDING, WALKING
 from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.local_time import period_of
 from pdr_graph.lifelog.map_tiles import MercatorFrame, check_template, tiles
-from pdr_graph.lifelog.overview_map import regions
-from pdr_graph.lifelog.overview_page import page
-from pdr_graph.lifelog.overview_picture import offset_text, picture
-from pdr_graph.lifelog.period import period_of
+from pdr_graph.lifelog.maps import panels
+from pdr_graph.lifelog.picture import offset_text, picture
+from pdr_graph.lifelog.report import page
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
 from pdr_graph.report.plotting import picture_bytes
@@ -83,7 +83,7 @@ def test_every_period_can_be_drawn(log, choice, persons):
 
 
 def test_places_far_apart_have_maps_of_their_own(log):
-    berlin, tokyo = regions(chosen_from(log, "Ada", month="2024-05"))
+    berlin, tokyo = panels(chosen_from(log, "Ada", month="2024-05"))
     assert berlin.frame.latitude == pytest.approx(52.5, abs=0.1)
     assert tokyo.frame.latitude == pytest.approx(35.7, abs=0.1)
     for region in (berlin, tokyo):
@@ -91,8 +91,8 @@ def test_places_far_apart_have_maps_of_their_own(log):
 
 
 def test_all_places_are_on_their_map(log):
-    for region in regions(chosen_from(log, "Ada", month="2024-05")):
-        at = region.frame.from_lonlat(np.array([circle.lonlat for circle in region.circles]))
+    for region in panels(chosen_from(log, "Ada", month="2024-05")):
+        at = np.array([dot.position for dot in region.dots])
         assert ((at > region.corners[0]) & (at < region.corners[1])).all()
 
 
@@ -151,13 +151,14 @@ def test_names_are_text_in_the_page(tmp_path):
 
 
 def test_a_name_with_dollar_signs_is_drawn_as_it_is(tmp_path):
-    """And a day without an absolute position has no map."""
+    """A day without an absolute position has a map in its own frame."""
     legs = [(WALKING, 300.0, 0.0), (STANDING, 3700.0, 0.0)]
     made = made_day(outing(legs, frame=NOWHERE, stays=[stay(320.0, 4000.0, (375.0, 0.0), [(r"$\frac{$", 0.9)])]))
     with Store(tmp_path / "days.db", new=True) as store:
         store.put_day(rows_of(replace(made, person=r"A$\frac{$B"), "key", ["5f3b" * 16]))
     chosen = show(tmp_path / "days.db", Choice(), tmp_path / "out").overview
-    assert regions(chosen) == []
+    [panel] = panels(chosen)
+    assert not panel.frame.georeferenced
 
 
 def test_offsets_are_written_as_people_do():
@@ -198,7 +199,7 @@ def test_tiles_are_fetched_from_the_given_address_alone(log, server):
     assert 0 < len(server.asked) <= map_tiles.MAX_TILES
     assert all(agent.startswith("pdr_graph/") for _, agent in server.asked)
     axes = figure.axes[0]
-    region = regions(chosen)[0]
+    region = panels(chosen)[0]
     corners = np.stack([axes.get_xlim(), axes.get_ylim()], axis=1)
     covered = np.array([image.get_extent() for image in axes.images])
     assert covered[:, 0].min() <= corners[0, 0] <= corners[1, 0] <= covered[:, 1].max()

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from made_past import LAT, LON, NOON, content, imported, iso, location, position, records, rows, timeline, zipped
 
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog.past import gpx_track, json_pieces
-from pdr_graph.lifelog.past.json_pieces import pieces
+from pdr_graph.lifelog.past import past_json, tracks
+from pdr_graph.lifelog.past.past_json import pieces
 from pdr_graph.lifelog.past.past_rows import unix_time, unix_times
 from pdr_graph.lifelog.store import Store
 
@@ -121,7 +121,7 @@ def test_fit_activities_of_more_messages_than_days_of_riding_have_are_refused(tm
     fit = pytest.importorskip("garmin_fit_sdk")
     if not hasattr(fit, "Encoder"):
         pytest.skip("this version writes no files")
-    monkeypatch.setattr("pdr_graph.lifelog.past.fit.MOST_MESSAGES", 20)
+    monkeypatch.setattr("pdr_graph.lifelog.past.tracks.MOST_MESSAGES", 20)
     for length, refused in (15, 0), (25, 1):
         encoder = fit.Encoder()
         for n in range(length):
@@ -253,8 +253,8 @@ def test_a_damaged_zip_is_refused_in_one_line(tmp_path):
 
 
 def test_hostile_documents_cost_a_line_and_no_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(json_pieces, "LONGEST_ELEMENT", 8_000_000)
-    monkeypatch.setattr(gpx_track, "LONGEST", 4_000_000)
+    monkeypatch.setattr(past_json, "LONGEST_ELEMENT", 8_000_000)
+    monkeypatch.setattr(tracks, "LONGEST_ELEMENT", 4_000_000)
     deep = b'{"locations": [' + b'{"latitudeE7":' + b"[" * 100_000 + b"]" * 100_000 + b"}, "
     hostile = [
         deep + json.dumps(location(NOON)).encode() + b", " + json.dumps(location(NOON + 1)).encode() + b"]}",
@@ -294,13 +294,13 @@ def test_the_pieces_of_a_document_are_its_elements(tmp_path_factory, lists, othe
         file = tmp_path_factory.mktemp("json") / "a"
         file.write_text(json.dumps(root, indent=indent), encoding="utf-8")
         found = {}
-        before, json_pieces.PIECE = json_pieces.PIECE, size
+        before, past_json.PIECE = past_json.PIECE, size
         try:
             with file.open("rb") as stream:
                 for piece in pieces(stream, "a"):
                     found.setdefault(piece.key, []).extend(map(json.loads, piece.each()))
         finally:
-            json_pieces.PIECE = before
+            past_json.PIECE = before
         assert found == {key: value for key, value in expected.items() if value}
 
 

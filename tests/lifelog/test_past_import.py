@@ -30,10 +30,9 @@ from pdr_graph.io.past_day import GOOGLE_PATH, POSITION, from_text, to_text
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.facts import FORGOTTEN, Correction
-from pdr_graph.lifelog.past import day_spill
-from pdr_graph.lifelog.past.day_spill import DaySpill, day_of
-from pdr_graph.lifelog.past.merging import merged_positions
+from pdr_graph.lifelog.past import past_rows
 from pdr_graph.lifelog.past.past_days import cut_past
+from pdr_graph.lifelog.past.past_rows import DaySpill, day_of, merged_positions
 from pdr_graph.lifelog.store import Store
 
 
@@ -263,7 +262,7 @@ def test_a_damaged_day_is_refused_in_one_line():
 
 
 def test_rows_beyond_the_memory_wait_on_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr(day_spill, "MOST_ROWS", 100)
+    monkeypatch.setattr(past_rows, "MOST_ROWS", 100)
     table = np.zeros(1000, POSITION)
     table["time"] = [n * 40_000_000 for n in random.Random(0).sample(range(1000), 1000)]
     with DaySpill(tmp_path, POSITION) as spill:

@@ -1,19 +1,17 @@
 """The picture of a day: every part of the day is on a map that is large enough to show it."""
 
 from dataclasses import replace
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_days import MIDNIGHT, NOWHERE, day, outing, stay
+from made_days import MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
 from pdr_graph.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.maps import ENLARGED_SHARE, panels
 from pdr_graph.lifelog.picture import picture
 
-ZONE = ZoneInfo("America/Santiago")
 MALL = "maps/mall.geojson"
 HOUR = 3600.0
 STROLL = [(WALKING, 300.0, 0.0), (WALKING, 300.0, 1.5)]
@@ -26,19 +24,19 @@ def indoors(floor, epoch, start=(20.0, 20.0)):
 
 def drawn(made):
     """The picture of a day, drawn."""
-    figure = picture(made, ZONE)
+    figure, _ = picture(overview_of(made))
     figure.canvas.draw()
     return figure
 
 
 def test_walks_near_each_other_share_a_map():
     later = outing(STROLL, epoch=MIDNIGHT + 15 * HOUR, start=(100.0, 100.0))
-    assert len(panels(day(outing(STROLL), later))) == 1
+    assert len(panels(overview_of(day(outing(STROLL), later)))) == 1
 
 
 def test_walks_far_apart_have_enlarged_maps():
     later = outing(STROLL, epoch=MIDNIGHT + 15 * HOUR, start=(30_000.0, 0.0))
-    whole, *places = panels(day(outing(STROLL), later))
+    whole, *places = panels(overview_of(day(outing(STROLL), later)))
     assert [panel.letter for panel in (whole, *places)] == ["A", "B", "C"]
     assert whole.width > 30_000
     for place in places:
@@ -57,7 +55,7 @@ def test_every_walk_is_on_some_map(seed):
             (str(random.choice(KINDS)), float(random.uniform(10, 900)), float(random.uniform(-3, 3))) for _ in range(4)
         ]
         outings.append(outing([*legs, *STROLL], epoch=MIDNIGHT + n * 4 * HOUR, start=random.uniform(-5000, 5000, 2)))
-    whole, *_ = panels(day(*outings))
+    whole, *_ = panels(overview_of(day(*outings)))
     for way in (track for own in whole.ways for track in own):
         assert ((way.position >= whole.corners[0]) & (way.position <= whole.corners[1])).all()
 
@@ -65,9 +63,9 @@ def test_every_walk_is_on_some_map(seed):
 def test_each_floor_has_a_map_of_its_own_tracks():
     made = day(indoors("1", MIDNIGHT + 9 * HOUR), indoors("2", MIDNIGHT + 10 * HOUR))
     made = replace(made, outings=(replace(made.outings[0], stays=(stay(0, 5, (20, 20), floor="1"),)), made.outings[1]))
-    first, second = panels(made)
+    first, second = panels(overview_of(made))
     assert (first.floor, second.floor) == ("1", "2")
-    assert (len(first.stays), len(second.stays)) == (1, 0)
+    assert (len(first.dots), len(second.dots)) == (1, 0)
     assert {d.floor for d in first.drawn} == {"1"}
 
 
@@ -75,7 +73,7 @@ def test_a_change_of_floor_is_on_both_maps():
     made = indoors("1", MIDNIGHT)
     floor = tuple("1" if t < 10 else "2" for t in made.trajectory.time)
     made = replace(made, trajectory=replace(made.trajectory, floor=floor))
-    assert [panel.floor for panel in panels(day(made))] == ["1", "2"]
+    assert [panel.floor for panel in panels(overview_of(day(made)))] == ["1", "2"]
 
 
 @pytest.mark.filterwarnings("ignore:Glyph")  # where no font has Japanese

@@ -19,9 +19,7 @@ from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
 from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
-from pdr_graph.lifelog.nested_squares import nested_squares
-from pdr_graph.lifelog.privacy import without_private_places
-from pdr_graph.lifelog.private_places import PrivatePlace, private_places
+from pdr_graph.lifelog.privacy import PrivatePlace, nested_squares, private_places, without_private_places
 from pdr_graph.lifelog.timeline import timeline, timeline_csv
 from pdr_graph.types import Trajectory
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from made_days import MIDNIGHT, overview_of
 
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.plan_files import Building
@@ -12,8 +13,7 @@ from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
 from pdr_graph.lifelog.maps import panels
 from pdr_graph.lifelog.multi_day import PersonDay
 from pdr_graph.lifelog.observation import Ends, Observation
-from pdr_graph.lifelog.privacy import HiddenRows
-from pdr_graph.lifelog.private_places import private_places
+from pdr_graph.lifelog.privacy import HiddenRows, private_places
 from pdr_graph.lifelog.sessions import Session
 from pdr_graph.lifelog.stays import VisiblePlaces
 from pdr_graph.lifelog.store import Entry, RecordingOptions, StoredDay
@@ -52,7 +52,7 @@ def test_the_data_types_of_a_lifelog_have_a_repr_of_one_line():
     [place] = private_places(["48.1,11.6,50"], [], b"secret")
     assert repr(place) == "PrivatePlace('48.1,11.6,50', radius 50 m)"
     hidden = HiddenRows(np.zeros((3, 2)), np.ones(3, bool), np.zeros(3, bool), np.zeros(2, bool))
-    drawn = panels(replace(day, outings=(replace(outing, frame=enu(48.1, 11.6)),)))
+    drawn = panels(overview_of(replace(day, outings=(replace(outing, frame=enu(48.1, 11.6), epoch=MIDNIGHT),))))
     places = VisiblePlaces.of(Building.load(MAPS / "mall.geojson").floors[0])
     for value in (outing, observation, Ends(np.zeros((2, 2)), np.zeros(2)), entry, hidden, *drawn, places):
         assert "\n" not in repr(value)

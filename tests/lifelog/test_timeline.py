@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, stay
+from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, stay
 
 from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, as_text, duration_text, timeline, timeline_csv, totals
+from pdr_graph.lifelog.overview_text import as_text
+from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, duration_text, timeline, timeline_csv
 
 ZONE = ZoneInfo("America/Santiago")
 NINE = MIDNIGHT + 9 * 3600
@@ -122,11 +123,11 @@ def test_the_floors_of_a_walk_are_in_order():
 def test_totals_are_those_of_segments_and_expected_times_at_places():
     stays = [stay(0, 600, facing=[("A", 0.8), ("B", 0.1)]), stay(700, 1000, facing=[("B", 0.6)])]
     walk = [(STANDING, 600.0, EAST), (WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (GAP, 50.0, EAST)]
-    made = day(outing([*walk, (VEHICLE, 200.0, EAST)], stays=stays))
-    sums = totals(made, timeline(made))
+    [made] = overview_of(day(outing([*walk, (VEHICLE, 200.0, EAST)], stays=stays))).days
+    sums = made.totals
     assert (sums.walked, sums.walking) == (125, 100)
     assert (sums.ridden, sums.riding) == (200 * PACE[VEHICLE], 200)
-    assert (sums.staying, sums.unknown) == (900, 50)
+    assert (sums.staying, sums.unknown) == (900, 86_400 - 1200), "no data is the rest of the day"
     assert dict(sums.places) == pytest.approx({"A": 0.8 * 600, "B": 0.1 * 600 + 0.6 * 300})
     assert [name for name, _ in sums.places] == ["A", "B"]
 
@@ -134,7 +135,7 @@ def test_totals_are_those_of_segments_and_expected_times_at_places():
 def test_control_characters_in_names_do_not_reach_the_terminal():
     """Names come from plans of any origin."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
-    text = as_text(day(made), timeline(day(made)), ZONE) + timeline_csv(timeline(day(made)), ZONE)
+    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)), ZONE)
     assert "\x1b" not in text
     assert "\t" not in text
     assert len(rows(day(made))) == 1
@@ -143,12 +144,11 @@ def test_control_characters_in_names_do_not_reach_the_terminal():
 def test_the_text_agrees_with_the_table():
     stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
     made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
-    text = as_text(made, timeline(made), ZONE)
-    assert "09:02:00  09:12:00      10 min  stay" in text
+    text = as_text(overview_of(made))
+    assert "09:02  09:12      10 min  stay" in text
     assert "Bakery 80%  (Bank 15%)" in text
     assert "no data" in text
-    assert "walked 0.15 km in 2 min" in text
-    assert "at places: Bakery 8 min, Bank 90 s" in text
+    assert "walked 150 m in 2 min" in text
 
 
 @pytest.mark.parametrize(
@@ -161,4 +161,3 @@ def test_durations_have_usual_units(seconds, text):
 def test_a_day_without_outings_is_empty():
     assert timeline(day()) == ()
     assert timeline_csv((), ZONE) == HEADER + "\n"
-    assert "walked 0.00 km" in as_text(day(), (), ZONE)

@@ -8,9 +8,17 @@ from hypothesis import strategies as st
 from observations import NOON, walk
 
 from pdr_graph.estimation.fingerprinting import _alike
-from pdr_graph.lifelog import multi_day, walk_blocks
-from pdr_graph.lifelog.multi_day import PersonDay, reconstruct_together
-from pdr_graph.lifelog.walk_blocks import CONTEXT, MAX_CONTEXT_STEPS, MAX_STEPS, MAX_WALKS, WalkPlace, blocks
+from pdr_graph.lifelog import multi_day
+from pdr_graph.lifelog.multi_day import (
+    CONTEXT,
+    MAX_CONTEXT_STEPS,
+    MAX_STEPS,
+    MAX_WALKS,
+    PersonDay,
+    WalkPlace,
+    blocks,
+    reconstruct_together,
+)
 from pdr_graph.priors import SCANS
 from pdr_graph.types import Sightings
 
@@ -95,8 +103,8 @@ def test_walks_in_blocks_are_bound_to_the_blocks_before(monkeypatch):
     walks = [scanned(seed) for seed in range(12)]
     days = [PersonDay("me", f"2023-11-{14 + n}", {str(n): one}, None) for n, (one, _) in enumerate(walks)]
     truths = [truth for _, truth in walks]
-    monkeypatch.setattr(walk_blocks, "MAX_WALKS", 4)
-    monkeypatch.setattr(walk_blocks, "CONTEXT", 3)
+    monkeypatch.setattr(multi_day, "MAX_WALKS", 4)
+    monkeypatch.setattr(multi_day, "CONTEXT", 3)
     parted = errors(reconstruct_together(days, {}), truths)
     monkeypatch.setattr(multi_day, "bound_walks", lambda *_: ())
     alone = errors(reconstruct_together(days, {}), truths)

@@ -18,14 +18,10 @@ from test_build import added, built, content
 from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import cluster as clusters
-from pdr_graph.lifelog import time_limits
-from pdr_graph.lifelog import workers as fleets
+from pdr_graph.lifelog import workers
 from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
-from pdr_graph.lifelog.remote_tasks import ONE_THREAD
 from pdr_graph.lifelog.store import StoredDay
-from pdr_graph.lifelog.time_limits import FleetLostError
-from pdr_graph.lifelog.workers import MAX_TASK_SIZE, CrashedItem, fleet, pack
+from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, FleetLostError, fleet, pack
 
 FORKED = {"distributed.worker.multiprocessing-method": "forkserver"}  # of a process that has imported Dask: at once
 
@@ -78,7 +74,7 @@ def test_a_day_that_crashes_or_hangs_and_a_recording_that_crashes_cost_only_them
 ):
     """A day that hangs does so when nearly all of its minute is over: the others have theirs, also under load."""
     log, paths = added(tmp_path, days=3)
-    monkeypatch.setattr(fleets, "STALL_FACTOR", 40)
+    monkeypatch.setattr(workers, "STALL_FACTOR", 40)
     reason = CrashedItem("").reason
     days = standin.dying_or_hanging
     result = build(log, reconstruct=days, observe=standin.dying_of("0-1.plt"), time_limit=standin.LIMIT, **elsewhere)
@@ -161,7 +157,7 @@ def test_two_hundred_person_days_are_ten_tasks():
 )
 def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, message):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.5)
     log, _ = added(tmp_path, people=1, days=1)
     with pytest.raises(InputError, match=message):
         built(log, **options)
@@ -170,7 +166,7 @@ def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, message)
 
 def test_a_server_that_is_no_scheduler_is_refused(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(InputError, match="found no answer, expected a Dask scheduler"), fleet(scheduler=address):
@@ -203,9 +199,8 @@ def hurry(monkeypatch):
         now = monotonic()
         return now + 99 * (now - began[0]) if began else now
 
-    monkeypatch.setattr(clusters, "monotonic", clock)
-    monkeypatch.setattr(time_limits, "monotonic", clock)
-    monkeypatch.setattr(time_limits.StallWatch, "PERIOD", 0.05)
+    monkeypatch.setattr(workers, "monotonic", clock)
+    monkeypatch.setattr(workers.StallWatch, "PERIOD", 0.05)
     return lambda: began.append(monotonic())
 
 
@@ -241,7 +236,7 @@ def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
     tmp_path, monkeypatch, small_cluster, hurry, which, ending
 ):
     """A worker that freezes keeps its connection: only the missing results tell."""
-    monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
+    monkeypatch.setattr(workers, "STALL_FACTOR", 1)
     log, _ = added(tmp_path, people=2, days=6)
     processes, address = small_cluster
     waiting = standin.waiting(tmp_path, after=4)
@@ -249,8 +244,8 @@ def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
     def progress(stage, done, of):
         if stage == "days" and done >= 2 and not waiting.over():
             os.kill(processes[which].pid, ending)
-            monkeypatch.setattr(clusters, "ASK_PERIOD", 0.1)
-            monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
+            monkeypatch.setattr(workers, "ASK_PERIOD", 0.1)
+            monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.5)
             hurry()
             waiting.end()
 
@@ -277,7 +272,7 @@ def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monke
                 raise FleetLostError("all workers gone")
             yield number, work(task)
 
-    monkeypatch.setattr(fleets.Fleet, "_execute", losing)
+    monkeypatch.setattr(workers.Fleet, "_execute", losing)
     result = built(log)
     assert (result.built, result.failures, result.refusals) == (0, (), ())
     recordings, days = result.unfinished
@@ -291,7 +286,7 @@ def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monke
 
 def test_processes_that_freeze_are_ended(tmp_path, monkeypatch, hurry):
     """A frozen process cannot end itself."""
-    monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
+    monkeypatch.setattr(workers, "STALL_FACTOR", 1)
     log, _ = added(tmp_path, people=2, days=3)
     freezing, hurried = standin.freezing(tmp_path), []
 
@@ -308,7 +303,7 @@ def test_processes_that_freeze_are_ended(tmp_path, monkeypatch, hurry):
 
 
 def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
-    code = "import time; from pdr_graph.lifelog.time_limits import limited; list(limited(map(time.sleep, {}), 3.0))"
+    code = "import time; from pdr_graph.lifelog.workers import limited; list(limited(map(time.sleep, {}), 3.0))"
     alone = [begun_alone(code.format(sleeps)) for sleeps in ([0.7] * 5, [0.1, 600])]
     assert [(process.communicate(timeout=300)[1], process.returncode) for process in alone] == [(b"", 0), (b"", 1)]
 
@@ -316,7 +311,7 @@ def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
 def test_the_earliest_deadline_of_several_threads_counts():
     code = """
 import threading, time
-from pdr_graph.lifelog.time_limits import limited
+from pdr_graph.lifelog.workers import limited
 threading.Thread(target=lambda: list(limited(map(time.sleep, [600]), 2.0)), daemon=True).start()
 list(limited(map(time.sleep, [0.1] * 3000), 600.0))
 """

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, POSITION, WIFI, Rows
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.lifelog.past.merging import assumed_accuracy
+from pdr_graph.lifelog.past.past_rows import assumed_accuracy
 from pdr_graph.types import Array, Index
 
 METRES = 111_319.49  # per degree of latitude

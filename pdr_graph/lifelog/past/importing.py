@@ -1,15 +1,18 @@
 """Import a person's past into a lifelog: read exports in any order, merge them by day, keep foreign guesses apart.
 
-Memory does not grow with the files: their rows wait on disk, parted by days, and each day is merged by itself.
+Files come alone, in folders or zips (Google Takeout), are recognised by their content and read as streams. Memory does
+not grow with them: their rows wait on disk, parted by days, and each day is merged by itself.
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, BinaryIO, cast
 
 import numpy as np
 
@@ -18,10 +21,123 @@ from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.facts import forgotten_times
 from pdr_graph.lifelog.ingest import DEFAULT_PERSON
-from pdr_graph.lifelog.past.day_spill import DaySpill
+from pdr_graph.lifelog.past import google, tracks
 from pdr_graph.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
-from pdr_graph.lifelog.past.past_files import PastFile, find_files
+from pdr_graph.lifelog.past.past_rows import Batch, DaySpill, Format
 from pdr_graph.lifelog.store import Store
+from pdr_graph.source import Source
+
+# The first whose sign a file has reads it
+FORMATS = (
+    tracks.FIT,
+    *google.FORMATS,
+    tracks.OVERLAND,
+    google.IOS_TIMELINE,
+    tracks.OWNTRACKS,
+    tracks.GPX,
+    tracks.KML,
+)
+HEAD = 65_536  # [bytes] of a file by which it is recognised
+LARGEST = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
+MOST_FILES, DEEPEST = 100_000, 8  # a Takeout has other products beside the timeline
+# What a file is that comes with a timeline and is none
+OTHERS = (
+    (
+        re.compile(rb'"(?:deviceSettings|hasReportedLocations|hasSetRetention)"'),
+        "settings of Google's timeline",
+    ),
+    (
+        re.compile(rb"(?i)\A[^{\[<]*encrypted[^{\[<]*\Z"),
+        "an encrypted backup, which only the phone can read",
+    ),
+)
+EXPECTED = "a timeline: " + ", ".join(form.name for form in FORMATS)
+
+
+@dataclass(frozen=True)
+class PastFile:
+    """A file of a known format. size: [bytes]."""
+
+    source: Source
+    name: str
+    format: Format
+    size: int
+
+    @property
+    def where(self) -> str:
+        """Its name in messages."""
+        return self.source.where(self.name)
+
+    def batches(self, advance: Callable[[int], None]) -> Iterator[Batch]:
+        """Read its rows, some at a time; advance: called with the number of bytes read since the last call.
+
+        Raises InputError if it is damaged.
+        """
+        with self.source.stream(self.name) as stream:
+            yield from self.format.rows(cast("BinaryIO", _CountedStream(stream, self.where, advance)), self.where)
+
+
+class _CountedStream:
+    """A stream that reports how much is read, and refuses more than LARGEST."""
+
+    def __init__(self, stream: IO[bytes], where: str, advance: Callable[[int], None]):
+        self._stream, self._where, self._advance = stream, where, advance
+        self._left = LARGEST
+
+    def read(self, size: int) -> bytes:
+        return self._counted(self._stream.read(size))
+
+    def readline(self, size: int) -> bytes:
+        return self._counted(self._stream.readline(size))
+
+    def _counted(self, content: bytes) -> bytes:
+        self._left -= len(content)
+        if self._left < 0:
+            raise InputError(self._where, "", f"more than {LARGEST // 10**9} GB", "fewer")
+        self._advance(len(content))
+        return content
+
+
+def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], list[str]]:
+    """Find timelines in files, folders and zips; returns them, the number of other files, and two lists of lines: what
+    some of these are, and why paths are refused.
+    """
+    found, skipped, notes, refused = list[PastFile](), 0, list[str](), list[str]()
+    for path in dict.fromkeys(paths):
+        try:
+            source = Source(path, "timeline", LARGEST, MOST_FILES, DEEPEST)
+            lines = list[str]()
+            before = len(found)
+            for name in source.names:
+                try:
+                    found.append(_recognized(source, name))
+                except InputError as error:
+                    skipped += 1
+                    lines += [str(error)] if source.single or "expected a timeline: " not in str(error) else []
+            (notes if len(found) > before else refused).extend(lines)
+            if len(found) == before and not lines:
+                raise InputError(path, "", f"{len(source.names)} files, none of them a timeline", EXPECTED)
+        except InputError as error:
+            refused.append(str(error))
+        except OSError as error:
+            refused.append(str(InputError(path, "", error.strerror or str(error), "a readable file")))
+    return found, skipped, notes, refused
+
+
+def _recognized(source: Source, name: str) -> PastFile:
+    """The file with its format. Raises InputError, which says what else it is."""
+    head = source.head(name, HEAD)
+    where = source.where(name)
+    known = next((form for form in FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
+    if known is not None:
+        return PastFile(source, name, known, source.size(name))
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(where, "", "UTF-16 text", "UTF-8: save it again with this encoding")
+    other = next((what for sign, what in OTHERS if sign.search(head)), "")
+    if other:
+        raise InputError(where, "", other, "a timeline")
+    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED)
+
 
 Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all
 MB = 10**6
@@ -49,7 +165,7 @@ def import_past(
 ) -> ImportResult:
     """Import timelines of a person into a lifelog, which is created if it does not exist.
 
-    files: of `past_files.READERS`, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
+    files: of FORMATS, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
     has deleted stays deleted. A file that is damaged from some place on is imported up to there.
 
     Raises InputError if the person's name or the lifelog cannot be used; OSError of the disk.
@@ -106,7 +222,7 @@ class _Reading:
             total = valid + left_out.total()
             self.notes.append(f"{file.where}: {left_out.total()} of {total} positions were left out: {reasons}")
         elif not valid + others and not refused:
-            self.notes.append(f"{file.where}: {file.reader.NAME} without a position, visit or activity")
+            self.notes.append(f"{file.where}: {file.format.name} without a position, visit or activity")
         return refused
 
     def _advance(self, size: int) -> None:

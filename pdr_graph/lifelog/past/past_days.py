@@ -19,8 +19,7 @@ from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.observation import MIN_POSITIONS
 from pdr_graph.lifelog.past import access_points
 from pdr_graph.lifelog.past.access_points import ScanPositions, Scans, scans_of
-from pdr_graph.lifelog.past.day_spill import day_of
-from pdr_graph.lifelog.past.merging import changes, merged_positions, merged_sightings
+from pdr_graph.lifelog.past.past_rows import changes, day_of, merged_positions, merged_sightings
 from pdr_graph.lifelog.store import Entry, Store
 
 FOLDER = "past"  # in STORE.d

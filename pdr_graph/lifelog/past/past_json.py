@@ -1,12 +1,15 @@
-"""Large JSON in bounded memory: the elements of its top-level arrays, a few megabytes at a time.
+"""JSON of timelines, all untrusted and of any size: elements of top-level arrays, values in them.
 
-The document is a list of elements, or an object of lists. numpy finds the brackets outside strings of a piece, so that
-the elements can be decoded together, in C; only where that fails is each decoded by itself.
+The document is a list of elements, or an object of lists, read a few megabytes at a time. numpy finds the brackets
+outside strings of a piece, so that the elements can be decoded together, in C; only where that fails is each decoded by
+itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO, TypeVar
 
@@ -14,6 +17,9 @@ import msgspec
 import numpy as np
 
 from pdr_graph.errors import InputError
+from pdr_graph.io.past_day import E7
+from pdr_graph.io.validation import float_of
+from pdr_graph.lifelog.past.past_rows import Batch, Format
 from pdr_graph.types import Index
 
 PIECE = 4_000_000  # [bytes] read at a time
@@ -169,3 +175,52 @@ def _key(text: bytes) -> str:
     """The name at the end of a text such as ``, "locations": ``."""
     name = text.rstrip(b" \t\r\n:").rpartition(b'"')[0].rpartition(b'"')[2]
     return name[-100:].decode("utf-8", "replace")
+
+
+NOWHERE = (math.nan, math.nan)
+# "50.0506312°, 14.3439906°", "48.8566, 2.3522" and "geo:27.72,-97.34"
+COORDINATES = re.compile(r"(?:geo:)?\s*(-?\d{1,3}(?:\.\d*)?)\s*°?\s*,\s*(-?\d{1,3}(?:\.\d*)?)\s*°?\s*", re.ASCII)
+DECODE = msgspec.json.Decoder(list[dict[str, Any]]).decode
+
+
+def lists_format(name: str, sign: bytes, lists: Mapping[str, Callable[[Sequence[Any], int], Batch]]) -> Format:
+    """A format of JSON lists. sign: pattern in its first bytes; lists: for each list by its name, "" for a bare one, a
+    function that makes a batch of some of its elements and the number of those that cannot be read.
+    """
+
+    def rows(stream: BinaryIO, where: str) -> Iterator[Batch]:
+        for piece in pieces(stream, where):
+            if piece.key in lists:
+                yield lists[piece.key](*decoded(piece, DECODE, dict[str, Any]))
+
+    return Format(name, re.compile(sign, re.DOTALL), rows)
+
+
+def at(value: Any, *path: str) -> Any:
+    """The value along a path of names in nested objects; None where there is none."""
+    for name in path:
+        value = value.get(name) if isinstance(value, dict) else None
+    return value
+
+
+def items(value: Any, *path: str) -> list[Any]:
+    """The list along a path of names; empty where there is none."""
+    found = at(value, *path)
+    return found if isinstance(found, list) else []
+
+
+def coordinates(value: Any) -> tuple[float, float]:
+    """Latitude and longitude [deg] of a text, or of an object that has it as ``latLng``; NaN if it is neither."""
+    if isinstance(value, dict):
+        value = value.get("latLng") or value.get("LatLng")
+    match = COORDINATES.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    return (float(match[1]), float(match[2])) if match else NOWHERE
+
+
+def coordinates_e7(value: Any) -> tuple[float, float]:
+    """Latitude and longitude [deg] of ``latitudeE7`` and ``longitudeE7``, or ``latE7`` and ``lngE7``; else NaN."""
+    for names in (("latitudeE7", "longitudeE7"), ("latE7", "lngE7")):
+        lat, lon = (float_of(at(value, name)) / E7 for name in names)
+        if math.isfinite(lat) and math.isfinite(lon):
+            return lat, lon
+    return NOWHERE
