@@ -36,8 +36,7 @@ from pdr_graph.lifelog.overview_text import distance_text, period_title, sums_te
 from pdr_graph.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.lifelog.timeline import PASSING, STAY, TimelineEntry
 from pdr_graph.notebook_html import GREY
-from pdr_graph.priors import TRACK
-from pdr_graph.report.page import FIX, RADIO
+from pdr_graph.report.page import FIX, RADIO, TRACK
 from pdr_graph.report.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
 from pdr_graph.types import Array, Trajectory
 

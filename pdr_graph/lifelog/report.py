@@ -46,10 +46,9 @@ from pdr_graph.lifelog.timeline import (
     timeline,
     timeline_csv,
 )
-from pdr_graph.priors import TRACK
 from pdr_graph.report import charts_and_tables
 from pdr_graph.report.charts_and_tables import Table, table
-from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, plan_drawing, rings, runs, track
+from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, TRACK, column, plan_drawing, rings, runs, track
 from pdr_graph.report.page import page as interactive_page
 from pdr_graph.report.plotting import picture_bytes
 from pdr_graph.types import Array, Trajectory

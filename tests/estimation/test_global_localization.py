@@ -18,7 +18,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs
 from pdr_graph.pipeline import Evidence, observe
-from pdr_graph.pipeline import estimate as estimated
+from pdr_graph.pipeline import estimate as estimate_walk
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
@@ -78,7 +78,7 @@ def test_no_filter_is_shown_of_a_walk_without_any_position():
     seen = Fixes(steps.time[:1], np.zeros((1, 2)), np.ones(1), ("",))
     for fixes, names in ((Fixes.none(), []), (seen, ["filter"])):
         walk = Evidence(steps, fixes, building=Building.around(plan))
-        assert list(estimated(walk).causal()) == names
+        assert list(estimate_walk(walk).causal()) == names
 
 
 def test_a_symmetric_building_has_two_answers_of_one_half():
