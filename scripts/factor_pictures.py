@@ -378,7 +378,7 @@ def walls():
 def wall_error(field, points, prior):
     """The wall factor of steps that end at some points ``(n, 2)``."""
     n = len(points)
-    about = WallFactor(None, (field,), np.zeros(n, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)
+    about = WallFactor(None, (field,), np.zeros(n, dtype=np.intp), prior.wall_margin, prior.wall_sigma)
     return about.residual(SimpleNamespace(ends=points, pieces=SimpleNamespace(length=np.ones(n))))[0]
 
 

@@ -92,7 +92,8 @@ class WalkGraph:
         gaps = [steps.time[lost] - steps.duration[lost], steps.time[lost]]
         pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *gaps]))
         segment = segments(pieces, steps)
-        begins = {_segment_at(pieces, segment, time): prior for time, prior in others} | {0: self.prior}
+        starts = np.searchsorted(pieces.keyframe_time[:-1], np.round([time for time, _ in others], DECIMALS))
+        begins = dict(zip(segment[starts].tolist(), [prior for _, prior in others], strict=True)) | {0: self.prior}
         c = _prior_means(begins, int(segment[-1]) + 1)
         self.chain = Chain.of(pieces, segment, c)
         self.floors = _labels(floor, floors, len(steps) + 2)
@@ -105,7 +106,9 @@ class WalkGraph:
         self.sigma_direction = initial.sigma_direction
 
         # All factors; without walls if the walk has no position, or is off the plan
-        self.floor_sequence = None if floor is None else FloorSequence.of(floor, self._floor_of_pieces)
+        row = np.searchsorted(pieces.row_end, np.arange(len(pieces.length))) + 1
+        floor_of_pieces = [self.floors[r] for r in row.tolist()]
+        self.floor_sequence = None if floor is None else FloorSequence.of(floor, floor_of_pieces)
         prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
         kinds = [kind.initialized(initial.poses) if isinstance(kind, Initialized) else kind for kind in kinds]
         priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(initial.poses[0, 2]))
@@ -196,11 +199,6 @@ class WalkGraph:
     def keyframe_time(self) -> Array:
         """Times of the poses x0, x1, … ``(k + 1,)``. [s]"""
         return self.chain.time
-
-    @property
-    def _floor_of_pieces(self) -> list[str]:
-        row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
-        return [self.floors[r] for r in row.tolist()]
 
     def normal_equations(self, at: Evaluation) -> NormalEquations:
         """The normal equations of the factors at ``at``; those of the last graphs alike are used again."""
@@ -336,11 +334,6 @@ def _associated(
 ) -> Measurement:
     """The kind with its instances associated along the walk ``at``; stray, alike: see `OnPlan.associated`."""
     return kind.associated(at, stray, alike) if isinstance(kind, OnPlan) else kind
-
-
-def _segment_at(pieces: Pieces, segment: Index, time: float) -> int:
-    """The calibration segment that begins at a time [s]."""
-    return int(segment[np.searchsorted(pieces.keyframe_time[:-1], np.round(time, DECIMALS))])
 
 
 def _prior_means(begins: Mapping[int, Prior], count: int) -> Array:

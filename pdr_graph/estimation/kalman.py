@@ -335,22 +335,13 @@ def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
     Q = np.zeros_like(F)
     Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
 
-    rows, P, moments_of_pieces = (
-        np.arange(len(bank)),
-        bank.covariance + np.diag(np.append(np.zeros(3), _changed(graph, i))),
-        [],
-    )
+    changes = np.square(graph.prior.change) if i > 0 and graph.segment[i] != graph.segment[i - 1] else np.zeros(3)
+    rows, P, moments_of_pieces = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), changes)), []
     for m, motion in enumerate(F):
         P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
         after = GaussianMixture(mean[m], P, bank.log_weight, rows)
         moments_of_pieces.append(Moment(rows, motion, after, after, ()))
     return moments_of_pieces
-
-
-def _changed(graph: WalkGraph, i: int) -> Array:
-    """Variance ``(3,)`` of the change of calibration before interval ``i``; 0 unless a segment begins there."""
-    begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
-    return np.square(graph.prior.change) if begins else np.zeros(3)
 
 
 def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
@@ -360,7 +351,9 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
     share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
     bank = moment.posterior
     updated, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
-    meeting = _meeting(n, np.hypot(*(place - bank.mean[updated.best, :2])), surprise, updated.best)
+    best = updated.best
+    distance = float(np.hypot(*(place - bank.mean[best, :2])))
+    meeting = Meeting(n, distance, float(surprise.sigmas[best]), float(surprise.weight[best]), reset=False)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == KALMAN.patience:
         moment, refused = _reinitialised(moment), 0
@@ -368,10 +361,6 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
         updated, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
         meeting = replace(meeting, weight=1.0, reset=True)
     return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
-
-
-def _meeting(n: int, distance: float, surprise: Surprise, best: int) -> Meeting:
-    return Meeting(n, float(distance), float(surprise.sigmas[best]), float(surprise.weight[best]), reset=False)
 
 
 def _reinitialised(moment: Moment) -> Moment:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
@@ -38,7 +37,6 @@ from pdr_graph.types import (
 BETWEEN = 3600.0  # [s] between two walks on the common time axis
 ANYWHERE = 1e4 / BETWEEN  # [m/s] sigma of the speed there: the next walk starts anywhere within ten kilometres
 ANY_TURN = 30.0  # [rad] sigma of the turn there
-Data = TypeVar("Data")
 
 
 def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], closures: Closures) -> list[Estimate]:
@@ -70,7 +68,8 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
     bound = [
         replace(table, walk=np.full_like(table.walk, n))
         for n, graph in enumerate(graphs)
-        for table in _of(graph, Closures)
+        for table in graph.data
+        if isinstance(table, Closures)
     ]
     tables = [
         with_offset(table, by)
@@ -90,11 +89,6 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
         prior=graphs[0].prior,
         others=[(walk_steps.start, graph.prior) for walk_steps, graph in zip(steps[1:], graphs[1:], strict=True)],
     )
-
-
-def _of(graph: WalkGraph, kind: type[Data]) -> Iterator[Data]:
-    """The data of one type."""
-    return (table for table in graph.data if isinstance(table, kind))
 
 
 def _start(joint: WalkGraph, alone: Sequence[Estimate], begins: Array) -> State:

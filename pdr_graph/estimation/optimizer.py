@@ -167,16 +167,13 @@ def _longest(moves: Mapping[str, Array]) -> float:
 def solve_robust(graph: WalkGraph) -> Optimum:
     """The optimum in two passes: consistent measurements with Huber's loss and independent errors; then, from there,
     low weight for outliers, and models of common errors.
+
+    A graph with alternative versions (closures firm or unused) is first optimised from the optimum of each.
     """
-    first = _solve_alternatives(graph) or optimize(graph, graph.start)
+    states = [optimize(version, version.start).state for version in graph.alternatives()] or [graph.start]
+    first = min((optimize(graph, state) for state in states), key=lambda optimum: optimum.surprise)
     refined = graph.refined(first.at)
     return first if refined is graph else optimize(refined, continued(refined.start, first.state))
-
-
-def _solve_alternatives(graph: WalkGraph) -> Optimum | None:
-    """The best optimum from the alternative versions of the graph (closures firm or unused); None without any."""
-    starts = [optimize(version, version.start).state for version in graph.alternatives()]
-    return min((optimize(graph, start) for start in starts), key=negative_log_posterior) if starts else None
 
 
 def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> State:
@@ -210,9 +207,4 @@ def _between_own_walls(graph: WalkGraph, first: Optimum) -> Optimum:
     associated = graph.associated_at(first.state)
     if associated.same_association(first.graph):
         return first
-    return min(first, optimize(associated, first.state), key=negative_log_posterior)
-
-
-def negative_log_posterior(optimum: Optimum) -> float:
-    """The key by which optima are compared."""
-    return optimum.surprise
+    return min(first, optimize(associated, first.state), key=lambda optimum: optimum.surprise)

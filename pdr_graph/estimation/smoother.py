@@ -80,8 +80,9 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         graph=best.graph.smoothed(best.state),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)
+    walks = sum(float(probability[path == n].sum()) > REPORTS.least_reported for n in np.unique(path).tolist())
     warned = (
-        *warnings(graph, _walks(probability, path), stated, best.converged, calibration),
+        *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
     )
     return replace(estimate, probability=stated, warnings=warned)
@@ -104,11 +105,6 @@ def poses_of_rows(optimum: Optimum) -> Array:
     """Poses ``(n + 2, 3)`` of the trajectory's rows: the start, the end of every step, the end."""
     at = optimum.at
     return np.concatenate([at.pose_i[:1], at.ends[at.pieces.row_end]])
-
-
-def _walks(probability: Array, path: Index) -> int:
-    """Number of different walks that are worth a warning. probability, path: ``(n,)`` of each solution."""
-    return sum(float(probability[path == n].sum()) > REPORTS.least_reported for n in np.unique(path).tolist())
 
 
 def _near(covariance: Array) -> float:

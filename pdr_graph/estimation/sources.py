@@ -11,14 +11,15 @@ import numpy as np
 
 from pdr_graph.errors import count
 from pdr_graph.estimation.factors import kind_of, locating_kinds
+from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import solve_robust
 from pdr_graph.estimation.results import used_fixes
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.floor.building import Building
-from pdr_graph.geometry import interpolate, row_times, wrap_angle
+from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.priors import INITIAL, REPORTS, VERDICTS
-from pdr_graph.types import Array, Estimate, Fixes, OneLineRepr, Trajectory
+from pdr_graph.types import Estimate, OneLineRepr, Trajectory
 
 FIXES, PLAN = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
 NAMED = 5  # beacons that a remark names
@@ -83,23 +84,17 @@ def _alone(graph: WalkGraph, table: Any, shown: Trajectory) -> Trajectory | None
 
     shown: the walk from which the search starts if they leave the direction open.
     """
-    fixes, others = (table, []) if isinstance(table, Fixes) else (None, [table])
-    headings = graph.headings.headings
-    alone = WalkGraph(graph.steps, fixes, headings=headings, measurements=others, prior=graph.prior)
+    alone = WalkGraph.of(graph.steps, [table, graph.headings.headings], prior=graph.prior)
     if not alone.positions.used.any():
         return None
     if alone.sigma_direction > INITIAL.ambiguous:
-        alone = alone.associated_at(alone.start.replaced(x=_poses_at(alone.keyframe_time, shown)))
+        poses = poses_at(alone.keyframe_time, shown.time, np.column_stack([shown.position, shown.heading]))
+        alone = alone.associated_at(alone.start.replaced(x=poses))
     try:
         rows = poses_of_rows(solve_robust(alone))
     except RuntimeError:  # by GTSAM, for a system that it cannot solve
         return None
     return Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors)
-
-
-def _poses_at(time: Array, track: Trajectory) -> Array:
-    """Poses ``(n, 3)`` of a track at some times ``(n,)`` [s]."""
-    return interpolate(time, track.time, np.column_stack([track.position, np.unwrap(track.heading)]))
 
 
 def _use(name: str, reports: list[Any], estimate: Estimate) -> tuple[int, float, str]:

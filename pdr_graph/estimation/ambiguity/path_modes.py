@@ -21,7 +21,6 @@ from pdr_graph.estimation.linear_system import Solution
 from pdr_graph.estimation.optimizer import (
     Optimum,
     continued,
-    negative_log_posterior,
     optimize,
     solve_loose_walls,
     solve_relaxed,
@@ -53,7 +52,7 @@ def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = No
         return solve_tight_walls(solve_loose_walls(robust, continued(robust.start, start)))
     near = _paths_of_fixes(robust, without_walls)
     near = near or [solve_tight_walls(solve_loose_walls(robust, continued(robust.start, without_walls.state)))]
-    return min(near, key=negative_log_posterior)
+    return min(near, key=lambda optimum: optimum.surprise)
 
 
 def different_directions(optimum: Optimum) -> list[Optimum]:

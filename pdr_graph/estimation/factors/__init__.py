@@ -57,13 +57,8 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     if former is not None:
         del KINDS[former]
     if not hasattr(data_type, "__len__"):
-        data_type.__len__ = _rows  # type: ignore[attr-defined]
+        data_type.__len__ = lambda table: len(table.time)  # type: ignore[attr-defined]
     KINDS[data_type] = kinds
-
-
-def _rows(data: Any) -> int:
-    """Number of rows of a table."""
-    return len(data.time)
 
 
 def _definitions(*classes: type) -> list[tuple[str, str]]:
@@ -126,7 +121,10 @@ def measurements_of(
     kind_of(data)
     number, made, source = np.arange(len(data)) if number is None else number, list[Measurement](), data
     for kind in KINDS[type(data)]:
-        made.append(_continued(kind.of(source, steps, prior, number), decisions))
+        new = kind.of(source, steps, prior, number)
+        if decisions is not None and isinstance(new, Remembered):
+            new = new.continued(decisions.get(kind.name, {}))
+        made.append(new)
         source = made[0]
     return made
 
@@ -134,12 +132,6 @@ def measurements_of(
 def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[CorridorFactor | TurnFactor]:
     """The factors of corridors that the prior asks for, not associated with the walk yet."""
     return [CORRIDORS[name].about(floor_sequence) for name in prior.corridors]
-
-
-def _continued(kind: Measurement, decisions: Mapping[str, Mapping[str, AnyArray]] | None) -> Measurement:
-    if decisions is None or not isinstance(kind, Remembered):
-        return kind
-    return kind.continued(decisions.get(kind.name, {}))
 
 
 def measurements_of_walk(tables: Sequence[Any], steps: Steps, prior: Prior) -> list[Measurement]:

@@ -451,11 +451,12 @@ class Evaluation:
         blocks = [block for measurement in self.measurements for block in measurement.factors(self)]
         if self.priors is None:
             return blocks
-        return [block.only(self._holding(block, self.priors)) if block.prior else block for block in blocks]
+        priors = self.priors
 
-    @staticmethod
-    def _holding(block: FactorBlock, priors: Priors) -> Index:
-        return np.flatnonzero([(block.name, number) in priors for number in block.number.tolist()])
+        def held(block: FactorBlock) -> Index:
+            return np.flatnonzero([(block.name, number) in priors for number in block.number.tolist()])
+
+        return [block.only(held(block)) if block.prior else block for block in blocks]
 
     def forget_blocks(self) -> None:
         """Free the factors: their derivatives refer to this evaluation, and such circles would stay in memory."""

@@ -49,16 +49,16 @@ class WallFactor(Measurement):
     """Walls: steps keep clear of them, and bodies stay out of them.
 
     floor_sequence: the floor of each piece; fields: distances to the walls of a region; field_of: ``(m,)`` index of the
-    field of each piece, −1 none; region_price: price of the regions that the walk leads through.
-    margin: clearance that people keep [m]; sigma: of that clearance [m].
+    field of each piece, −1 none; margin: clearance that people keep [m]; sigma: of that clearance [m].
+    price: of the regions that the walk leads through.
     """
 
     floor_sequence: FloorSequence | None
     fields: tuple[DistanceField, ...]
     field_of: Index
-    region_price: float
     margin: float
     sigma: float
+    price: float = 0.0
 
     name: ClassVar[str] = "walls"
     on_plan: ClassVar[bool] = True
@@ -68,7 +68,7 @@ class WallFactor(Measurement):
         if self.floor_sequence is None:
             return self
         fields, field_of, price = self.floor_sequence.walls_along(at.ends[:, :2], at.pieces.length > 0, stray, alike)
-        return replace(self, fields=fields, field_of=field_of, region_price=price)
+        return replace(self, fields=fields, field_of=field_of, price=price)
 
     def staged(self, stage: Stage) -> Self:
         """Wider sigma in a rough search."""
@@ -132,11 +132,6 @@ class WallFactor(Measurement):
             )
         ]
 
-    @property
-    def price(self) -> float:
-        """Price of the regions that the walk leads through."""
-        return self.region_price
-
 
 def steps_between_keyframes() -> StepFactor:
     """The steps of a walk, one factor for each interval of its chain."""
@@ -146,9 +141,9 @@ def steps_between_keyframes() -> StepFactor:
 def walls_on_plan(floor_sequence: FloorSequence, prior: Prior) -> WallFactor:
     """The walls of the floors of a walk, before their association with its pieces."""
     nowhere = np.full(len(floor_sequence.level), NOWHERE)
-    return WallFactor(floor_sequence, (), nowhere, 0.0, prior.wall_margin, prior.wall_sigma)
+    return WallFactor(floor_sequence, (), nowhere, prior.wall_margin, prior.wall_sigma)
 
 
 def walls_of_fields(fields: Sequence[DistanceField], field_of: Index, prior: Prior) -> WallFactor:
     """The walls with which the pieces of a walk are associated; field_of: ``(m,)`` field of each piece, −1 none."""
-    return WallFactor(None, tuple(fields), field_of, 0.0, prior.wall_margin, prior.wall_sigma)
+    return WallFactor(None, tuple(fields), field_of, prior.wall_margin, prior.wall_sigma)
