@@ -3,6 +3,7 @@
 import gc
 import subprocess
 import sys
+import textwrap
 import time
 import tracemalloc
 
@@ -70,12 +71,11 @@ LOADED = "import sys, {}; print(*(name for name in {} if name in sys.modules))"
     ("modules", "slow"),
     [
         (
-            "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.report.plotting, pdr_graph.report.walk",
+            "pdr_graph.cli, pdr_graph.walk, pdr_graph.report.plotting, pdr_graph.report.content",
             SLOW_TO_LOAD,
         ),
-        ("pdr_graph.outputs, pdr_graph.report.walk", ("matplotlib",)),  # a copy of the process draws
-        ("pdr_graph.cli, pdr_graph.batch", ("scipy", "vqf")),  # loaded while the recording is read
-        ("pdr_graph.lifelog.show, pdr_graph.lifelog.revision", ("scipy", "vqf", "matplotlib", "pdr_graph.pipeline")),
+        ("pdr_graph.report.output_files, pdr_graph.report.content", ("matplotlib",)),
+        ("pdr_graph.lifelog.show, pdr_graph.lifelog.revision", ("scipy", "vqf", "matplotlib", "pdr_graph.walk")),
     ],
 )
 def test_a_command_loads_nothing_that_takes_long_and_is_not_needed(modules, slow):
@@ -83,3 +83,18 @@ def test_a_command_loads_nothing_that_takes_long_and_is_not_needed(modules, slow
     said = LOADED.format(modules, slow)
     loaded = subprocess.run([sys.executable, "-c", said], check=True, capture_output=True, text=True).stdout.split()
     assert loaded == []
+
+
+def test_the_garbage_of_a_walk_is_not_frozen_with_the_modules():
+    """A program that smooths many walks would grow with each."""
+    code = """
+        import gc
+        from pdr_graph.report.output_files import keep_modules
+
+        keep_modules()
+        before = gc.get_freeze_count()
+        garbage = [[] for _ in range(1000)]
+        keep_modules()
+        assert gc.get_freeze_count() <= before
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=60)
