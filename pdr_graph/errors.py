@@ -1,9 +1,15 @@
-"""Texts of one line, errors for bad input among them: source, place, found, expected. Exit codes and TOML files."""
+"""Texts of one line, errors for bad input among them: source, place, found, expected. Exit codes, progress, TOML."""
 
 from __future__ import annotations
 
 import re
+import sys
+import time
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +105,35 @@ PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open
 def first_look(folder: Path) -> Path:
     """The file in a folder of results to open first: the report, else a figure, else the folder itself."""
     return next((folder / page for page in PAGES if (folder / page).exists()), folder)
+
+
+SILENT = ContextVar("SILENT", default=False)
+"""True while a command prints nothing but errors and what `--json` asks for."""
+
+
+def shows_progress() -> bool:
+    """True if standard error is a terminal and the command is not silent."""
+    return sys.stderr.isatty() and not SILENT.get()
+
+
+@dataclass
+class Stages:
+    """Wall time of each stage [s]; on a terminal, the stage under way is shown."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time one stage."""
+        started = time.perf_counter()
+        if shows_progress():
+            from rich.console import Console
+
+            with Console(stderr=True).status(f"{name} …"):
+                yield
+        else:
+            yield
+        self.seconds[name] = round(time.perf_counter() - started, 4)
 
 
 LARGEST_TOML = 1_000_000  # [bytes]

@@ -9,13 +9,11 @@ from profile_pipeline import MAPS, hour
 from tables import table
 
 from pdr_graph import evaluate, smooth
-from pdr_graph.inputs import read
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.pipeline import observe
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario, UserFixes
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options, observe, read
 
 CORNERS = [[10.5, 12.5], [73.5, 12.5], [73.5, 47.5], [10.5, 47.5]]  # of the corridors of maps/mall
 LAPS = 23
@@ -41,13 +39,12 @@ def beacon_rows():
 
 def measured(recording, written, fixes):
     """Cells of one walk: steps, levels, fixes, CPU time of the graph, errors. written: the folder of its truth."""
-    inputs = read(recording, options := Options(plan=PLAN, fixes=fixes))
-    evidence = observe(inputs, options)
+    evidence = observe(read(recording, Options(plan=PLAN, fixes=fixes)))
     began = time.process_time()
     walk = smooth(evidence.graph())
     took = time.process_time() - began
     [levels] = evidence.measurements
-    error = evaluate(walk.trajectory, read_trajectory(written / "truth.csv", inputs.walk))["ce"]
+    error = evaluate(walk.trajectory, read_trajectory(written / "truth.csv", evidence.walk))["ce"]
     counts = len(evidence.steps), len(levels), len(evidence.fixes)
     return [*counts, f"{took:.2f}", f"{error['p50']:.2f}, {error['p95']:.2f}"]
 

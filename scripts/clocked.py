@@ -16,22 +16,22 @@ import numpy as np
 START = "interpreter and imports"
 REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
-    "reading the recording": ("pdr_graph.io.loading:load",),
-    "plan, fixes, frame": ("pdr_graph.inputs:read",),
+    "reading the recording": ("pdr_graph.walk:load",),
+    "plan, fixes, frame": ("pdr_graph.report.output_files:read",),
     "attitude": ("pdr_graph.gait.signals:attitude_of",),
     "steps": (
-        "pdr_graph.pipeline:gait_signals",
-        "pdr_graph.pipeline:detect_steps",
-        "pdr_graph.pipeline:with_stair_lengths",
+        "pdr_graph.walk:gait_signals",
+        "pdr_graph.walk:detect_steps",
+        "pdr_graph.walk:with_stair_lengths",
     ),
-    "headings": ("pdr_graph.pipeline:magnetic_headings",),
-    "floors": ("pdr_graph.pipeline:with_floors",),
-    "graph, built": ("pdr_graph.pipeline:WalkGraph",),
+    "headings": ("pdr_graph.walk:magnetic_headings",),
+    "floors": ("pdr_graph.walk:_with_floors",),
+    "graph, built": ("pdr_graph.walk:WalkGraph",),
     "graph, particles": (
         "pdr_graph.estimation.ambiguity.path_modes:particle_filter",
         "pdr_graph.estimation.ambiguity.path_modes:particles_from",
     ),
-    "graph, solved": ("pdr_graph.pipeline:smooth",),
+    "graph, solved": ("pdr_graph.walk:smooth",),
     "graph, covariance": ("pdr_graph.estimation.smoother:_mixture_covariance",),
     "tracks and tables, written": (
         "pdr_graph.io.writers:write_trajectory",
@@ -40,10 +40,10 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
         "pdr_graph.io.writers:write_summary",
         "pdr_graph.io.gpx:write",
     ),
-    "picture": ("pdr_graph.outputs:_write_picture",),
-    "report: filter": ("pdr_graph.pipeline:kalman_filter",),
-    "report: page": ("pdr_graph.outputs:write_report",),
-    "summary": ("pdr_graph.outputs:summarize",),
+    "picture": ("pdr_graph.report.output_files:_write_picture",),
+    "report: filter": ("pdr_graph.walk:kalman_filter",),
+    "report: page": ("pdr_graph.report.output_files:write_report",),
+    "summary": ("pdr_graph.report.output_files:summarize",),
 }
 GRAPH = ("graph, built", "graph, particles", "graph, solved", "graph, covariance")
 

@@ -27,7 +27,6 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smo
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.inputs import read
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import events_of
@@ -35,7 +34,7 @@ from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario, scenario_file
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Recording, Trajectory
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options, read
 
 SPARSE = 60.0  # [s] between the fixes of a user who gives few
 STANDING = 60.0  # [s] in which a walker stands still

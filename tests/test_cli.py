@@ -365,13 +365,14 @@ def test_evaluating_with_another_clock_is_an_error(folder, result, tmp_path):
 
 def test_if_the_graph_cannot_be_solved_the_filter_is_written(folder, tmp_path, monkeypatch):
     """Everything else is written, and the summary lists what is missing."""
-    from pdr_graph import batch, pipeline
+    from pdr_graph import walk
+    from pdr_graph.report.output_files import smooth_recording
 
     def indeterminate(graph):
         raise RuntimeError("Indeterminant linear system detected\nmore lines of it")
 
-    monkeypatch.setattr(pipeline, "smooth", indeterminate)
-    missing = batch.smooth_recording(folder / "walk.txt", tmp_path, pipeline.Options(fixes=folder / "fixes.csv"))
+    monkeypatch.setattr(walk, "smooth", indeterminate)
+    missing = smooth_recording(folder / "walk.txt", tmp_path, walk.Options(fixes=folder / "fixes.csv"))
     assert "Indeterminant linear system" in missing[0]
     assert json.loads((tmp_path / "summary.json").read_text())["missing"] == list(missing)
     assert (tmp_path / "figure.png").exists()

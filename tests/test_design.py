@@ -17,19 +17,16 @@ FLOORS = [
     ["serve"],
     ["lifelog", "evaal"],
     ["online"],
-    ["batch"],
-    ["pipeline"],
-    ["outputs"],
     ["report"],
-    ["inputs"],
-    ["plausibility", "walk_options"],
+    ["walk"],
+    ["plausibility"],
     ["estimation", "simulation"],
     ["gait", "io"],
     ["inertial", "floor"],
     ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "types"],
     ["notebook_html"],
-    ["errors", "whole_files", "progress", "priors"],
+    ["errors", "whole_files", "priors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {
@@ -65,11 +62,11 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (22, 3658),
-    "cli": (12, 985),
-    "estimation": (17, 2966),
-    "estimation/ambiguity": (7, 541),
-    "estimation/factors": (14, 2396),
+    ".": (16, 3223),
+    "cli": (13, 1047),
+    "estimation": (23, 2891),
+    "estimation/ambiguity": (7, 546),
+    "estimation/factors": (22, 2523),
     "estimation/live": (20, 2203),
     "evaal": (5, 551),
     "floor": (10, 1233),
@@ -81,14 +78,14 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lifelog/past": (9, 1024),
     "online": (12, 1151),
     "papers": (6, 567),
-    "report": (8, 1204),
+    "report": (9, 1436),
     "serve": (28, 2907),
     "simulation": (11, 1454),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (42, 7224),
-    "online.navigator": (93, 13960),
+    "estimation.smoother": (50, 7237),
+    "online.navigator": (102, 14036),
 }
 
 

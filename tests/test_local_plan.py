@@ -16,12 +16,11 @@ from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import own_format
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
-from pdr_graph.inputs import read
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.serve.plan_layers import plan_layers
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options, read
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu, projected
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.serve.serving import Settings, build
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 TWO_FLOORS = MAPS / "two_floors.geojson"
 PLACE = (48.0, 11.0)  # latitude and longitude, which are both possible in either order
@@ -226,7 +226,7 @@ def test_a_refused_server_writes_nothing(tmp_path):
 
 
 def refusal_of_a_trial(plan, initial, lonlat=True):
-    navigator, _ = navigator_of(Options(plan=plan))
+    navigator = navigator_of(Options(plan=plan))
     try:
         format_on_plan(lonlat, False, plan, navigator, initial)
     except InputError as error:

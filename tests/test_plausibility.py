@@ -11,12 +11,11 @@ from test_cli import ARCADE, MAPS, ROUTE
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
-from pdr_graph.inputs import read
 from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.plausibility import Plausibility
 from pdr_graph.types import Fixes, Recording, Signal
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options, read
 
 PLAN = Building.load(ARCADE)
 FRAME = PLAN.floors[0].frame
@@ -181,7 +180,7 @@ def test_a_live_walk_is_refused_beacons_of_another_town(tmp_path):
         listed = written(tmp_path, "beacons.csv", "beacon,x,y", ("A", away, 18), ("B", away + 5, 18))
         options = Options(plan=ARCADE, beacons=listed)
         if accepted:
-            assert navigator_of(options)[1] == PLAN.labels
+            assert navigator_of(options).keywords["floor"].labels == PLAN.labels
             continue
         with pytest.raises(InputError, match=r"beacons.csv: found each of 2 beacons 90 km or more from the plan"):
             navigator_of(options)

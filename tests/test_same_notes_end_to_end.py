@@ -12,19 +12,17 @@ import numpy as np
 import pytest
 import simulated
 
-from pdr_graph.batch import smooth_recording
 from pdr_graph.errors import InputError
-from pdr_graph.inputs import read
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.online.replay import replay_recording
-from pdr_graph.pipeline import estimate
-from pdr_graph.pipeline import observe as observe_walk
+from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import Headings
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options, estimate, read
+from pdr_graph.walk import observe as observe_walk
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
 PLAN = Path(__file__).resolve().parents[1] / "maps" / "arcade.geojson"

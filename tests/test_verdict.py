@@ -13,11 +13,11 @@ from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, fixes
 
 import pdr_graph as pdr
 from pdr_graph.cli import app
+from pdr_graph.cli.learning import learn_radio_map
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.estimation.results import stride_determined, teaches_profile
 from pdr_graph.geometry import interpolate
-from pdr_graph.pipeline import learn_radio_map
 from pdr_graph.types import DOUBTFUL, FAILED, Contradiction, Headings, Verdict
 
 MAPS = Path(__file__).parent.parent / "maps"

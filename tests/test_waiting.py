@@ -29,7 +29,7 @@ LIMITED = {
         "self._future.result()",
     ): "a computation of this process; serve replaces an estimating process after LONGEST_SILENCE",
     ("cli/terminal.py", "SILENT.get()"): "no wait: a variable of this context",
-    ("progress.py", "SILENT.get()"): "no wait: a variable of this context",
+    ("errors.py", "SILENT.get()"): "no wait: a variable of this context",
     ("floor/formats/pdf_page.py", "item.get_matrix().get()"): "no wait: a matrix of pypdfium2",
     ("lifelog/cluster.py", "thread.submit(asyncio.run, greet()).result()"): "greet ends after CONNECT_TIMEOUT + 1 s",
     ("lifelog/workers.py", "future.result()"): "the future is done",

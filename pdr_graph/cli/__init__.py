@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 import pdr_graph
 from pdr_graph.cli.compare import compare
+from pdr_graph.cli.learning import calibrate, radio_map
 from pdr_graph.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.cli.options import (
     AsJson,
@@ -39,8 +40,7 @@ from pdr_graph.cli.plans import maps
 from pdr_graph.cli.serve import serve
 from pdr_graph.cli.summary_text import print_summary
 from pdr_graph.cli.terminal import echo, echo_result
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable
-from pdr_graph.progress import shows_progress
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
 
 
@@ -104,7 +104,7 @@ def smooth(
     pdr-graph smooth walk.zip
     pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
     """
-    from pdr_graph.batch import smooth_recording
+    from pdr_graph.report.output_files import smooth_recording
 
     folder = output.folder(recording, "-smoothed", walk.files)
     options = walk.options(method=str(method), rate=rate)
@@ -136,7 +136,7 @@ def replay(
     pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
     """
     from pdr_graph.online.replay import replay_recording
-    from pdr_graph.walk_options import LIVE
+    from pdr_graph.walk import LIVE
 
     of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
     folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
@@ -167,7 +167,7 @@ def steps(
     from pdr_graph.gait.steps import detect_steps
     from pdr_graph.io.loading import load
     from pdr_graph.io.writers import write_steps
-    from pdr_graph.walk_options import Options
+    from pdr_graph.walk import Options
 
     walk, person = load(recording), Options(walker=walker, height=height).person()
     detected = detect_steps(walk, person)
@@ -176,58 +176,8 @@ def steps(
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
 
 
-@app.command()
-def calibrate(
-    recording: RecordingPath,
-    route: Annotated[
-        Path,
-        typer.Option("--route", metavar="GEOJSON", help="The route that was walked: one feature of kind link."),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="File of the walker's profile.")],
-    walker: WalkerPath = None,
-    height: Height = None,
-    quiet: Quiet = False,
-) -> None:
-    """Estimate a walker's stride and turn scales on a known route.
-
-    \b
-    pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
-    """
-    from pdr_graph.gait.walker import COEFFICIENTS
-    from pdr_graph.pipeline import calibrate_walker
-    from pdr_graph.walk_options import Options
-
-    profile, laps = calibrate_walker(recording, route, out, Options(walker=walker, height=height).person())
-    sigma = profile.covariance.diagonal() ** 0.5
-    columns = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
-    values = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in columns)
-    echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
-
-
-@app.command("radio-map")
-def radio_map(
-    walks: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RECORDING DIR ...", help="Recordings, each followed by the output folder of its smooth."
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File of the radio map.")],
-    quiet: Quiet = False,
-) -> None:
-    """Make a radio map of Wi-Fi and BLE from smoothed walks.
-
-    For smooth --radio-map. All walks must have been smoothed with the same plan.
-
-    \b
-    pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
-    """
-    from pdr_graph.pipeline import learn_radio_map
-
-    if len(walks) % 2:
-        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
-    learnt = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
-    echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
+app.command()(calibrate)
+app.command("radio-map")(radio_map)
 
 
 @app.command()
@@ -261,16 +211,17 @@ def evaal(
     from functools import partial
     from urllib.parse import quote
 
-    from pdr_graph.batch import smooth_recording
     from pdr_graph.evaal.client import Api
     from pdr_graph.evaal.trial import Entry, format_on_plan, run_trial
     from pdr_graph.online.replay import navigator_of
-    from pdr_graph.walk_options import Options
+    from pdr_graph.report.output_files import smooth_recording
+    from pdr_graph.walk import Options
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
     check_replaceable(folder, "requests.log", force)
     options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
-    navigator, labels = navigator_of(options)
+    navigator = navigator_of(options)
+    labels = navigator.keywords["floor"].labels if map_ else ()
 
     def smooth_offline(recording: Path, fixes: Path | None) -> tuple[str, ...]:
         return smooth_recording(recording, folder, replace(options, fixes=fixes))

@@ -71,7 +71,7 @@ def _estimated(name: str, recording: Path | None, folder: Path, walk: WalkOption
         return Path(name)
     if recording is None:
         raise InputError(name, "", "a method of smooth, and no file of that name", "--recording, which it estimates")
-    from pdr_graph.batch import smooth_recording
+    from pdr_graph.report.output_files import smooth_recording
 
     smooth_recording(recording, folder / name, walk.options(method=name), report=False)
     return folder / name

@@ -17,8 +17,7 @@ from pdr_graph.cli.options import BeaconsPath, FixesPath, Quiet, RangesPath, Wal
 from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.serve import serve_lifelog
 from pdr_graph.cli.terminal import echo
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count
-from pdr_graph.progress import shows_progress
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count, shows_progress
 
 lifelog = App(
     no_args_is_help=True,

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from pdr_graph.errors import InputError
-from pdr_graph.progress import SILENT
+from pdr_graph.errors import SILENT, InputError
 from pdr_graph.whole_files import LAST, check_replaceable
 
 if TYPE_CHECKING:
-    from pdr_graph.walk_options import Options
+    from pdr_graph.walk import Options
 
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="A recording: file, folder or zip of a supported recorder.")
@@ -161,7 +160,7 @@ Force = Annotated[bool, typer.Option("--force", help="Write to --out even if it 
 
 @dataclass(frozen=True)
 class WalkOptions:
-    """The options of an estimate, as of `pdr_graph.inputs.Options`, with the names of the command line."""
+    """The options of an estimate, as of `pdr_graph.walk.Options`, with the names of the command line."""
 
     map: MapPath = None
     scale: PlanScale = None
@@ -184,7 +183,7 @@ class WalkOptions:
 
     def options(self, **more: Any) -> Options:
         """The options of the estimate. more: further ones, by name."""
-        from pdr_graph.walk_options import Options
+        from pdr_graph.walk import Options
 
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Options(plan=values.pop("map"), **values, **more)

@@ -32,8 +32,6 @@ def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) ->
 
 def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield the verdict with the key figures, the errors if a truth is known, the reasons and the warnings."""
-    from pdr_graph.outputs import live_lines, score_lines
-
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
     sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
     yield f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
@@ -44,3 +42,29 @@ def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"{state}: {reason['text']} (to check: {reason['check']})"
     for warning in summary["warnings"]:
         yield f"note: {warning}"
+
+
+def live_lines(live: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield ``live`` of ``summary.json`` as text; without truth the sigma of the current poses."""
+    if live is None:
+        return
+    from pdr_graph.report.evaluation import error_text
+    from pdr_graph.report.output_files import KNOWN_AT_ONCE
+
+    error, smoothed = live["error"], live["hindsight"]["error"]
+    first = f"first pose after {live['first_pose']:.1f} s"
+    if error is None:
+        yield f"{KNOWN_AT_ONCE}: {first}, median sigma {live['sigma']:.1f} m"
+        return
+    yield f"{KNOWN_AT_ONCE}: error 50 / 75 / 95 %: {error_text(error)}; {first}"
+    if smoothed is not None:
+        yield f"in hindsight, smoothed: error 50 / 75 / 95 %: {error_text(smoothed)}"
+
+
+def score_lines(scores: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield ``scores`` of ``summary.json`` as text; nothing without truth."""
+    if scores is not None and scores["ce"] is not None:
+        from pdr_graph.report.evaluation import error_text
+
+        errors = error_text({**scores["ce"], "in_90": scores["in_90"]})
+        yield f"against the truth: error 50 / 75 / 95 %: {errors}"

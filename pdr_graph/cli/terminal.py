@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from pdr_graph.errors import printable
-from pdr_graph.progress import SILENT
+from pdr_graph.errors import SILENT, printable
 
 
 def echo(text: str, err: bool = False) -> None:

@@ -39,11 +39,10 @@ from pdr_graph.types import (
     take,
     with_offset,
 )
-from pdr_graph.walk_options import Options
 
 if TYPE_CHECKING:
     from pdr_graph.gait.signals import GaitSignals
-    from pdr_graph.inputs import Inputs
+    from pdr_graph.walk import Evidence
 
 
 # Chosen by hand
@@ -142,10 +141,10 @@ def from_bytes(blob: bytes) -> Observation:
     return replace(observation, headings=replace(observation.headings))  # sources that earlier versions did not have
 
 
-def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
+def read_inputs(recording: Path, options: RecordingOptions) -> Evidence:
     """Read a recording and the files of its options. Raises InputError if a file cannot be used."""
-    from pdr_graph.inputs import read  # here, as what detects steps: most commands use what was observed long ago
-    from pdr_graph.plausibility import FASTEST_RIDE
+    from pdr_graph.plausibility import FASTEST_RIDE  # imported here: most commands use what was observed long ago
+    from pdr_graph.walk import Options, read
 
     files = Options(
         plan=options.plan,
@@ -153,6 +152,7 @@ def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
         beacons=options.beacons,
         ranges=options.ranges,
         walker=options.walker,
+        floor=options.floor,
     )
     return read(recording, files, FASTEST_RIDE)
 
@@ -164,13 +164,12 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
 
     Raises InputError if the recording cannot be used or has no date.
     """
-    from pdr_graph.gait.compass import magnetic_headings
     from pdr_graph.gait.signals import gait_signals
-    from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.walk import detected
 
     options = options or RecordingOptions()
     inputs = read_inputs(recording, options)
-    walk, walker = inputs.walk, replace(inputs.walker, profile=None)
+    walk = inputs.walk
     epoch = walk.epoch if options.begins is None else options.begins
     if epoch is None:
         raise InputError(recording, "", "no date", "a start time: give --begins")
@@ -179,7 +178,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     last = [s.time[-1] for s in walk.signals.values()] or [inputs.fixes.time[-1]]
     if walk.has_acceleration:
         gaits = gait_signals(walk)
-        steps, headings = detect_steps(gaits, walker), magnetic_headings(gaits, inputs.frame, inputs.near)
+        steps, headings = detected(replace(inputs, walker=replace(inputs.walker, profile=None)), gaits)
         looks, ends = _turns_in_pauses(gaits, steps), _fields_at_ends(gaits)
     return Observation(
         source=walk.source,

@@ -14,7 +14,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import ROUTE, teaches_profile, verdict
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
-from pdr_graph.gait.walker import Profile
+from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, with_stated_rides, without_rides
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
@@ -29,9 +29,9 @@ from pdr_graph.lifelog.sessions import (
     sessions_of,
 )
 from pdr_graph.lifelog.stays import stays_of, stays_of_positions
-from pdr_graph.pipeline import Evidence, estimate, with_beacon_levels, with_floors, with_measurements
 from pdr_graph.priors import MOTION
-from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr
+from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording
+from pdr_graph.walk import Evidence, Options, estimate, with_tables
 
 
 @dataclass(frozen=True)
@@ -111,17 +111,32 @@ def estimate_walk(
     first = session.parts[0][1]
     joined = _with_start_after(before, join(session.observations, [one for _, one in session.beside], frame))
     building, fixes = building_of(first.plan) if first.plan else None, joined.fixes
+    walk = Recording(
+        first.source,
+        0.0,
+        joined.epoch,
+        barometer=joined.barometer,
+        bluetooth=joined.bluetooth,
+        measurements=(joined.closures, *joined.measurements),
+    )
 
     # The steps of this walker, without rides, on their floors
     steps = profile.corrected(joined.steps) if profile else joined.steps
     rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.stated)
-    evidence = Evidence(without_rides(steps, rides), fixes, joined.headings, building, profile=profile)
-    evidence = with_measurements(evidence, (joined.closures, *joined.measurements))
-    evidence = with_floors(evidence, joined.barometer, first.floor or None, Path(first.plan))
-    evidence = with_beacon_levels(evidence, joined.bluetooth, joined.beacons)
+    evidence = Evidence(
+        walk,
+        Walker(profile=profile),
+        building,
+        joined.frame,
+        fixes,
+        beacons=joined.beacons,
+        options=Options(plan=Path(first.plan) if first.plan else None, floor=first.floor or None),
+        steps=without_rides(steps, rides),
+        headings=joined.headings,
+    )
 
     # The most probable walk
-    result = estimate(evidence)
+    result = estimate(with_tables(evidence))
     assert result.graph is not None, "a walk has steps"
     return EstimatedWalk(session, profile, joined, building, rides, result.graph, result.estimate, result.missing)
 

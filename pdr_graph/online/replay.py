@@ -15,25 +15,21 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, Stages, shows_progress
 from pdr_graph.estimation.factors.fixes import OUTSIDE, duplicates
-from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.results import missing_of, outside_warnings
-from pdr_graph.floor.plan_files import Building, plan_fingerprint
+from pdr_graph.floor.plan_files import plan_fingerprint
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.inputs import Inputs, load_radio_map, read
 from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal
-from pdr_graph.outputs import REPORT, Result, write
-from pdr_graph.pipeline import NO_ACCELEROMETER, positions_alone
-from pdr_graph.plausibility import check_beacons_on_plan, check_floors
+from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.priors import FIXES
-from pdr_graph.progress import Stages, shows_progress
+from pdr_graph.report.output_files import REPORT, write
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
-from pdr_graph.walk_options import LIVE, Options
+from pdr_graph.walk import LIVE, Evidence, Options, Result, fixes_alone, read, read_plan, read_radio_map
 from pdr_graph.whole_files import output_folder
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
@@ -126,12 +122,12 @@ def replay_recording(
     options = replace(options or Options(), method=LIVE)
     stage, latency = Stages(), Latency()
     with stage("reading"):
-        inputs = read(recording, options)
-        outside = _outside(inputs.walk, inputs.other_fixes)
-        events = list(events_of(replace(inputs.walk, fixes=inputs.other_fixes[~outside])))
+        evidence = read(recording, options)
+        outside = _outside(evidence.walk, evidence.other_fixes)
+        events = list(events_of(replace(evidence.walk, fixes=evidence.other_fixes[~outside])))
     with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("opening"):
-            nav = _opened(inputs, options, len(events), kind or _navigator())
+            nav = _opened(evidence, len(events), kind)
         gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
         with nav if isinstance(nav, Journal) else nullcontext():
             done = nav.count if isinstance(nav, Journal) else 0
@@ -139,12 +135,12 @@ def replay_recording(
             causal = walked(nav, _shown(events[done:]), latency)
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
-                result = _finished(nav, inputs, inputs.other_fixes[outside])
-        write_trajectory(staged / "causal.csv", causal, inputs.walk.clock_origin)
+                result = _finished(nav, evidence, evidence.other_fixes[outside])
+        write_trajectory(staged / "causal.csv", causal, evidence.walk.clock_origin)
         write_summary(staged / "latency.json", latency.describe())
         resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
         result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
-        return write(staged, inputs, result, options, stage, report)
+        return write(staged, result, stage, report)
 
 
 def _outside(walk: Recording, fixes: Fixes) -> Mask:
@@ -156,41 +152,38 @@ def _outside(walk: Recording, fixes: Fixes) -> Mask:
     return (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)
 
 
-def navigator_of(options: Options) -> tuple[partial[Any], tuple[str, ...]]:
-    """A function that creates the navigator of a live walk, and the labels of its floors.
+def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any = None) -> partial[Any]:
+    """What creates the navigator of a walk. evidence: of a recorded walk; without it the walk is still to come.
 
-    Raises InputError if a file cannot be used.
+    kind: class of the navigator, by default ``Navigator``. Raises InputError if a file cannot be used.
     """
-    building = Building.load(options.plan, options.scale) if options.plan else None
-    if building is not None and options.plan is not None:
-        check_floors(options.plan, building, options.floor)
-    beacons = read_beacons(options.beacons) if options.beacons else None
-    if building is not None and options.beacons is not None and beacons is not None:
-        check_beacons_on_plan(options.beacons, beacons, building)
-    arguments = {
-        "floor": building,
-        "lag": options.lag,
-        "walker": options.person(),
-        "beacons": beacons,
-        "radio_map": load_radio_map(options.radio_map, building) if options.radio_map else None,
-        "start_floor": options.floor,
-    }
-    return partial(_navigator(), **arguments), building.labels if building else ()
+    if evidence is not None:
+        known = {"floor": evidence.building, "walker": evidence.walker, "frame": evidence.frame}
+        known |= {"beacons": evidence.beacons, "radio_map": evidence.radio_map}
+        if evidence.start_heading is not None:  # another class of navigator need not have it
+            known["start_heading"] = evidence.start_heading
+    else:
+        building, beacons = read_plan(options), read_beacons(options.beacons) if options.beacons else None
+        if building is not None and options.beacons is not None and beacons is not None:
+            check_beacons_on_plan(options.beacons, beacons, building)
+        known = {"floor": building, "walker": options.person(), "beacons": beacons}
+        known["radio_map"] = read_radio_map(options, building)
+    return partial(kind or _navigator(), **known, lag=options.lag, start_floor=options.floor)
 
 
-def _opened(inputs: Inputs, options: Options, events: int, kind: Any) -> Any:
+def _opened(evidence: Evidence, events: int, kind: Any) -> Any:
     """The navigator of a walk, new or resumed from the journal if the options name one."""
-    arguments = {"floor": inputs.building, "lag": options.lag, "walker": inputs.walker, "frame": inputs.frame}
-    arguments |= {"beacons": inputs.beacons, "radio_map": inputs.radio_map, "start_floor": options.floor}
-    if inputs.start_heading is not None:  # another class of navigator need not have it
-        arguments["start_heading"] = inputs.start_heading
+    options = evidence.options
+    create = navigator_of(options, evidence, kind)
     if options.journal is None:
-        return kind(**arguments)
-    files = {"fixes": options.fixes, "walker file": options.walker, "list beside it": beside(Path(inputs.walk.source))}
-    settings = {"recording": inputs.walk.source, "events": events, "walker": inputs.walker.describe()}
+        return create()
+    recording = evidence.walk.source
+    files = {"fixes": options.fixes, "walker file": options.walker, "list beside it": beside(Path(recording))}
+    settings = {"recording": recording, "events": events, "walker": evidence.walker.describe()}
     settings |= journal_settings(options, files) | {"recorded_fixes": options.recorded_fixes}
     settings |= {} if options.start_heading is None else {"start_heading": options.start_heading}
-    return Journal.open(options.journal, partial(kind, **arguments), partial(kind.restored, **arguments), settings)
+    kind = kind or _navigator()
+    return Journal.open(options.journal, create, partial(kind.restored, **create.keywords), settings)
 
 
 def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict[str, Any]:
@@ -234,15 +227,21 @@ def _navigator() -> Any:
     return Navigator
 
 
-def _finished(nav: LiveEstimator, inputs: Inputs, outside: Fixes) -> Result:
+def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
     """The smoothed walk with what could not be estimated; the smoothed fixes alone if there are no steps.
 
-    outside: fixes that were not pushed since they lie outside the recording.
+    outside: fixes that were not pushed since they lie outside the recording. Raises InputError if there are neither
+    steps nor fixes, or if the samples cannot be used.
     """
     estimate, steps, status = nav.finish(), nav.steps, nav.status
     issues = tuple(line for line in status.issues if not line.endswith((NO_DATA, NO_STEPS)))
     if not len(estimate.trajectory):
-        return _without_steps(inputs, issues)
+        if evidence.walk.has_acceleration or not len(evidence.fixes):
+            gait_signals(evidence.walk)
+        if not len(evidence.fixes):
+            expected = "accelerometer samples of a second or more"
+            raise InputError(evidence.walk.source, "", "neither steps nor fixes", expected)
+        return fixes_alone(evidence, issues)
     late = outside.time[~duplicates(outside)]
     issues += outside_warnings(late, float(estimate.trajectory.time[0]), float(estimate.trajectory.time[-1]))
     reports = [
@@ -251,22 +250,8 @@ def _finished(nav: LiveEstimator, inputs: Inputs, outside: Fixes) -> Result:
     ]
     fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
     estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
-    missing = (*status.unknown, *missing_of(estimate, len(inputs.fixes)))
-    return Result(estimate, missing, step_count=steps, issues=issues)
-
-
-def _without_steps(inputs: Inputs, issues: tuple[str, ...]) -> Result:
-    """The smoothed fixes alone. Raises InputError if there are none, or if the samples cannot be used."""
-    walk = inputs.walk
-    if walk.has_acceleration or not len(inputs.fixes):
-        gait_signals(walk)
-    if not len(inputs.fixes):
-        raise InputError(walk.source, "", "neither steps nor fixes", "accelerometer samples of a second or more")
-    if not walk.signals:
-        result = positions_alone(inputs.fixes)
-        return replace(result, issues=(*issues, *result.issues))
-    missing = "steps: none were found, so that this is the fixes alone, smoothed"
-    return Result(follow(inputs.fixes), (missing if walk.has_acceleration else NO_ACCELEROMETER,), issues=issues)
+    missing = (*status.unknown, *missing_of(estimate, len(evidence.fixes)))
+    return Result(evidence, estimate, missing, step_count=steps, issues=issues)
 
 
 def _shown(events: Sequence[Event]) -> Iterable[Event]:

@@ -23,7 +23,7 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.online.replay import journal_settings, navigator_of
 from pdr_graph.serve.live_walk import LiveWalk, opened, read_session
 from pdr_graph.serve.publishing import PATH_INTERVAL
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 LATEST_POSE = 1.0  # [s] the same of a pose
 MOST_FAILURES = 3  # after which a walker is left alone until the next start
@@ -52,12 +52,11 @@ class Estimating:
 
     def __init__(self, root: Path, options: Options, send: Callable[[str, dict[str, Any]], None], working: Any):
         self._root, self._send, self._working = root, send, working
-        create, _ = navigator_of(options)
         self._executor = ThreadPoolExecutor(1)
-        arguments = {**create.keywords, "executor": self._executor}  # type: ignore[attr-defined]
-        kind: Any = create.func  # type: ignore[attr-defined]
+        create = partial(navigator_of(options), executor=self._executor)
         settings = journal_settings(options, {"walker": options.walker})
-        self._arguments = partial(kind, **arguments), partial(kind.restored, **arguments), settings
+        kind: Any = create.func
+        self._arguments = create, partial(kind.restored, **create.keywords), settings
         self._tasks, self._failed = dict[str, Task](), dict[str, tuple[int, float]]()
 
     def handle(self, action: str, id_: str) -> None:

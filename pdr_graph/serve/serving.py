@@ -31,7 +31,7 @@ from pdr_graph.serve.live_walk import Session
 from pdr_graph.serve.plan_layers import plan_layers
 from pdr_graph.serve.pulling import Sources, running
 from pdr_graph.serve.reception import Limits, Reception
-from pdr_graph.walk_options import LIVE, Options
+from pdr_graph.walk import LIVE, Options
 
 SESSIONS, TOKENS = "sessions", "tokens.json"
 
@@ -68,8 +68,7 @@ class Settings:
 def check_options(options: Mapping[str, Any]) -> LiveInputs:
     """Read the inputs of live estimates. Raises InputError if a file cannot be used, before a phone connects."""
     checked = Options(**options, method=LIVE)
-    create, _ = navigator_of(checked)
-    return LiveInputs(checked, create.keywords["floor"])
+    return LiveInputs(checked, navigator_of(checked).keywords["floor"])
 
 
 def build(settings: Settings) -> Starlette:

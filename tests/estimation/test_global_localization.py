@@ -16,12 +16,10 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
-from pdr_graph.inputs import Inputs
-from pdr_graph.pipeline import Evidence, observe
-from pdr_graph.pipeline import estimate as estimate_walk
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Steps
+from pdr_graph.types import Fixes, Recording, Steps
+from pdr_graph.walk import Evidence, estimate, observe
 
 ROOT = Path(__file__).resolve().parents[2]
 TURN = np.pi / 2
@@ -77,8 +75,9 @@ def test_no_filter_is_shown_of_a_walk_without_any_position():
     plan, steps, _ = arcade()
     seen = Fixes(steps.time[:1], np.zeros((1, 2)), np.ones(1), ("",))
     for fixes, names in ((Fixes.none(), []), (seen, ["filter"])):
-        walk = Evidence(steps, fixes, building=Building.around(plan))
-        assert list(estimate_walk(walk).causal()) == names
+        building = Building.around(plan)
+        evidence = Evidence(Recording("", 0.0, None), Walker(), building, Frame(), fixes, steps=steps)
+        assert list(estimate(evidence).causal()) == names
 
 
 def test_a_symmetric_building_has_two_answers_of_one_half():
@@ -120,7 +119,7 @@ def test_the_floor_on_which_a_walk_begins_is_found():
 def test_several_floors_are_several_possible_starts():
     walk = simulate(Scenario.load("two_floors"))
     building = Building.load(ROOT / "maps" / "two_floors.geojson")
-    inputs = Inputs(walk.recording(), Walker(), building, building.floors[0].frame, Fixes.none(), ())
+    inputs = Evidence(walk.recording(), Walker(), building, building.floors[0].frame, Fixes.none(), ())
     evidence = observe(inputs)
     assert [one.floors.labels[0] for one in (evidence, *evidence.others)] == ["1"], "it climbs one floor"
     level = replace(inputs, walk=replace(inputs.walk, barometer=None))

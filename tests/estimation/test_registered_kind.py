@@ -16,20 +16,18 @@ from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from walks import drawn_from_the_model
 
 import pdr_graph as pdr
-from pdr_graph import outputs
+from pdr_graph.errors import Stages
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.geometry import interpolate
-from pdr_graph.inputs import read
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.observation import observe, read_observation
 from pdr_graph.lifelog.store import RecordingOptions, Store
-from pdr_graph.pipeline import estimate
-from pdr_graph.pipeline import observe as evidence_of
-from pdr_graph.progress import Stages
-from pdr_graph.walk_options import Options
+from pdr_graph.report import output_files as outputs
+from pdr_graph.walk import Options, estimate, read
+from pdr_graph.walk import observe as evidence_of
 
 SIGMA = 0.2  # [m]
 EVERY = 3.0  # [s] between two lines
@@ -236,12 +234,11 @@ def recorded(tmp_path_factory):
 
 def test_report_and_summary_list_the_lines(recorded, tmp_path):
     folder, truth, lines = recorded
-    options = Options(fixes=folder / "fixes.csv")
-    walk = replace(load(folder / "walk.txt"), measurements=(lines,))
-    inputs = read(folder / "walk.txt", options, walk=walk)
-    result = estimate(evidence_of(inputs, options))
+    evidence = read(folder / "walk.txt", Options(fixes=folder / "fixes.csv"))
+    walk = replace(evidence.walk, measurements=(lines,))
+    result = estimate(evidence_of(replace(evidence, walk=walk)))
     assert error(result.estimate.trajectory, truth) < 0.4
-    assert outputs.write(tmp_path, inputs, result, options, Stages()) == ()
+    assert outputs.write(tmp_path, result, Stages()) == ()
     assert "Anchor lines" in (tmp_path / "report.html").read_text()
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert len(summary["reports"]["anchor_lines"]) == len(lines.time)

@@ -8,7 +8,6 @@ import pytest
 import simulated
 from observations import HERE, NOON, observation, positions, walk
 
-from pdr_graph.batch import smooth_recording
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
@@ -20,8 +19,9 @@ from pdr_graph.lifelog.observation import read_observation
 from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.lifelog.sessions import join
 from pdr_graph.lifelog.store import RecordingOptions, Store
+from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import Fixes, Ranges, concatenate
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 ROUTE = np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0), (40.0, 32.0)])
 ANCHORS = np.array([(36.0, 26.0), (36.0, 46.0), (69.0, 46.0), (69.0, 26.0)])

@@ -12,14 +12,14 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
+from pdr_graph.cli.summary_text import live_lines
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_trajectory
 from pdr_graph.online import replay
 from pdr_graph.online.replay import Latency, replay_recording
-from pdr_graph.outputs import live_lines
 from pdr_graph.report.evaluation import coverage
 from pdr_graph.types import Trajectory
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
 

@@ -8,12 +8,11 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
-from pdr_graph.batch import smooth_recording
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.inputs import read
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.walk_options import Options
+from pdr_graph.report.output_files import smooth_recording
+from pdr_graph.walk import Options, read
 
 SCALE = 4.3197  # [m] per unit
 START = (8.0, 26.75)  # [m] surveyed; the walk heads along -y and is closed

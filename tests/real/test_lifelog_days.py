@@ -10,10 +10,10 @@ from cleaned_track import cleaned_length, raw_length
 
 from pdr_graph import Walker, detect_steps
 from pdr_graph.geometry import dead_reckon, interpolate
-from pdr_graph.inputs import read
 from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, without_rides
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.types import Fixes, Steps
+from pdr_graph.walk import read
 
 DAYS = ("geolife_sample/000", "geolife_sample/001", "geolife_sample/005", "geolife_sample/010", "gpx_sample")
 WALKS = ("nju_phyphox_outdoor", *(f"ipin2023_track3/*{name}*.txt" for name in ("Trial01", "Trial24", "Trial52")))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
-from pdr_graph.inputs import read
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes, Signal
+from pdr_graph.walk import read
 
 MINUTES = 2.5
 WALKS = {"IPIN": "ipin2023_track3/*Trial01*.txt", "NJU": "nju_phyphox_outdoor"}

@@ -7,10 +7,10 @@ from pdr_graph import dead_reckon, kalman_filter, smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inputs import Inputs
-from pdr_graph.outputs import Result, summarize
-from pdr_graph.report.walk import WalkReport
+from pdr_graph.report.content import WalkReport
+from pdr_graph.report.output_files import summarize
 from pdr_graph.types import Fixes, Recording, Signal
+from pdr_graph.walk import Evidence, Result
 
 RATE = 100.0  # [Hz]
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
@@ -42,8 +42,9 @@ def estimated(steps, fixes, **more):
 
 def shown(walk, estimate, building=None, warnings=(), missing=(), **more):
     """What a report has of an estimate."""
-    inputs = Inputs(walk, Walker(), building, Frame(), Fixes.none(), ())
-    summary = summarize(inputs, Result(estimate, steps=more.get("steps")))
+    evidence = Evidence(walk, Walker(), building, Frame(), Fixes.none())
+    steps = more.get("steps")
+    summary = summarize(Result(evidence, estimate, graph=None if steps is None else WalkGraph(steps, Fixes.none())))
     summary |= {"seconds": {"reading": 1.0}, "settings": {"method": "graph"}}
     summary |= {"missing": list(missing), "warnings": list(warnings)}
     return WalkReport(walk, building, estimate, "graph", summary, **more)

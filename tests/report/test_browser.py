@@ -15,13 +15,13 @@ from browser import Page, chromium
 from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
 
-from pdr_graph.batch import smooth_recording
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.online.replay import replay_recording
+from pdr_graph.report.content import content
+from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.report.page import page
-from pdr_graph.report.walk import content
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 MAPS = Path(__file__).parents[2] / "maps"
 HOUR = 70  # laps of 55 s

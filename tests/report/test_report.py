@@ -22,15 +22,15 @@ from scipy.stats import chi2
 from walks import steps_of
 
 from pdr_graph import geometry
-from pdr_graph.batch import smooth_recording
 from pdr_graph.estimation.factors.heading_prior import HeadingReport
 from pdr_graph.report import page as page_module
 from pdr_graph.report.charts_and_tables import health, measurement_table, sensor_rows
+from pdr_graph.report.content import CAUSAL, DASHES, content
 from pdr_graph.report.evaluation import evaluate
+from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.report.page import GREY, MAXIMUM_ROWS, OTHER, TRACK, TRUTH, column, page, runs, thinned
-from pdr_graph.report.walk import CAUSAL, DASHES, content
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
-from pdr_graph.walk_options import Options
+from pdr_graph.walk import Options
 
 HOUR = 70  # laps of 55 s
 DRAWN = {"result": TRACK, "causal": CAUSAL, "another route": OTHER, "dead reckoning": GREY, "truth": TRUTH}

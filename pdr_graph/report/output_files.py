@@ -1,29 +1,29 @@
-"""Output files of a walk: trajectory, picture, report and summary; with a truth, scores."""
+"""``pdr-graph smooth``: the files of a walk: trajectory, picture, report and summary; with a truth, scores."""
 
 from __future__ import annotations
 
+import gc
 import platform
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.floors import Floors
-from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import is_located, is_usual, teaches_profile, verdict
+from pdr_graph.estimation.results import is_located, is_usual, teaches_profile
 from pdr_graph.estimation.sources import position_sources
-from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
-from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
-from pdr_graph.progress import Stages
-from pdr_graph.report.evaluation import circular_error, coverage, error_text, evaluate, pair
-from pdr_graph.types import Estimate, Steps, Trajectory, Verdict
-from pdr_graph.walk_options import Options
+from pdr_graph.report.evaluation import circular_error, coverage, evaluate, pair
+from pdr_graph.types import Estimate, Trajectory
+from pdr_graph.walk import Evidence, Options, Result, estimate, observe, read
+from pdr_graph.whole_files import output_folder
 
 LONGEST_SOURCES = (
     0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % of it on IPIN 2023
@@ -35,71 +35,65 @@ REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, eve
 NAMED = (*REPORTED, "ranges")  # kinds whose reports have a key of the summary; those of others are under "reports"
 
 
-@dataclass(frozen=True)
-class Result:
-    """The result of a walk.
-
-    missing: what could not be estimated, a line each; graph, steps, floors: None if not available; profile: that
-    corrected the steps; step_count: number of steps if ``steps`` is None; issues: warnings in addition to those of the
-    estimate; causal: returns causal tracks by name; live: the current poses of a live walk.
-    """
-
-    estimate: Estimate
-    missing: tuple[str, ...] = ()
-    graph: WalkGraph | None = None
-    steps: Steps | None = None
-    floors: Floors | None = None
-    profile: Profile | None = None
-    step_count: int = 0
-    issues: tuple[str, ...] = ()
-    causal: Callable[[], Mapping[str, Trajectory]] | None = None
-    live: Trajectory | None = None
-
-    def tracks(self) -> Mapping[str, Trajectory]:
-        """The causal tracks."""
-        if self.live is not None:
-            return {KNOWN_AT_ONCE: self.live}
-        return self.causal() if self.causal else {}
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the estimate can be trusted."""
-        return verdict(self.estimate)
-
-
-def write(
-    out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages, report: bool = True
+def smooth_recording(
+    recording: Path, out: Path, options: Options | None = None, report: bool = True
 ) -> tuple[str, ...]:
+    """Reconstruct one walk; write trajectory, picture, report and summary to ``out``.
+
+    report: False writes everything else, and removes the report of an earlier walk from ``out``. Returns what could not
+    be estimated or written, a line each; empty if all went well. Raises InputError if an input cannot be used.
+    """
+    stage = Stages()
+    keep_modules()
+    with stage("reading"):
+        evidence = read(recording, options)
+    with stage("steps"):
+        evidence = observe(evidence)
+    with output_folder(out, without=() if report else (REPORT,)) as staged:
+        with stage("estimate"):
+            result = estimate(evidence)
+        return write(staged, result, stage, report)
+
+
+@cache
+def keep_modules() -> None:
+    """Leave imported modules out of garbage collection; once, since what later calls freeze is never collected."""
+    gc.freeze()
+
+
+def write(out: Path, result: Result, stage: Stages, report: bool = True) -> tuple[str, ...]:
     """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each.
 
     report: False leaves ``report.html`` out.
     """
-    estimate, missing = result.estimate, result.missing
+    evidence, estimate, missing = result.evidence, result.estimate, result.missing
+    options, walker = evidence.options, evidence.walker
     with stage("write"):
-        write_tracks(out, inputs, estimate, options.rate)
+        write_tracks(out, result)
         if result.steps is not None and teaches_profile(estimate):
-            walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
-            origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
+            walker = replace(walker, profile=posterior_profile(estimate, result.steps, walker.profile))
+            origin = f"what {evidence.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
-        missing += _write_picture(out / "figure.png", inputs, estimate)
-    summary = summarize(inputs, result) | live_scores(inputs, result) | {"seconds": stage.seconds}
-    summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
+        missing += _write_picture(out / "figure.png", evidence, estimate)
+    summary = summarize(result) | live_scores(result) | {"seconds": stage.seconds}
+    summary |= {"settings": options.describe() | {"walker": evidence.walker.describe()}, "missing": list(missing)}
     with stage("report"):
         if report:
             seconds = stage.seconds.get("estimate", 0.0)
-            missing += write_report(out, inputs, result, options.method, summary, seconds)
-        missing += _unscored(options.truth, inputs, estimate)
+            missing += write_report(out, result, summary, seconds)
+        missing += _unscored(evidence, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
 
-def write_tracks(out: Path, inputs: Inputs, estimate: Estimate, rate: float | None) -> None:
+def write_tracks(out: Path, result: Result) -> None:
     """Write the trajectory in all formats, the truth beside it, and the routes if there are several."""
-    walk, frame = inputs.walk, inputs.frame
+    evidence, estimate = result.evidence, result.estimate
+    walk, frame, rate = evidence.walk, evidence.frame, evidence.options.rate
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
     writers.write_tum(out / "trajectory.tum", trajectory if rate else dense(trajectory), walk.clock_origin)
-    if (truth := _truth_beside(inputs, estimate)) is not None:
+    if (truth := _truth_beside(evidence, estimate)) is not None:
         writers.write_tum(out / "truth.tum", truth, walk.clock_origin)
     if len(estimate.routes) > 1:
         writers.write_routes(out / "routes.csv", estimate.routes, walk.clock_origin)
@@ -110,13 +104,13 @@ def write_tracks(out: Path, inputs: Inputs, estimate: Estimate, rate: float | No
         gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
 
 
-def _write_picture(path: Path, inputs: Inputs, estimate: Estimate) -> tuple[str, ...]:
+def _write_picture(path: Path, evidence: Evidence, estimate: Estimate) -> tuple[str, ...]:
     """Write ``figure.png``; returns why there is none: without it the result is still useful."""
     try:
         from pdr_graph.report.plotting import picture_bytes, plot
 
-        title = f"{inputs.walk.source}   {_length(estimate):.0f} m"
-        picture = picture_bytes(plot(estimate, inputs.building, _truth_beside(inputs, estimate), title))
+        title = f"{evidence.walk.source}   {_length(estimate):.0f} m"
+        picture = picture_bytes(plot(estimate, evidence.building, _truth_beside(evidence, estimate), title))
     except Exception as error:
         return (f"{path.name} ({type(error).__name__}: {error})",)
     path.write_bytes(picture)
@@ -133,24 +127,26 @@ def dense(trajectory: Trajectory) -> Trajectory:
     return resample(replace(trajectory, covariance=None), TUM_RATE) if rows <= MOST_TUM_ROWS else trajectory
 
 
-def write_report(
-    out: Path,
-    inputs: Inputs,
-    result: Result,
-    method: str,
-    summary: dict[str, Any],
-    seconds: float = 0.0,
-) -> tuple[str, ...]:
+def write_report(out: Path, result: Result, summary: dict[str, Any], seconds: float = 0.0) -> tuple[str, ...]:
     """Write ``report.html``; returns what could not be written. seconds: computing time of the estimate [s]."""
     try:
+        from pdr_graph.report.content import WalkReport, content
         from pdr_graph.report.page import page
-        from pdr_graph.report.walk import WalkReport, content
 
-        estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
+        evidence, estimate = result.evidence, result.estimate
+        truth, tracks = _truth_beside(evidence, estimate), _causal_tracks(result)
         longest = max(LONGEST_SOURCES * seconds, 1.0)  # least sources [s] that these tracks may always take
         sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
         shown = WalkReport(
-            inputs.walk, inputs.building, estimate, method, summary, result.steps, result.tracks(), truth, sources
+            evidence.walk,
+            evidence.building,
+            estimate,
+            evidence.options.method,
+            summary,
+            result.steps,
+            tracks,
+            truth,
+            sources,
         )
         html = page(content(shown))
     except Exception as error:  # without a report the result is still useful
@@ -159,9 +155,15 @@ def write_report(
     return ()
 
 
-def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
+def _causal_tracks(result: Result) -> Mapping[str, Trajectory]:
+    """The causal tracks of a result by name."""
+    return result.causal() if result.live is None else {KNOWN_AT_ONCE: result.live}
+
+
+def summarize(result: Result) -> dict[str, Any]:
     """Return the part of ``summary.json`` about the walk itself."""
-    walk, building, estimate = inputs.walk, inputs.building, result.estimate
+    evidence, estimate = result.evidence, result.estimate
+    walk, building = evidence.walk, evidence.building
     track = estimate.trajectory
     crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
@@ -172,29 +174,29 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         "distance": round(_length(estimate), 3),
         "duration": round(float(np.ptp(track.time)), 3),
         "sigma": _median_sigma(track) if is_located(estimate) else None,
-        "frame": inputs.frame.describe(),
+        "frame": evidence.frame.describe(),
         "floor": track.floor[0] or None,
         "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
-        "climbs": _climbs(result.floors, walk.clock_origin),
+        "climbs": _climbs(evidence.floors, walk.clock_origin),
         "calibration": _calibration(estimate, walk.clock_origin),
         **_reports_by_kind(estimate, walk.clock_origin),
-        "scores": scores_of(inputs, estimate),
+        "scores": scores_of(evidence, estimate),
         "wall_crossings": crossings,
         **_finite({"probability": round(estimate.probability, 3)}),
         "routes": [_route(share, path) for share, path in estimate.routes],
         "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
-        "warnings": list(dict.fromkeys([*sorted([*estimate.warnings, *result.issues], key=is_usual), *inputs.notes])),
+        "warnings": list(dict.fromkeys([*sorted([*estimate.warnings, *result.issues], key=is_usual), *evidence.notes])),
         "versions": packages | {"python": platform.python_version()},
     }
 
 
-def live_scores(inputs: Inputs, result: Result) -> dict[str, Any]:
+def live_scores(result: Result) -> dict[str, Any]:
     """Return the part of ``summary.json`` about the current poses of a live walk; empty for other walks."""
-    live, walk = result.live, inputs.walk
+    live, evidence, walk = result.live, result.evidence, result.evidence.walk
     if live is None or live.covariance is None:
         return {}
-    truth, track = _truth_beside(inputs, result.estimate), result.estimate.trajectory
+    truth, track = _truth_beside(evidence, result.estimate), result.estimate.trajectory
     start = min((float(signal.time[0]) for signal in walk.signals.values()), default=float(track.time[0]))
     return {
         "live": {
@@ -207,34 +209,13 @@ def live_scores(inputs: Inputs, result: Result) -> dict[str, Any]:
     }
 
 
-def live_lines(live: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield ``live`` of ``summary.json`` as text; without truth the sigma of the current poses."""
-    if live is None:
-        return
-    error, smoothed = live["error"], live["hindsight"]["error"]
-    first = f"first pose after {live['first_pose']:.1f} s"
-    if error is None:
-        yield f"{KNOWN_AT_ONCE}: {first}, median sigma {live['sigma']:.1f} m"
-        return
-    yield f"{KNOWN_AT_ONCE}: error 50 / 75 / 95 %: {error_text(error)}; {first}"
-    if smoothed is not None:
-        yield f"in hindsight, smoothed: error 50 / 75 / 95 %: {error_text(smoothed)}"
-
-
-def scores_of(inputs: Inputs, estimate: Estimate) -> dict[str, Any] | None:
+def scores_of(evidence: Evidence, estimate: Estimate) -> dict[str, Any] | None:
     """Return the scores of ``pdr-graph evaluate`` and the share of the truth in the 90 % region; None without truth."""
-    truth, track = _truth_beside(inputs, estimate), estimate.trajectory
+    truth, track = _truth_beside(evidence, estimate), estimate.trajectory
     if truth is None:
         return None
     share = coverage(track, truth)
-    return evaluate(track, truth, inputs.building) | {"in_90": None if share is None else round(share, 3)}
-
-
-def score_lines(scores: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield ``scores`` of ``summary.json`` as text; nothing without truth."""
-    if scores is not None and scores["ce"] is not None:
-        errors = error_text({**scores["ce"], "in_90": scores["in_90"]})
-        yield f"against the truth: error 50 / 75 / 95 %: {errors}"
+    return evaluate(track, truth, evidence.building) | {"in_90": None if share is None else round(share, 3)}
 
 
 def _median_sigma(track: Trajectory) -> float | None:
@@ -272,16 +253,17 @@ def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, An
     ]
 
 
-def _unscored(truth: Path | None, inputs: Inputs, estimate: Estimate) -> tuple[str, ...]:
+def _unscored(evidence: Evidence, estimate: Estimate) -> tuple[str, ...]:
     """The missing scores if a truth was given but cannot be compared with the walk."""
-    if truth is None or _truth_beside(inputs, estimate) is not None:
+    truth = evidence.options.truth
+    if truth is None or _truth_beside(evidence, estimate) is not None:
         return ()
     return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
 
 
-def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
+def _truth_beside(evidence: Evidence, estimate: Estimate) -> Trajectory | None:
     """The truth in the output frame; None if it cannot be placed there, or lies elsewhere than the walk."""
-    truth, frame = inputs.walk.truth, inputs.frame
+    truth, frame = evidence.walk.truth, evidence.frame
     located = estimate.placed or estimate.fixes or estimate.routes
     if truth is None or not located or (truth.epsg is not None and not frame.georeferenced):
         return None

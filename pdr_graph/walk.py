@@ -1,0 +1,561 @@
+"""From files to the most probable walk: ``read(files) -> Evidence``, ``observe``, ``estimate -> Result``.
+
+Every use of a walk is a page on top of these three: `report.output_files` (``smooth``), `online.replay`, a day of the
+lifelog, a trial. A recording and the files beside it are checked once, in `read`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
+from pdr_graph.estimation.calibration import prior_of
+from pdr_graph.estimation.factors.beacon_rssi import levels_along
+from pdr_graph.estimation.factors.heading_prior import START, heading_reports
+from pdr_graph.estimation.floors import Floors, floors_along
+from pdr_graph.estimation.gps_track import follow
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
+from pdr_graph.estimation.results import FIRST_ONLY, POSITIONS_ALONE, missing_of, verdict
+from pdr_graph.estimation.smoother import estimated, smooth
+from pdr_graph.floor.cells import BEACON
+from pdr_graph.floor.plan_files import Building
+from pdr_graph.frames import Frame, frame_of
+from pdr_graph.gait.compass import magnetic_headings
+from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.gait.stair_steps import with_stair_lengths
+from pdr_graph.gait.steps import detect_steps
+from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
+from pdr_graph.io.loading import load
+from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges
+from pdr_graph.io.tables import read_fixes, read_trajectory
+from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
+from pdr_graph.priors import INITIAL
+from pdr_graph.types import (
+    LONLAT,
+    Array,
+    Beacons,
+    Contradiction,
+    Estimate,
+    Fixes,
+    FixReport,
+    Headings,
+    OneLineRepr,
+    Recording,
+    Steps,
+    Trajectory,
+    Verdict,
+    by_type,
+)
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.fingerprinting import RadioMap
+
+FASTEST_RATE = 1000.0  # [Hz] largest rate of output rows
+LARGEST_LATENCY = 60.0  # [s]
+SHORTEST, TALLEST = 0.5, 2.8  # [m] height of a walker
+LIVE = "live"  # the method of a navigator
+LIVE_ONLY = ("lag", "journal")  # options of that method alone
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an estimate, and its input files beside the recording; the defaults of every command."""
+
+    plan: Path | None = None
+    """Floor plan; its frame is the output's."""
+    scale: float | None = None
+    """Metres per unit of the plan, for a drawing or a picture that does not state it [m]."""
+    fixes: Path | None = None
+    """CSV of positions, `time,x,y,sigma[,floor]` or `time,lat,lon,sigma[,floor]`."""
+    beacons: Path | None = None
+    """CSV of surveyed beacons; default: the list beside the recording, else the plan's."""
+    ranges: Path | None = None
+    """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
+    radio_map: Path | None = None
+    """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
+    walker: Path | None = None
+    """TOML of the walker's height, stride and profile."""
+    height: float | None = None
+    """Height of the walker [m]; None: that of `walker`."""
+    truth: Path | None = None
+    """CSV of the true trajectory, for drawings and scores only."""
+    method: str = "graph"
+    """`graph`, `filter`, `rts`, `pdr`, or `live` (the navigator of `replay`)."""
+    recorded_fixes: bool = True
+    """Also use positions inside the recording."""
+    rate: float | None = None
+    """Rows of the trajectory per second [Hz]; None: a row per step."""
+    gnss_latency: float = 0.0
+    """Delay of the phone's own positions [s]."""
+    floor: str | None = None
+    """Label of the floor on which the walk begins; None: as the fixes say."""
+    start_heading: float | None = None
+    """Direction of the first step, clockwise from north (from +y in a frame without latitude) [deg]."""
+    lag: float | None = 60.0
+    """Time after which a live navigator finalizes a step [s]; None: never."""
+    journal: Path | None = None
+    """File that stores a live walk, and from which it is resumed."""
+
+    def __post_init__(self) -> None:
+        """Raise InputError if a number is out of range."""
+        if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
+            raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+        if self.start_heading is not None and not abs(self.start_heading) <= 360:
+            expected = "degrees clockwise from north, -360 to 360"
+            raise InputError("--start-heading", "", f"{self.start_heading}", expected)
+        if not abs(self.gnss_latency) <= LARGEST_LATENCY:
+            hint = " (milliseconds?)" if LARGEST_LATENCY < abs(self.gnss_latency) <= 1000 * LARGEST_LATENCY else ""
+            expected = f"seconds from -{LARGEST_LATENCY:.0f} to {LARGEST_LATENCY:.0f}"
+            raise InputError("--gnss-latency", "", f"{self.gnss_latency}{hint}", expected)
+        if self.height is not None and not SHORTEST <= self.height <= TALLEST:
+            hint = " (centimetres?)" if 100 * SHORTEST <= self.height <= 100 * TALLEST else ""
+            expected = f"metres from {SHORTEST} to {TALLEST}"
+            raise InputError("--height", "", f"{self.height}{hint}", expected)
+
+    def person(self) -> Walker:
+        """The walker. Raises InputError if the file cannot be used."""
+        walker = Walker.load(self.walker) if self.walker else Walker()
+        return walker if self.height is None else replace(walker, height=self.height)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the options for `summary.json`, with the names of the command line."""
+        names = [field.name for field in fields(self) if self.method == LIVE or field.name not in LIVE_ONLY]
+        values = {"map" if name == "plan" else name: getattr(self, name) for name in names}
+        return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
+
+
+FASTEST_FIXES = 25.0  # [Hz] of the fastest receivers; each fix costs milliseconds, and denser ones repeat each other
+OPEN = "the direction of dead reckoning from one fix is open"
+SMOOTHED = ("graph", "rts")  # methods whose report also shows the causal filter
+NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
+UNDETECTED = "steps: none were found, so that this is the fixes alone, smoothed"
+
+
+@dataclass(frozen=True)
+class Evidence(OneLineRepr):
+    """All that is known of one walk, in one frame: the files that `read` has read, then what `observe` makes of them.
+
+    walk: the recording; walker: with the profile by which the steps are corrected; building: None without a plan;
+    frame: of the output; fixes: all that are used, in order of time; notes: what was left out or assumed, a line each;
+    beacons: None if none was received; radio_map: the fixes include those from it; start_heading: of the first step,
+    counter-clockwise from +x [rad].
+    steps: None without an accelerometer, and before they are detected; headings, measurements: tables for the graph;
+    floors: of every step, None if unknown; others: the same walk begun on other floors, if nothing says on which.
+    """
+
+    walk: Recording
+    walker: Walker
+    building: Building | None
+    frame: Frame
+    fixes: Fixes
+    notes: tuple[str, ...] = ()
+    beacons: Beacons | None = None
+    radio_map: RadioMap | None = None
+    start_heading: float | None = None
+    options: Options = field(default_factory=Options)
+    steps: Steps | None = None
+    headings: Headings = field(default_factory=Headings.none)
+    measurements: tuple[Any, ...] = ()
+    floors: Floors | None = None
+    others: tuple[Evidence, ...] = ()
+
+    @property
+    def near(self) -> Array:
+        """Approximate position ``(2,)`` [m] of the walk, for the World Magnetic Model."""
+        if len(self.fixes):
+            return self.fixes.position[0]
+        return np.zeros(2) if self.building is None else self.building.floors[0].corners.mean(axis=0)
+
+    @property
+    def other_fixes(self) -> Fixes:
+        """The fixes without those of the radio map, which a navigator makes from the scans itself."""
+        if self.radio_map is None:
+            return self.fixes
+        return self.fixes[np.array([name != self.radio_map.source for name in self.fixes.source], dtype=bool)]
+
+    def graph(self) -> WalkGraph | None:
+        """Build the factor graph of the walk; None without steps."""
+        if self.steps is None:
+            return None
+        return WalkGraph(
+            self.steps,
+            self.fixes,
+            headings=self.headings,
+            floor=self.building,
+            floors=self.floors.labels if self.floors else None,
+            measurements=self.measurements,
+            prior=prior_of(self.walker.profile),
+        )
+
+    def _summary(self) -> list[str]:
+        return [repr(self.walk), count(len(self.fixes), "fix"), *([] if self.steps is None else [repr(self.steps)])]
+
+
+@dataclass(frozen=True)
+class Result(OneLineRepr):
+    """The estimate of a walk with the evidence that it follows from.
+
+    missing: what could not be estimated, a line each; graph: None without steps, and of live walks; step_count: number
+    of steps without a graph; issues: warnings in addition to those of the estimate; causal: returns causal tracks by
+    name; live: the current poses of a live walk.
+    """
+
+    evidence: Evidence
+    estimate: Estimate
+    missing: tuple[str, ...] = ()
+    graph: WalkGraph | None = None
+    step_count: int = 0
+    issues: tuple[str, ...] = ()
+    causal: Callable[[], Mapping[str, Trajectory]] = dict
+    live: Trajectory | None = None
+
+    @property
+    def steps(self) -> Steps | None:
+        """The steps of the graph."""
+        return None if self.graph is None else self.graph.steps
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the estimate can be trusted."""
+        return verdict(self.estimate)
+
+    def _summary(self) -> list[str]:
+        return [repr(self.estimate), self.verdict.state]
+
+
+def read(recording: Path, options: Options | None = None, fastest: float = FASTEST_WALK) -> Evidence:
+    """Read a recording and all files of its options into one frame; no steps are detected yet.
+
+    fastest: mean speed at which the walker can have gone from one place to another [m/s]. Raises InputError if a file
+    cannot be used, or cannot belong to this walk.
+    """
+    options = options or Options()
+    walk = load(recording, options.gnss_latency)
+    notes = list(walk.notes)
+    walker = options.person()
+    listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()
+    building = read_plan(options, listed_fixes.floor)
+    listed = beside(recording) if options.recorded_fixes else None
+    walk = replace(walk, beacons=_beacons(walk, options, listed, building, notes))
+    radio_map = read_radio_map(options, building)
+    recorded = walk.fixes if options.recorded_fixes else Fixes.none()
+    metric = listed_fixes.epsg is None
+    frame, listed_fixes, recorded = _in_one_frame(building, radio_map, listed_fixes, recorded, notes, options.fixes)
+    fixes = Fixes.concatenate([listed_fixes, recorded])
+    if radio_map is not None:
+        fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
+    places = Plausibility.of(walk, frame, fixes, building, fastest)
+    places.check_fixes(options.plan, options.fixes, listed_fixes, recorded, metric)
+    fixes = _thinned(fixes, places.span, notes)
+    beacons = _placed_beacons(walk, frame, notes)
+    beacons = _plausible(beacons, walk, options.beacons, listed, places, notes)
+    if options.ranges is not None:
+        frame, anchors = _anchors(walk, options.ranges, frame, located=len(fixes) > 0 or building is not None)
+        ranges = read_ranges(options.ranges, walk, anchors)
+        places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
+        walk = replace(walk, measurements=(*walk.measurements, ranges))
+    if options.truth is not None:
+        truth = read_trajectory(options.truth, walk)
+        places.check_truth(options.truth, truth)
+        walk = replace(walk, truth=truth)
+    evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
+    return replace(evidence, start_heading=_start_heading(evidence))
+
+
+def _thinned(fixes: Fixes, span: tuple[float, float], notes: list[str]) -> Fixes:
+    """The fixes, of which every k-th is kept if they are more than FASTEST_FIXES allows in the time of the walk [s]."""
+    every = int(np.ceil(len(fixes) / (FASTEST_FIXES * (span[1] - span[0] + 1))))
+    if every <= 1:
+        return fixes
+    notes.append(f"{len(fixes)} fixes: more than {FASTEST_FIXES:.0f} per second, so one in {every} is used")
+    return fixes[np.arange(0, len(fixes), every)]
+
+
+def _start_heading(evidence: Evidence) -> float | None:
+    """The compass bearing of the first step as a heading in the output frame [rad]; None if it is not stated."""
+    if (bearing := evidence.options.start_heading) is None:
+        return None
+    east = evidence.frame.bearing_of_east(evidence.near) if evidence.frame.georeferenced else 0.0
+    return float(wrap_angle(np.pi / 2 - np.radians(bearing) + east))
+
+
+def _plausible(
+    beacons: Beacons | None,
+    walk: Recording,
+    option: Path | None,
+    listed: Path | None,
+    places: Plausibility,
+    notes: list[str],
+) -> Beacons | None:
+    """The beacons, unless those received lie out of reach: raises InputError if ``option`` names their list.
+
+    A list beside the recording is left out with a note; beacons of the plan are where the plan is.
+    """
+    source = option or listed
+    if beacons is None or walk.bluetooth is None or source is None:
+        return beacons
+    received = np.isin(np.array(beacons.name), walk.bluetooth.transmitter) & np.isfinite(beacons.position).all(axis=1)
+    try:
+        places.check_list(source, "beacon", beacons.position[received], RADIO_RANGE)
+    except InputError as error:
+        if option is not None:
+            raise
+        notes.append(f"beacons were left out: {error}")
+        return None
+    return beacons
+
+
+def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
+    """The beacons of a walk in the output frame; None if none was received, or if the frame has no latitude."""
+    if walk.beacons is None or walk.bluetooth is None:
+        return None
+    if walk.beacons.epsg is not None and not frame.georeferenced:
+        notes.append(f"{len(walk.beacons)} beacons were left out: no latitude in the plan or in --fixes")
+        return None
+    return frame.place(walk.beacons)
+
+
+def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tuple[Frame, Beacons]:
+    """The frame, and the anchors of ranges in it. located: False if the anchors define the frame."""
+    anchors = walk.beacons
+    if anchors is None:
+        raise InputError(ranges, "anchor", "no places of anchors", "--beacons, or a plan on which they are drawn")
+    if not located and anchors.epsg is not None:
+        frame = frame_of(Fixes(np.zeros(1), anchors.position[:1], np.ones(1), epsg=anchors.epsg))
+    if anchors.epsg is not None and not frame.georeferenced:
+        raise InputError(ranges, "anchor", "places by latitude in a frame that has none", "anchors as x,y [m]")
+    return frame, frame.place(anchors)
+
+
+def _beacons(
+    walk: Recording, options: Options, listed: Path | None, building: Building | None, notes: list[str]
+) -> Beacons | None:
+    """Beacon positions from ``options.beacons``, else from the list beside the recording, else from the plan."""
+    unstated = SURVEY_SIGMA if options.ranges is None else ANCHOR_SIGMA
+    if options.beacons is not None:
+        return read_beacons(options.beacons, walk, unstated)
+    if listed is not None and walk.bluetooth is not None:
+        try:
+            return read_beacons(listed, walk, unstated)
+        except InputError as error:  # no option named this file
+            notes.append(f"beacons were left out: {error}")
+    drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
+    return drawn_beacons(drawn, walk, unstated) if drawn else None
+
+
+def read_plan(options: Options, stated: tuple[str, ...] = ()) -> Building | None:
+    """Read the plan, if the options name one. stated: labels of the floors of fixes.
+
+    Raises InputError if it cannot be used, or has no floor of such a label.
+    """
+    if options.plan is None:
+        return None
+    building = Building.load(options.plan, options.scale)
+    check_floors(options.plan, building, options.floor, options.fixes, stated)
+    return building
+
+
+def read_radio_map(options: Options, building: Building | None) -> RadioMap | None:
+    """Read the radio map, if the options name one. Raises InputError if its frame is that of a plan that is missing."""
+    if options.radio_map is None:
+        return None
+    from pdr_graph.estimation.fingerprinting import RadioMap  # it takes scipy.optimize, long to import
+
+    radio_map = RadioMap.load(options.radio_map)
+    if building is None and radio_map.frame["kind"] == "plan":
+        expected = "--map, the plan of the walks that it was learnt from"
+        raise InputError(options.radio_map, "frame", "that of a floor plan", expected)
+    return radio_map
+
+
+def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
+    """The fixes of a radio map along a walk; the output frame must be that of the map."""
+    if radio_map.frame != frame.describe():
+        raise InputError(path or "--radio-map", "frame", f"{radio_map.frame}", f"that of the walk, {frame.describe()}")
+    fixes = radio_map.fixes(walk)
+    if not len(fixes):
+        notes.append("radio map: no scan resembles its fingerprints, so it gives no fix")
+    return fixes
+
+
+def _in_one_frame(
+    building: Building | None,
+    radio_map: RadioMap | None,
+    listed: Fixes,
+    recorded: Fixes,
+    notes: list[str],
+    source: Path | None,
+) -> tuple[Frame, Fixes, Fixes]:
+    """The output frame, and the listed and the recorded fixes in it; adds a note on fixes that cannot be placed in it.
+
+    It is the frame of the plan; else of the radio map; else of metric fixes; else east-north at the first geodetic fix.
+    source: file of the listed fixes. Raises InputError for listed fixes by latitude in a plan's frame without any.
+    """
+    if building is not None:
+        frame = building.floors[0].frame
+    elif radio_map is not None:
+        frame = Frame.from_description(radio_map.frame)
+    elif len(listed) and listed.epsg != LONLAT:
+        frame = frame_of(listed)
+    elif not len(listed) + len(recorded):
+        frame = Frame()
+    else:
+        frame = frame_of(min((f for f in (listed, recorded) if len(f)), key=lambda f: f.time[0]))
+    if not frame.georeferenced and listed.epsg is not None and len(listed):
+        expected = "time,x,y,sigma in metres of the plan, which has no latitude (map convert --georeference)"
+        raise InputError(source or "--fixes", "", "positions by latitude and longitude", expected)
+    if not frame.georeferenced and len(recorded):
+        noun = f"{len(recorded)} fixes inside the recording"
+        notes.append(f"{noun} were left out: no latitude in the plan or in --fixes")
+        recorded = Fixes.none()
+    return frame, frame.place(listed), frame.place(recorded)
+
+
+def observe(evidence: Evidence) -> Evidence:
+    """Detect the steps and headings of a recording, its floors and beacon levels; no steps without an accelerometer.
+
+    Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
+    """
+    if evidence.walk.has_acceleration or not len(evidence.fixes):
+        steps, headings = detected(evidence, gait_signals(evidence.walk))
+        evidence = replace(evidence, steps=steps, headings=headings)
+    return with_tables(evidence)
+
+
+def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headings]:
+    """The steps in the gait signals of a walk, and their headings; a stated start heading is the first."""
+    steps, headings = detect_steps(gaits, evidence.walker), magnetic_headings(gaits, evidence.frame, evidence.near)
+    if evidence.start_heading is not None and len(steps):
+        row = (steps.time[:1], np.array([evidence.start_heading]), np.array([INITIAL.heading_sigma]), (START,))
+        headings = Headings.concatenate([Headings(*row), headings])
+    return steps, headings
+
+
+def with_tables(evidence: Evidence) -> Evidence:
+    """Add what steps and recording say together: its tables of measurements, the floors, the levels of beacons.
+
+    Headings among the tables join those of the compass. Raises InputError as `observe`.
+    """
+    tables = evidence.walk.measurements
+    headings = [table for table in tables if isinstance(table, Headings)]
+    evidence = replace(
+        evidence,
+        headings=Headings.concatenate([evidence.headings, *headings]) if headings else evidence.headings,
+        measurements=by_type([table for table in tables if not isinstance(table, Headings)]),
+    )
+    evidence, heard = _with_floors(evidence), evidence.walk.bluetooth
+    if evidence.steps is None or heard is None or evidence.beacons is None:
+        return evidence
+    levels = levels_along(heard, evidence.beacons, evidence.steps)
+    return replace(evidence, measurements=(levels, *evidence.measurements))
+
+
+def _with_floors(evidence: Evidence) -> Evidence:
+    """Estimate the floor of every step by barometer and fixes, and shorten the steps on stairs to the treads.
+
+    Raises InputError if the building has several floors and that of the walk is unknown.
+    """
+    building, steps, fixes = evidence.building, evidence.steps, evidence.fixes
+    if steps is None:
+        return evidence
+    only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
+    start = only or evidence.options.floor or next((label for label in fixes.floor if label), "")
+    begun = [_begun_on(evidence, steps, start)]
+    if building is not None and not start and not len(fixes) and not evidence.measurements:
+        every = {label: _begun_on(evidence, steps, label) for label in building.labels}
+        begun = [one for label, one in every.items() if one.floors and one.floors.labels[0] == label] or begun
+    floors = begun[0].floors
+    if building is not None and len(building.labels) > 1 and (floors is None or not all(floors.labels)):
+        several = f"{len(building.labels)} floors, {', '.join(building.labels)[:80]}"
+        expected = "--floor, the label of the one on which the walk begins"
+        raise InputError(evidence.options.plan or "--map", "", several, expected)
+    return replace(begun[0], others=tuple(begun[1:]))
+
+
+def _begun_on(evidence: Evidence, steps: Steps, start: str) -> Evidence:
+    """The walk with the floor of every step, if it began on the one with the label ``start``."""
+    floors = floors_along(steps, evidence.walk.barometer, start, evidence.fixes, evidence.building)
+    return replace(evidence, steps=with_stair_lengths(steps, floors.climbs, floors.kinds), floors=floors)
+
+
+def estimate(evidence: Evidence) -> Result:
+    """Estimate the walk by ``graph``, ``filter``, ``rts`` or ``pdr``; without steps, smooth the fixes alone."""
+    graph, found, method = evidence.graph(), None, evidence.options.method
+    if graph is None:
+        return fixes_alone(evidence)
+    if evidence.others:
+        possible = {graph: evidence, **{other.graph(): other for other in evidence.others}}
+        graph, found = begun_on([graph for graph in possible if graph is not None])
+        evidence = possible[graph]
+    failed, walk = (), None
+    if method == "graph":
+        try:
+            walk = smooth(graph) if found is None else estimated(graph, found)
+        except RuntimeError as error:  # by GTSAM, for a system that it cannot solve
+            failed = (f"the graph ({str(error).splitlines()[0]}): this is the filter's walk",)
+    elif method == "pdr":
+        walk = _dead_reckoned(graph)
+    elif method == "rts":
+        walk = kalman_smoother(graph)
+    walk = walk or kalman_filter(graph)
+    if "headings" not in walk.reports:
+        walk = _with_headings(walk, graph.headings.headings)
+    missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
+    causal = partial(_filter_track, graph) if method in SMOOTHED else dict
+    return Result(evidence, walk, (*graph.steps.unknown, *missing), graph, causal=causal)
+
+
+def fixes_alone(evidence: Evidence, issues: tuple[str, ...] = ()) -> Result:
+    """Smooth the fixes of a walk without steps. Of a recording without any sensor, as a GPX track, nothing is missing.
+
+    issues: further ones.
+    """
+    if not evidence.walk.signals:
+        return Result(evidence, follow(evidence.fixes), issues=(*issues, POSITIONS_ALONE))
+    missing = UNDETECTED if evidence.walk.has_acceleration else NO_ACCELEROMETER
+    return Result(evidence, follow(evidence.fixes), (missing,), issues=issues)
+
+
+def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:
+    """The causal filter's track, which the report shows beside a smoothed estimate; it needs a position to begin at."""
+    return {} if graph.unplaced else {"filter": kalman_filter(graph).trajectory}
+
+
+def _with_headings(walk: Estimate, headings: Headings) -> Estimate:
+    """Report the residuals of headings along an estimate that does not report them itself."""
+    track = walk.trajectory
+    heading = np.interp(headings.time, track.time, np.unwrap(track.heading))
+    reports = heading_reports(headings, heading, np.ones(len(headings)))
+    return replace(walk, reports={**walk.reports, "headings": reports})
+
+
+def _dead_reckoned(graph: WalkGraph) -> Estimate:
+    """Dead reckoning through the first fix, neither rotated nor scaled: the graph with that fix alone."""
+    used, fixes = graph.positions.used, graph.positions.fixes
+    first = int(np.argmax(used)) if used.any() else 0
+    alone = smooth(WalkGraph(graph.steps, fixes[first : first + 1], prior=graph.prior))
+    track = alone.trajectory
+    at = interpolate(fixes.time, track.time, track.position)
+    distance = np.hypot(*(fixes.position - at).T)
+    reports = [
+        FixReport(t, x, y, sigma, d, 0.0, FIRST_ONLY)
+        for t, (x, y), sigma, d in zip(
+            fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist(), distance.tolist(), strict=True
+        )
+    ]
+    reports[first : first + 1] = alone.fixes
+    track = replace(track, floor=graph.floors)
+    direction = Contradiction("route", "other directions", 2 * np.pi, "rad", OPEN, "--method graph uses all fixes")
+    found = (*alone.contradictions, direction)
+    reports_of_kinds = {"fixes": tuple(reports)}
+    return replace(alone, trajectory=track, reports=reports_of_kinds, probability=float("nan"), contradictions=found)
