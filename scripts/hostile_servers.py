@@ -35,7 +35,7 @@ try: list(messages_of(PhyphoxPhone(sys.argv[1]).poll(), 0))
 except PhoneError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 TILES = """
-import sys; import numpy as np; from pdr_graph.lifelog.map_tiles import *
+import sys; import numpy as np; from pdr_graph.lifelog.maps import *
 try: list(tiles(sys.argv[1], MercatorFrame(48.0, 11.0), np.array([[-500.0, -500.0], [500.0, 500.0]]), 1500))
 except OSError as error: print(error, file=sys.stderr); sys.exit(2)
 """

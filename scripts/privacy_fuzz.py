@@ -35,14 +35,8 @@ from pdr_graph.frames import Frame, enu  # noqa: E402
 from pdr_graph.lifelog.day import GAP, Day, Outing  # noqa: E402
 from pdr_graph.lifelog.day_rows import rows_of  # noqa: E402
 from pdr_graph.lifelog.export import CSV, GEOJSON, GPX, PARQUET, SECRET, export_days  # noqa: E402
-from pdr_graph.lifelog.forgetting import forget  # noqa: E402
-from pdr_graph.lifelog.privacy import (  # noqa: E402
-    SQUARE_SIDE,
-    PrivatePlace,
-    nested_squares,
-    private_places,
-)
-from pdr_graph.lifelog.revision import state_not_me  # noqa: E402
+from pdr_graph.lifelog.privacy import SQUARE_SIDE, PrivatePlace, nested_squares, private_places  # noqa: E402
+from pdr_graph.lifelog.revision import forget, state_not_me  # noqa: E402
 from pdr_graph.lifelog.store import Store  # noqa: E402
 
 FORMATS = (GPX, GEOJSON, CSV, PARQUET)

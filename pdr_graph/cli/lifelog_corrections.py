@@ -149,15 +149,15 @@ def forget(
     pdr-graph lifelog correct forget days.db "2024-05-01 18:00" "2024-05-01 19:00"
     pdr-graph lifelog correct forget days.db --person ben --everything
     """
-    from pdr_graph.lifelog import forgetting
+    from pdr_graph.lifelog import revision
 
     span = [text for text in (start, end) if text is not None]
     if len(span) == 2 and not everything and recording is None:
-        _print(forgetting.forget(store, span[0], span[1], person))
+        _print(revision.forget(store, span[0], span[1], person))
     elif not span and everything and person is not None and recording is None:
-        _print(forgetting.forget_person(store, person))
+        _print(revision.forget_person(store, person))
     elif not span and not everything and recording is not None:
-        _print(forgetting.forget_recording(store, recording))
+        _print(revision.forget_recording(store, recording))
     else:
         expected = "FROM and TO, or --person NAME --everything, or --recording PATH"
         raise InputError("forget", "", "another combination of arguments", expected)

@@ -77,7 +77,7 @@ def show(
     from pdr_graph.lifelog.show import show as shown
 
     if tiles:
-        from pdr_graph.lifelog.map_tiles import check_template  # imports matplotlib, which is slow
+        from pdr_graph.lifelog.maps import check_template  # imports matplotlib, which is slow
 
         check_template(tiles)
     choice = Choice(tuple(person or ()), period_of(date, week, month, year), place, guess_home)

@@ -1,25 +1,33 @@
-"""An overview of a day, week, month or year of any persons; as CSV tables, and as one JSON object.
+"""An overview of a day, week, month or year of any persons: numbers, text for a terminal, CSV tables, and JSON.
 
 Every second of a day counts once: as walking, riding, staying, or no data. A stay over midnight is one visit, and its
 time is divided between both days, as are the steps and the distance of a walk over midnight.
+
+Text has lines of at most 100 columns. A day is a list that fits a screen: the shortest entries are merged with their
+neighbours, and counted.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, date, datetime, timedelta, timezone
+from itertools import groupby
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.errors import count, one_line
 from pdr_graph.io.writers import cell
+from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import Diary, DiaryDay, Totals, totals_of
-from pdr_graph.lifelog.local_time import Period
-from pdr_graph.lifelog.places import Place, UsualHours, is_place, joined_visits, places_of_visits
-from pdr_graph.lifelog.timeline import TimelineEntry
+from pdr_graph.lifelog.local_time import DAY, MONTH, WEEK, Period
+from pdr_graph.lifelog.places import DAY_LENGTH, EVERY_DAY, Place, UsualHours, is_place, joined_visits, places_of_visits
+from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, duration_text, entry_texts
 from pdr_graph.types import OneLineRepr
 
 
@@ -250,3 +258,315 @@ def _plain(value: Any, name: str = "") -> Any:
     if isinstance(value, float):
         return round(value, DIGITS.get(name, 3)) if np.isfinite(value) else None
     return value
+
+
+MOST_ROWS = 25  # of a list that fits a screen
+MERGED_NAMES = {
+    STAY: "short stop",
+    STANDING: "short stop",
+    PASSING: "slow pass",
+    WALKING: "short walk",
+    VEHICLE: "short ride",
+    GAP: "short gap",
+    PRIVATE: "short gap",
+}
+SHORTEST_MINUTES = 60.0  # [s] of the shortest row of a list whose times are in minutes
+MOST_NAMES = 2  # kinds of merged entries that a row names
+TRAVEL = (WALKING, PASSING, VEHICLE)
+
+
+ListRow = tuple[TimelineEntry, Counter[str]]  # an entry, and how many of each of MERGED_NAMES were merged with it
+
+
+def _identity(entry: TimelineEntry) -> tuple[object, ...]:
+    """Equal for entries that are one if nothing is between them."""
+    if entry.kind != STAY:
+        return (entry.kind,)
+    return (STAY, entry.place_number, entry.place) if entry.place_number >= 0 else (STAY, entry.x, entry.y)
+
+
+def day_list(entries: Sequence[TimelineEntry], most: int = MOST_ROWS) -> list[ListRow]:
+    """At most `most` rows (at least one) of the entries of a day; the shortest are merged with their neighbours."""
+    rows = [(entry, Counter[str]()) for entry in entries]
+    while len(rows) > max(most, 1):
+        shortest = min(range(len(rows)), key=lambda n: rows[n][0].duration)
+        rows[max(shortest - 1, 0) : shortest + 2] = _merged(rows, shortest)
+    return rows
+
+
+def _merged(rows: Sequence[ListRow], n: int) -> list[ListRow]:
+    """The rows from n - 1 to n + 1, where row n is merged with one of the others, or with both if they are one."""
+    row, before, after = rows[n], rows[n - 1 : n] if n else [], rows[n + 1 : n + 2]
+    if before and after and _identity(before[0][0]) == _identity(after[0][0]):
+        (both, merged), (last, others) = _absorbed(before[0], row), after[0]
+        joined = replace(both, end=last.end, distance=both.distance + last.distance)
+        return [(joined, merged + others)]
+    larger = max([*before, *after], key=lambda r: (r[0].kind in TRAVEL, r[0].duration))
+    one = _absorbed(larger, row)
+    return [one, *after] if before and larger is before[0] else [*before, one]
+
+
+def _absorbed(row: ListRow, short: ListRow) -> ListRow:
+    """The row with a neighbour as a part of it."""
+    (entry, merged), (other, others) = row, short
+    start, end = min(entry.start, other.start), max(entry.end, other.end)
+    longer = replace(entry, start=start, end=end, distance=entry.distance + other.distance)
+    return longer, merged + others + Counter([MERGED_NAMES[other.kind]])
+
+
+def list_texts(entries: Sequence[TimelineEntry], most: int = MOST_ROWS) -> list[tuple[str, str, str, str, str, str]]:
+    """The list of a day as texts; times have seconds if a row is shorter than SHORTEST_MINUTES."""
+    rows = day_list(entries, most)
+    seconds = any(entry.duration < SHORTEST_MINUTES for entry, _ in rows)
+    return [row_texts(entry, merged, seconds) for entry, merged in rows]
+
+
+def row_texts(
+    entry: TimelineEntry, merged: Mapping[str, int] = MappingProxyType({}), seconds: bool = False
+) -> tuple[str, str, str, str, str, str]:
+    """Texts of a row: local start and end, duration, activity, distance, place with what was merged."""
+    far = distance_text(entry.distance) if entry.kind in TRAVEL and entry.distance >= 0.5 else ""
+    words = [_place(entry), "corrected" if entry.corrected else "", _merged_text(Counter(merged))]
+    return (
+        clock_text(entry.start, entry.offset, seconds),
+        _end_text(entry, seconds),
+        duration_text(entry.duration),
+        entry.mode or KIND_NAMES.get(entry.kind, entry.kind),
+        far,
+        "; ".join(filter(None, words)),
+    )
+
+
+def _end_text(entry: TimelineEntry, seconds: bool) -> str:
+    """Local end; with "+1" if it is on the next date, after a flight over time zones."""
+    start, end = entry.start + entry.offset, entry.end + entry.end_offset
+    later = int(end // DAY_LENGTH - start // DAY_LENGTH) if end % DAY_LENGTH > 0 else 0
+    return clock_text(entry.end, entry.end_offset, seconds) + (f" +{later}" if later else "")
+
+
+def _place(entry: TimelineEntry) -> str:
+    """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number."""
+    facing = max((part.facing for part in (entry, *entry.parts)), key=lambda own: own[0][1] if own else 0.0)
+    on_plan = bool(facing) and entry.place in ("", facing[0][0])
+    shown = replace(entry, corrected=False)
+    _, _, _, floor, where = entry_texts(replace(shown, facing=facing, place="") if on_plan else shown)
+    label = "" if on_plan else one_line(entry.label)
+    return " ".join(filter(None, [floor and f"floor {floor}", label or where]))
+
+
+def _merged_text(merged: Counter[str]) -> str:
+    """What was merged: ``and 3 short stops, 1 short walk``; the rarer kinds are ``5 others``."""
+    common = merged.most_common()
+    texts = [_count(number, name) for name, number in common[:MOST_NAMES]]
+    others = sum(number for _, number in common[MOST_NAMES:])
+    texts += [count(others, "other")] if others else []
+    return f"and {', '.join(texts)}" if texts else ""
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number} slow passes" if name == "slow pass" and number > 1 else count(number, name)
+
+
+def clock_text(time: float, offset: float, seconds: bool = False) -> str:
+    """Local time of day of a Unix time [s] at an offset from UTC [s]: ``07:42``, or ``07:42:15``."""
+    moment = datetime.fromtimestamp(round(time + offset), UTC)
+    return f"{moment:%H:%M:%S}" if seconds else f"{moment:%H:%M}"
+
+
+def distance_text(metres: float) -> str:
+    """A distance as a text: ``640 m``, ``6.2 km``, ``1,250 km``."""
+    if metres < 999.5:
+        return f"{metres:.0f} m"
+    return f"{metres / 1000:.1f} km" if metres < 99_950 else f"{metres / 1000:,.0f} km"
+
+
+WIDTH = 100  # columns of a line
+MOST_PLACES, MOST_VISITS, MOST_MONTHS = 12, 20, 25  # rows of tables
+NOTHING = "–"
+
+
+def as_text(shown: Overview) -> str:
+    """The overview as text, a part per person."""
+    return "\n\n".join("\n".join(_person_lines(shown, own)) for own in shown.diaries) + "\n"
+
+
+def _person_lines(shown: Overview, own: Diary) -> Iterator[str]:
+    """The lines of one person."""
+    place = f"  {one_line(shown.place)}" if shown.place else ""
+    yield fitted(f"{one_line(own.person)}  {period_title(shown.period)}{place}", WIDTH)
+    if shown.place:
+        yield from _visit_lines(own.visits)
+    elif shown.period.kind == DAY:
+        # least rows of a day's list when several persons share the screen
+        yield from _day_lines(own.days, max(MOST_ROWS // len(shown.diaries), 10))
+        yield ""
+        yield fitted(totals_text(totals_of(own.days, 1)), WIDTH)
+        return
+    else:
+        yield from _period_lines(own.days, shown.period)
+    if own.places:
+        yield ""
+        yield from _place_lines(own.places)
+    if shown.place and own.places:
+        yield ""
+        yield from _hours_lines(own.places[0].hours)
+
+
+def period_title(period: Period) -> str:
+    """The name of a period with its dates: ``Wednesday 2024-05-01``, ``2024-W18 (2024-04-29 to 2024-05-05)``."""
+    if period.kind == DAY:
+        return f"{period.first:%A} {period.name}"
+    return f"{period.name} ({period.first} to {period.last})"
+
+
+def sums_text(shown: Overview, own: Diary) -> str:
+    """The totals of one person in one line; of an overview of a place, its visits and the time there."""
+    if shown.place:
+        return f"{count(len(own.visits), 'visit')}; {time_text(sum(visit.duration for visit in own.visits))}"
+    return totals_text(totals_of(own.days, len(shown.period)))
+
+
+def totals_text(totals: Totals) -> str:
+    """The totals in one line, of each kind that occurred."""
+    steps = f", {totals.steps:,} steps" if totals.steps else ""
+    texts = [
+        f"walked {distance_text(totals.walked)} in {time_text(totals.walking)}{steps}" if totals.walking else "",
+        f"rode {distance_text(totals.ridden)} in {time_text(totals.riding)}" if totals.riding else "",
+        f"stayed {time_text(totals.staying)}" if totals.staying else "",
+        f"no data {time_text(totals.unknown)}" if totals.unknown >= 60 else "",
+    ]
+    return "; ".join(filter(None, texts))
+
+
+def time_text(seconds: float) -> str:
+    """A duration as a text: ``45 s``, ``12 min``, ``2 h 05 min``, ``6.7 days``."""
+    # longest hours [s] of a duration in hours; longer ones are in days
+    return duration_text(seconds) if seconds < (96 * 3600.0) else f"{seconds / DAY_LENGTH:,.1f} days"
+
+
+def _day_lines(days: Sequence[DiaryDay], most: int) -> Iterator[str]:
+    """The list of a day."""
+    for start, end, lasted, what, far, where in (texts for day in days for texts in list_texts(day.entries, most)):
+        yield fitted(f"{start}  {end:<5}  {lasted:>10}  {what:<8}  {far:>8}  {where}".rstrip(), WIDTH)
+
+
+PERIOD_TITLES = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
+WIDTHS = (16, 13, 13, 13, 14, 10, 10, 11)
+
+
+def _period_lines(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
+    """A line per day of a week or a month, else per month or year, and the totals."""
+    yield _line(PERIOD_TITLES, WIDTHS)
+    yield from _lines_per_day(days, period) if period.kind in (WEEK, MONTH) else _lines_per_month(days)
+    yield _totals_line("total", totals_of(days, len(period)))
+
+
+def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
+    """A line per day; consecutive days without data are counted."""
+    by_date = {day.date: day for day in days}
+    for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
+        if present:
+            yield from (_totals_line(f"{on:%a} {on}", by_date[on.isoformat()].totals) for on in dates)
+        else:
+            yield f"{count(len(list(dates)), 'day')} without data"
+
+
+def _lines_per_month(days: Sequence[DiaryDay]) -> Iterator[str]:
+    """A line per month with data, or per year if there are many."""
+    letters = 7 if len({day.date[:7] for day in days}) <= MOST_MONTHS else 4
+    for name, same in groupby(days, key=lambda day: day.date[:letters]):
+        own = list(same)
+        yield _totals_line(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own)))
+
+
+def _totals_line(title: str, totals: Totals) -> str:
+    times = [totals.walking, totals.riding, totals.staying, totals.unknown]
+    texts = [time_text(time) if time >= 0.5 else NOTHING for time in times]
+    texts += [distance_text(far) if far >= 0.5 else NOTHING for far in (totals.walked, totals.ridden)]
+    return _line([title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING], WIDTHS)
+
+
+PLACE_TITLES, PLACE_WIDTHS = (
+    ("place", "visits", "time", "comes (quartiles)", "leaves (quartiles)"),
+    (28, 6, 12, 20, 20),
+)
+HOURS_TITLES, HOURS_WIDTHS = (
+    ("", "arrivals", "comes (quartiles)", "departures", "leaves (quartiles)"),
+    (10, 8, 20, 10, 20),
+)
+
+
+def _place_lines(places: Sequence[Place]) -> Iterator[str]:
+    """The places with most time: visits, total time, usual hours."""
+    yield _line(PLACE_TITLES, PLACE_WIDTHS)
+    for place in places[:MOST_PLACES]:
+        usual = place.hours[0]
+        hours = hours_text(usual.arrival), hours_text(usual.departure)
+        yield _line([one_line(place.label), str(len(place.visits)), time_text(place.duration), *hours], PLACE_WIDTHS)
+    if len(places) > MOST_PLACES:
+        rest = sum(place.duration for place in places[MOST_PLACES:])
+        yield f"and {count(len(places) - MOST_PLACES, 'other place')}, {time_text(rest)}"
+
+
+def _hours_lines(hours: Sequence[UsualHours]) -> Iterator[str]:
+    """The usual hours of each weekday at one place."""
+    yield _line(HOURS_TITLES, HOURS_WIDTHS)
+    for usual in sorted(hours, key=lambda own: own.weekday == EVERY_DAY):
+        come, go = hours_text(usual.arrival), hours_text(usual.departure)
+        yield _line([usual.weekday, str(usual.arrivals), come, str(usual.departures), go], HOURS_WIDTHS)
+
+
+def hours_text(quartiles: tuple[float, float, float]) -> str:
+    """Quartiles of a time of day as ``18:42 (18:10–19:05)``."""
+    low, middle, high = quartiles
+    return f"{hour_text(middle)} ({hour_text(low)}–{hour_text(high)})" if np.isfinite(middle) else NOTHING
+
+
+def _visit_lines(visits: Sequence[TimelineEntry]) -> Iterator[str]:
+    """The last visits to a place; a time that was not observed has a question mark."""
+    if len(visits) > MOST_VISITS:
+        yield f"{count(len(visits) - MOST_VISITS, 'earlier visit')}"
+    for visit in visits[-MOST_VISITS:]:
+        since, until = visit_times(visit)
+        yield f"{since:<23}  {until:<11}  {duration_text(visit.duration):>10}"
+    if not all(visit.arrived and visit.left for visit in visits[-MOST_VISITS:]):
+        yield "?: no data before or after, so it may have begun earlier or ended later"
+
+
+def visit_times(visit: TimelineEntry) -> tuple[str, str]:
+    """Local start with its date and local end, with "?" where it was not observed, and "+1" for the next day."""
+    first, last = (
+        date.fromisoformat(str(np.datetime64(int(time), "s"))[:10])
+        for time in (visit.start + visit.offset, visit.end + visit.end_offset)
+    )
+    start, end = clock_text(visit.start, visit.offset), clock_text(visit.end, visit.end_offset)
+    later = f" +{(last - first).days}" if last > first else ""
+    return f"{first:%a} {first}  {start}{'' if visit.arrived else '?'}", f"{end}{'' if visit.left else '?'}{later}"
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """Cells beside each other, the first one to the left, the others to the right."""
+    first = fitted(cells[0], widths[0])
+    pad = widths[0] - text_width(first)
+    others = "".join(
+        f"{text:>{width}}" if width < 20 else f"  {text:<{width - 2}}"
+        for text, width in zip(cells[1:], widths[1:], strict=True)
+    )
+    return f"{first}{' ' * pad}{others}".rstrip()
+
+
+def text_width(text: str) -> int:
+    """Columns of a text on a terminal: Chinese, Japanese and Korean letters have two."""
+    return sum(1 + (unicodedata.east_asian_width(letter) in "WF") for letter in text)
+
+
+def fitted(text: str, width: int) -> str:
+    """A text of at most `width` columns, the end replaced by an ellipsis if necessary."""
+    if text_width(text) <= width:
+        return text
+    kept = ""
+    for letter in text:
+        if text_width(kept + letter) > width - 1:
+            break
+        kept += letter
+    return f"{kept}…"

@@ -29,10 +29,8 @@ from pdr_graph.frames import Frame
 from pdr_graph.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import DiaryDay
 from pdr_graph.lifelog.local_time import ALL, DAY, YEAR
-from pdr_graph.lifelog.map_tiles import MercatorFrame, tiles
-from pdr_graph.lifelog.maps import Dot, Panel, panels, short_name
-from pdr_graph.lifelog.overview import Overview
-from pdr_graph.lifelog.overview_text import distance_text, period_title, sums_text
+from pdr_graph.lifelog.maps import Dot, MercatorFrame, Panel, panels, short_name, tiles
+from pdr_graph.lifelog.overview import Overview, distance_text, period_title, sums_text
 from pdr_graph.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.lifelog.timeline import PASSING, STAY, TimelineEntry
 from pdr_graph.notebook_html import GREY

@@ -25,12 +25,13 @@ from pdr_graph.lifelog.diary import DiaryDay, Totals, totals_of
 from pdr_graph.lifelog.export import as_geojson
 from pdr_graph.lifelog.local_time import DAY
 from pdr_graph.lifelog.maps import Dot, DrawnPart, Panel, panels
-from pdr_graph.lifelog.overview import Overview, tables
-from pdr_graph.lifelog.overview_text import (
+from pdr_graph.lifelog.overview import (
+    Overview,
     distance_text,
     hours_text,
     list_texts,
     period_title,
+    tables,
     time_text,
     visit_times,
 )

@@ -12,8 +12,7 @@ from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.diary import Diary, DiaryDay, diary
 from pdr_graph.lifelog.local_time import ALL, DAY, LAST_DATE, Period, zone_of_outings
-from pdr_graph.lifelog.overview import Overview, as_json, overview
-from pdr_graph.lifelog.overview_text import as_text
+from pdr_graph.lifelog.overview import Overview, as_json, as_text, overview
 from pdr_graph.lifelog.places import Place, likely_home
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.whole_files import output_folder

@@ -21,11 +21,11 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.lifelog import forgetting, report, revision
+from pdr_graph.lifelog import report, revision
 from pdr_graph.lifelog.diary import DiaryDay, diary
 from pdr_graph.lifelog.facts import MODES
 from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.overview_text import row_texts
+from pdr_graph.lifelog.overview import row_texts
 from pdr_graph.lifelog.picture import picture as drawn_picture
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
@@ -246,7 +246,7 @@ def _corrected(store: Path, fields: Fields) -> list[str]:
         case "not-me":
             return revision.state_not_me(store, start, end, person)
         case "forget" if fields.get("sure", "").strip().lower() == "yes":
-            return forgetting.forget(store, start, end, person)
+            return revision.forget(store, start, end, person)
         case "forget":
             raise InputError("forget", "", "no yes", "yes: what is deleted does not come back")
         case "undo" if value.isdecimal():

@@ -15,7 +15,7 @@ from made_tracks import at, clock, place
 from observations import walk
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import cache, forgetting, revision
+from pdr_graph.lifelog import cache, revision
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.diary import diary
 from pdr_graph.lifelog.facts import Guess
@@ -124,7 +124,7 @@ def test_no_byte_of_a_deleted_hour_is_left(tmp_path):
     sought = patterns(store)
     assert len(sought) > 1000
     assert left(store.parent, sought) == set(sought), "each is there before, else the search would prove nothing"
-    lines = forgetting.forget(store, clock(10), clock(11))
+    lines = revision.forget(store, clock(10), clock(11))
     assert left(store.parent, sought) == set()
     assert not store.with_name("days.db-wal").exists()
     assert build(store).built == 0
@@ -134,7 +134,7 @@ def test_no_byte_of_a_deleted_hour_is_left(tmp_path):
 
 def test_the_rest_of_the_day_remains(tmp_path):
     store = a_rich_lifelog(tmp_path)
-    forgetting.forget(store, clock(10), clock(11))
+    revision.forget(store, clock(10), clock(11))
     with Store(store) as log:
         day = day_of(log)
         [entry] = log.entries()
@@ -151,7 +151,7 @@ def test_an_original_is_named_and_what_is_read_again_stays_without_the_hour(tmp_
     sought = [p for p in patterns(store) if p not in NAMES]
     before = left(store.parent, sought)
     assert len(before) > 1000
-    lines = forgetting.forget(store, clock(10), clock(11))
+    lines = revision.forget(store, clock(10), clock(11))
     original = tmp_path / "raw" / "me" / "0.plt"
     assert f"still on your disk: {original}" in lines
     assert left(store.parent, sought) == set()
@@ -169,11 +169,11 @@ def test_an_original_is_named_and_what_is_read_again_stays_without_the_hour(tmp_
 
 def test_a_copy_is_deleted_and_a_recording_without_other_data_with_it(tmp_path):
     store = a_rich_lifelog(tmp_path)
-    forgetting.forget(store, clock(10), clock(11))
+    revision.forget(store, clock(10), clock(11))
     with Store(store) as log:
         assert not list((log.folder / cache.COPIES).iterdir())
         assert len(log.entries()) == 1
-    lines = forgetting.forget(store, clock(7), clock(14))
+    lines = revision.forget(store, clock(7), clock(14))
     assert "1 recording had data then, 1 of them nothing else" in lines
     with Store(store) as log:
         assert (log.entries(), log.days()) == ((), {})
@@ -188,10 +188,10 @@ def test_an_interrupted_deletion_goes_on_when_it_is_called_again(tmp_path, monke
     store = a_rich_lifelog(tmp_path)
     sought = patterns(store)
     with monkeypatch.context() as patch:
-        patch.setattr(forgetting, "_clean", lambda log: 1 / 0)
+        patch.setattr(revision, "_clean", lambda log: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            forgetting.forget(store, clock(10), clock(11))
-    forgetting.forget(store, clock(10), clock(11))
+            revision.forget(store, clock(10), clock(11))
+    revision.forget(store, clock(10), clock(11))
     assert left(store.parent, sought) == set()
     assert sum("deleted" in line for line in revision.listing(store)) == 1
 
@@ -207,7 +207,7 @@ def test_the_past_that_was_imported_is_cut_and_a_further_import_does_not_bring_i
     build(store, "UTC")
     sought = [str(place["latitudeE7"]).encode() for place in secret]
     assert left(store.parent, sought) == set(sought)
-    lines = forgetting.forget(store, "2024-05-01 12:00", "2024-05-01 13:00")
+    lines = revision.forget(store, "2024-05-01 12:00", "2024-05-01 13:00")
     assert any("rebuilt" in line for line in lines)
     assert left(store.parent, sought) == set()
     past.imported(store, export)
@@ -222,13 +222,13 @@ def test_a_person_is_deleted_with_everything(tmp_path):
     build(store)
     revision.name_place(store, place(0, 0), "benedicts home", person="benedict")
     assert left(store.parent, [b"benedict", b"benedicts-phone"])
-    lines = forgetting.forget_person(store, "benedict")
+    lines = revision.forget_person(store, "benedict")
     assert lines[0] == "deleted: benedict, 1 recording"
     assert left(store.parent, [b"benedict", b"benedicts-phone"]) == set()
     with Store(store) as log:
         assert [name for name, _ in log.days()] == ["me"]
     with pytest.raises(InputError, match="'benedict', expected one of me"):
-        forgetting.forget_person(store, "benedict")
+        revision.forget_person(store, "benedict")
 
 
 def test_a_recording_is_deleted_with_its_part_of_the_day(tmp_path):
@@ -239,20 +239,20 @@ def test_a_recording_is_deleted_with_its_part_of_the_day(tmp_path):
     build(store)
     sought = floats(observe(other).fixes.position)
     assert left(store.parent, sought)
-    lines = forgetting.forget_recording(store, str(other))
+    lines = revision.forget_recording(store, str(other))
     assert f"still on your disk: {other}" in lines
     assert left(store.parent, sought) <= set(floats([0.0])), "the origin of each frame"
     with Store(store) as log:
         assert len(day_of(log).outings) == 1
     with pytest.raises(InputError, match="0 recordings by"):
-        forgetting.forget_recording(store, str(other))
+        revision.forget_recording(store, str(other))
 
 
 def test_undoing_a_deletion_lets_the_original_be_read_again(tmp_path):
     store = made.lifelog(tmp_path)
     with Store(store) as log:
         before = log.day_hash("me", DATE)
-    forgetting.forget(store, clock(10), clock(11))
+    revision.forget(store, clock(10), clock(11))
     lines = revision.undo(store, 1)
     assert "1 recording can be read again" in lines[-1]
     assert build(store).built == 1
@@ -277,7 +277,7 @@ def test_steps_are_cut_too(tmp_path):
     inside = (one.steps.time > 30.0) & (one.steps.time < 60.0)
     sought = floats(one.steps.length[inside]) + floats(one.steps.turn[inside])
     assert left(store.parent, sought) == set(sought)
-    forgetting.forget(store, f"{DATE} 10:00:29", f"{DATE} 10:01:01")
+    revision.forget(store, f"{DATE} 10:00:29", f"{DATE} 10:01:01")
     assert left(store.parent, sought) == set()
     with Store(store) as log:
         assert 200 - 32 / 0.55 - 3 <= (log.entries()[0].steps or 0) <= 200 - 32 / 0.55 + 3

@@ -14,8 +14,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.export import export_days
-from pdr_graph.lifelog.geo_tables import parquet_tables
+from pdr_graph.lifelog.export import export_days, parquet_tables
 from pdr_graph.lifelog.store import Store
 
 geopandas = pytest.importorskip("geopandas", reason="the extra geo")

@@ -18,8 +18,7 @@ from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog.day import GAP, VEHICLE, WALKING
 from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.overview import tables
-from pdr_graph.lifelog.overview_text import MOST_ROWS, day_list, distance_text, fitted, row_texts, text_width
+from pdr_graph.lifelog.overview import MOST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
 from pdr_graph.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry

@@ -18,12 +18,11 @@ from typer.testing import CliRunner
 
 from pdr_graph.cli import app
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog import map_tiles
+from pdr_graph.lifelog import maps
 from pdr_graph.lifelog.day import STANDING, WALKING
 from pdr_graph.lifelog.day_rows import rows_of
 from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.map_tiles import MercatorFrame, check_template, tiles
-from pdr_graph.lifelog.maps import panels
+from pdr_graph.lifelog.maps import MercatorFrame, check_template, panels, tiles
 from pdr_graph.lifelog.picture import offset_text, picture
 from pdr_graph.lifelog.report import page
 from pdr_graph.lifelog.show import Choice, show
@@ -45,7 +44,7 @@ def no_network(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a request")
 
-    monkeypatch.setattr(map_tiles, "answer_to", refuse)
+    monkeypatch.setattr(maps, "answer_to", refuse)
 
 
 def drawn(chosen, template=""):
@@ -196,7 +195,7 @@ def test_tiles_are_fetched_from_the_given_address_alone(log, server):
     chosen = chosen_from(log, "Ada", day="2024-05-16")
     figure, failures = drawn(chosen, server.template)
     assert not failures
-    assert 0 < len(server.asked) <= map_tiles.MAX_TILES
+    assert 0 < len(server.asked) <= maps.MAX_TILES
     assert all(agent.startswith("pdr_graph/") for _, agent in server.asked)
     axes = figure.axes[0]
     region = panels(chosen)[0]
@@ -215,7 +214,7 @@ def test_a_tile_is_where_its_number_says(server):
         for tile in tiles(server.template, frame, np.array([[1e5, 1e5], [1.9e7, 1.9e7]]), 256)
         if np.allclose(tile.corners[0], 0.0, atol=1.0)
     ]
-    assert tile.corners[1] == pytest.approx(np.pi * map_tiles.MERCATOR_RADIUS * np.ones(2))
+    assert tile.corners[1] == pytest.approx(np.pi * maps.MERCATOR_RADIUS * np.ones(2))
 
 
 @pytest.mark.parametrize(("status", "content"), [(404, b""), (200, b"no picture"), (200, b"x" * 3_000_000)])
@@ -223,7 +222,7 @@ def test_a_server_without_tiles_is_one_line_and_asked_three_times(log, server, s
     server.status, server.content = status, content
     figure, [line] = drawn(chosen_from(log, "Ada", day="2024-05-16"), server.template)
     assert line.startswith("no tiles: http://127.0.0.1")
-    assert len(server.asked) == map_tiles.MAX_FAILURES
+    assert len(server.asked) == maps.MAX_FAILURES
     assert figure.axes[0].get_xlim()[1] > figure.axes[0].get_xlim()[0]
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, stay
 
 from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.overview_text import as_text
+from pdr_graph.lifelog.overview import as_text
 from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, duration_text, timeline, timeline_csv
 
 ZONE = ZoneInfo("America/Santiago")
