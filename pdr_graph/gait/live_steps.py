@@ -6,12 +6,11 @@ output is final and is stored; after that it is computed at each update as for a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from pdr_graph import storage
 from pdr_graph.gait.step_detection import (
     DURATIONS,
     LAGS,
@@ -30,24 +29,6 @@ from pdr_graph.gait.step_detection import (
 from pdr_graph.geometry import gaussian_weights
 from pdr_graph.priors import BOUT, CANDIDATE
 from pdr_graph.types import Array, Index
-
-
-@dataclass(frozen=True)
-class DetectorCheckpoint:
-    """The state of a `StepDetector`."""
-
-    period: float
-    start: float
-    look_ahead: float
-    decided: float
-    bout: Bout
-    samples: Array
-    first: int
-    count: int
-    smoothed: Array
-    smoothed_first: int
-    smoothed_final: int
-    pending: Array
 
 
 class StepDetector:
@@ -100,20 +81,6 @@ class StepDetector:
         """Earliest time at which a new landing can still be found. [s]"""
         late = [time for time, _ in self.bout.waiting if time > self.decided - BOUT.late]
         return self.start + min([self.decided, *late])
-
-    def checkpoint(self) -> DetectorCheckpoint:
-        """The complete state; after `restore` the results are equal."""
-        self._evaluate()
-        return storage.checkpoint(self, DetectorCheckpoint)
-
-    @classmethod
-    def restored(cls, checkpoint: DetectorCheckpoint) -> StepDetector:
-        """A detector that continues from a checkpoint."""
-        detector = cls(checkpoint.period, checkpoint.start, checkpoint.look_ahead)
-        storage.restore(detector, checkpoint)
-        detector._origin, detector._evaluated = detector.smoothed_first, detector.count
-        detector._gravity_first = detector.first
-        return detector
 
     @property
     def _sampling(self) -> float:

@@ -191,7 +191,7 @@ def _opened(inputs: Inputs, options: Options, events: int, kind: Any) -> Any:
     settings = {"recording": inputs.walk.source, "events": events, "walker": inputs.walker.describe()}
     settings |= journal_settings(options, files) | {"recorded_fixes": options.recorded_fixes}
     settings |= {} if options.start_heading is None else {"start_heading": options.start_heading}
-    return Journal.open(options.journal, partial(kind, **arguments), partial(kind.restored, **arguments), settings)
+    return Journal.open(options.journal, partial(kind, **arguments), settings)
 
 
 def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict[str, Any]:
