@@ -1,6 +1,6 @@
-"""Lossless encoding of typed dataclasses without pickle; checkpoints of objects; SQLite files.
+"""Lossless encoding of typed dataclasses without pickle; SQLite files.
 
-One format serves events, snapshots and the blobs of a lifelog:
+One format serves the events of a journal and the blobs of a lifelog:
 
     CRC-32 of what follows (4 bytes) · format (1) · msgpack: [name of the type, fields by name in alphabetical order]
 
@@ -21,7 +21,6 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -214,17 +213,6 @@ def decode_json(text: str, kind: type[Value]) -> Value:
         return msgspec.json.decode(text, type=kind)
     except UNREADABLE as error:
         raise ValueError(f"no JSON of {kind.__name__}: {_on_one_line(error)}") from None
-
-
-def checkpoint(instance: object, kind: type[Value]) -> Value:
-    """A dataclass of this kind with copies of the object's attributes of the same names."""
-    return kind(**{each.name: deepcopy(getattr(instance, each.name)) for each in fields(kind)})  # type: ignore[arg-type]
-
-
-def restore(instance: object, state: Any) -> None:
-    """Set the attributes of an object to copies of the fields of a checkpoint."""
-    for each in fields(state):
-        setattr(instance, each.name, deepcopy(getattr(state, each.name)))
 
 
 def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:

@@ -69,13 +69,9 @@ class Run:
         graph.restart(graph.lag)
         graph.solve()
         anew = time.process_time() - began
-        began = time.process_time()
-        options = {"floor": self.nav.building, "lag": None if np.isinf(graph.lag) else graph.lag}
-        Navigator.restored(self.nav.snapshot(), **options)
-        restored = time.process_time() - began
         memory = [f"{m:.0f}" for m in self.memory]
         events = f"{status.restarts} / {len(status.rebuilds)}"
-        return [name, *memory, status.keyframes, marginal, events, f"{1e3 * anew:.1f}", f"{1e3 * restored:.0f}"]
+        return [name, *memory, status.keyframes, marginal, events, f"{1e3 * anew:.1f}"]
 
 
 def live_rows():
@@ -94,7 +90,7 @@ def live_rows():
         "variables of the marginal",
         "restarts / rebuilds",
     ]
-    header += ["the search anew [ms]", "from a snapshot [ms]"]
+    header += ["the search anew [ms]"]
     memory = table(header, [run.state(name) for name, run in runs.items()])
     hour = runs[OF_SAMPLES]
     busy = hour.took[:, [0, 2]].sum() / hour.nav.pose.time

@@ -4,7 +4,6 @@ A `Target` has the files of a folder at several moments and a function that open
 back. ``scripts/power_cuts.py`` counts thousands of cuts, ``test_power_cuts.py`` some.
 """
 
-import operator
 import random
 import shutil
 import sys
@@ -161,7 +160,7 @@ class Said:
 
 # ── the journal of a walk ───────────────────────────────────────────────────────────────────────────────────────────
 
-EVERY, EVENTS = 47, 230
+EVENTS = 230
 
 
 def journal(path):
@@ -169,21 +168,20 @@ def journal(path):
 
     from pdr_graph.online.journal import Journal
 
-    return Journal.open(path, StandIn, StandIn.restored, {"lag": 60.0}, every=EVERY)
+    return Journal.open(path, StandIn, {"lag": 60.0})
 
 
 def walk_of(journal):
     """All that a walk is, bit by bit: where it is, and each row of its trajectory."""
-    track = journal.finish().trajectory
+    return of_navigator(journal.navigator)
+
+
+def of_navigator(navigator):
+    """`walk_of` that a navigator estimates."""
+    track = navigator.finish().trajectory
     columns = (track.time, track.position, track.heading, track.covariance)
     rows = zip(*([row.tobytes() for row in column] for column in columns), track.floor, strict=True)
-    return repr(journal.navigator.place), list(rows)
-
-
-def is_part(found, whole):
-    """True if a walk is where another is, and has some of its rows, in order."""
-    remaining = iter(whole[1])
-    return found[0] == whole[0] and all(row in remaining for row in found[1])
+    return repr(navigator.place), list(rows)
 
 
 def journal_target(folder):
@@ -203,15 +201,14 @@ def journal_target(folder):
     def reopen(damaged):
         with journal(damaged / "walk") as found:
             resumed, loss = found.count, found.loss
-            equal = is_part if "parts of the trajectory" in loss else operator.eq
-            if not equal(walk_of(found), states[resumed]):
+            if walk_of(found) != states[resumed]:
                 return FAILED, f"another walk after {found.count} events"
             for number in range(found.count, EVENTS):
                 found.push(event(number))
-            if not equal(walk_of(found), states[EVENTS]):
+            if walk_of(found) != states[EVENTS]:
                 return FAILED, f"a walk that goes on otherwise after {resumed} events"
         with journal(damaged / "walk") as again:
-            if not equal(walk_of(again), states[EVENTS]):
+            if walk_of(again) != states[EVENTS]:
                 return FAILED, "another walk when it is opened again"
         return verdict(resumed == EVENTS and not loss, loss, f"{resumed} of {EVENTS} events")
 
@@ -394,12 +391,10 @@ def walker(folder):
     import numpy as np
     from standin import StandIn
 
-    from pdr_graph.online.journal import Journal
-    from pdr_graph.serve.live_walk import Session, opened
+    from pdr_graph.serve.live_walk import LiveWalk, Session
 
-    Journal.open.__func__.__kwdefaults__["every"] = EVERY
     session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
-    walk = opened(folder, session, lambda epoch: StandIn(), lambda state, epoch: StandIn.restored(state), {"lag": 20.0})
+    walk = LiveWalk(folder, session, lambda epoch: StandIn())
     while walk.work(np.inf):
         pass
     return walk
@@ -416,9 +411,7 @@ def session_target(folder):
         log = MessageLog(store / LOG)
         log.append(n, EPOCH + n, body)
         log.close()
-        walk = walker(store)
         ages.append(taken(store))
-        walk.close()
     final = walk_of_session(store)
 
     def reopen(damaged):
@@ -426,8 +419,7 @@ def session_target(folder):
             walk = walker(damaged)
         except InputError:
             return FAILED, "the walk is not estimated anew"
-        found, said = (walk_of(walk._journal) if walk._journal else None), list(walk._issues())
-        walk.close()
+        found, said = of_session(walk), list(walk._issues())
         fresh = folder / "fresh"
         shutil.rmtree(fresh, ignore_errors=True)
         put(fresh, {LOG: (damaged / LOG).read_bytes()})
@@ -442,15 +434,17 @@ def session_target(folder):
         whole = found == final and len(remaining) == MESSAGES
         return verdict(whole, "; ".join(said), f"{len(remaining)} of {MESSAGES} messages")
 
-    return Target(ages, (LOG, "turns.db", "turns.db-wal", "walk.journal", "walk.journal-wal"), reopen)
+    return Target(ages, (LOG,), reopen)
 
 
 def walk_of_session(folder):
     """All that the walk of a session is, with all its messages."""
-    walk = walker(folder)
-    found = walk_of(walk._journal) if walk._journal else None
-    walk.close()
-    return found
+    return of_session(walker(folder))
+
+
+def of_session(walk):
+    """`walk_of` that its navigator estimates; None without one."""
+    return None if walk._navigator is None else of_navigator(walk._navigator)
 
 
 def published_target(folder):

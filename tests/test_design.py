@@ -67,7 +67,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation": (23, 2891),
     "estimation/ambiguity": (7, 546),
     "estimation/factors": (22, 2523),
-    "estimation/live": (20, 2203),
+    "estimation/live": (20, 1919),
     "evaal": (5, 551),
     "floor": (10, 1233),
     "floor/formats": (20, 1936),

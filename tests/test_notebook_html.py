@@ -66,7 +66,7 @@ def test_a_picture_needs_no_matplotlib():
 
 
 def test_a_journal_has_one_line_too(tmp_path):
-    with pdr.Journal.open(tmp_path / "a.journal", pdr.Navigator, pdr.Navigator.restored) as journal:
+    with pdr.Journal.open(tmp_path / "a.journal", pdr.Navigator) as journal:
         assert repr(journal) == f"Journal('{tmp_path / 'a.journal'}', 0 events)"
 
 

@@ -18,7 +18,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pdr_graph import storage
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
 from pdr_graph.gait.heading import Direction, Forward, forward_axis, live_forward_axis
@@ -142,27 +141,6 @@ class LiveHeading:
     sigma: float
 
 
-@dataclass(frozen=True)
-class CompassCheckpoint:
-    """The state of a `LiveCompass`, except for its location."""
-
-    field: MagnetometerStream
-    stretch: int
-    samples: Array
-    field_count: int
-    incomplete: Array
-    turn_variance: float
-    begin: float
-    end: float
-    period: float
-    direction_variance: float
-    durations: Array
-    evaluated: float
-    offsets: Array
-    current: Array
-    previous: Array
-
-
 class LiveCompass:
     """Headings while magnetometer samples are pushed and a `StepStream`, whose listener is `update`, advances.
 
@@ -203,16 +181,6 @@ class LiveCompass:
         """The headings since the last call."""
         found, self._found = self._found, []
         return found
-
-    def checkpoint(self) -> CompassCheckpoint:
-        """The state after an `advance`, except for the location."""
-        self.field.ingest()
-        return storage.checkpoint(self, CompassCheckpoint)
-
-    def restore(self, checkpoint: CompassCheckpoint) -> None:
-        """Continue from a checkpoint of a compass with the same walker."""
-        storage.restore(self, checkpoint)
-        self._found.clear()
 
     def update(self, gait: GaitSignals) -> None:
         """Add the next samples of the walk that are certain."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph import storage
 from pdr_graph.gait.heading import Direction
 from pdr_graph.gait.heading_stream import HeadingStream
 from pdr_graph.gait.signals import GaitSignals
@@ -22,7 +21,6 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
 from pdr_graph.inertial.attitude_stream import (
     SENSOR_VALIDATION,
-    AttitudeCheckpoint,
     AttitudeStream,
     GravityRestorer,
     Health,
@@ -30,22 +28,6 @@ from pdr_graph.inertial.attitude_stream import (
 )
 from pdr_graph.priors import MOTION, REST, STEP
 from pdr_graph.types import Array, Recording, Steps
-
-
-@dataclass(frozen=True)
-class StepStreamCheckpoint:
-    """The state of a `StepStream`.
-
-    has_accelerometer: False while linear acceleration replaces it; end, bias: of the earlier segments.
-    """
-
-    accelerometer: SensorStream
-    gyroscope: SensorStream
-    gravity: GravityRestorer
-    segment: SegmentCheckpoint | None
-    has_accelerometer: bool
-    end: float
-    bias: Array
 
 
 class StepStream:
@@ -72,13 +54,6 @@ class StepStream:
         self._provisional: Steps | None = None  # corrected by the profile
 
     @property
-    def latest(self) -> float:
-        """Time of the latest valid sample [s]; NaN before the first."""
-        self._ingest()
-        last = max(sensor.last for sensor in self._sensors.values())
-        return last if np.isfinite(last) else np.nan
-
-    @property
     def offset(self) -> float:
         """Time that is added to the samples' times since a reset of the clock. [s]"""
         return max(sensor.offset for sensor in self._sensors.values())
@@ -86,8 +61,9 @@ class StepStream:
     @property
     def health(self) -> dict[str, Health]:
         """Statistics of each sensor's samples."""
-        self._ingest()
-        return {name: sensor.health for name, sensor in self._sensors.items()}
+        sensors = deepcopy(self._sensors)  # packets are validated together when they are due, whatever is asked before
+        _ingest(*sensors.values())
+        return {name: sensor.health for name, sensor in sensors.items()}
 
     def push(self, sensor: str, time: Array, values: Array) -> None:
         """Add samples of a sensor, by its name in ``Recording.signals``, at times ``(n,)`` [s], as in `Signal`.
@@ -108,40 +84,16 @@ class StepStream:
         """
         if not self._is_due():
             return None, self._provisional
-        self._ingest()
+        _ingest(*self._sensors.values())
         return self._advance(self._usable_until(), last=False), self._provisional
 
     def finish(self) -> Steps | None:
         """The remaining steps: no more samples follow."""
-        self._ingest()
+        _ingest(*self._sensors.values())
         accelerometer, gyroscope = self._sensors.values()
         alone = gyroscope.last < accelerometer.last - REST.longest_bridged
         until = accelerometer.last if alone else min(accelerometer.last, gyroscope.last)
         return self._advance(until, last=True)
-
-    def checkpoint(self) -> StepStreamCheckpoint:
-        """The complete state; after `restore` the results are equal bit by bit."""
-        self._ingest()
-        return StepStreamCheckpoint(
-            **deepcopy(self._sensors),
-            gravity=deepcopy(self._gravity),
-            segment=None if self._segment is None else self._segment.checkpoint(),
-            has_accelerometer=self._has_accelerometer,
-            end=self._end,
-            bias=self._bias.copy(),
-        )
-
-    def restore(self, checkpoint: StepStreamCheckpoint) -> None:
-        """Continue from a checkpoint of a stream with the same walker."""
-        self._has_accelerometer, self._end = checkpoint.has_accelerometer, checkpoint.end
-        self._bias, self._gravity = checkpoint.bias.copy(), deepcopy(checkpoint.gravity)
-        self._sensors = {name: deepcopy(getattr(checkpoint, name)) for name in self._sensors}
-        self._segment = self._provisional = None
-        if checkpoint.segment is not None:
-            direction = checkpoint.segment.direction
-            self._segment = self._new_segment(direction.origin, direction.period)
-            self._segment.restore(checkpoint.segment)
-            self._provisional = self._corrected(self._segment.provisional())
 
     def _is_due(self) -> bool:
         """True if a block of samples, or many packets, wait for processing."""
@@ -151,13 +103,6 @@ class StepStream:
         if min(newest) >= due or max(newest) >= due + STEP_STREAM.lagging:
             return True
         return max(len(sensor.arrived) for sensor in sensors) >= STEP_STREAM.packets
-
-    def _ingest(self) -> None:
-        accelerometer, gyroscope = self._sensors.values()
-        accelerometer.ingest(gyroscope.offset)
-        gyroscope.ingest(accelerometer.offset)
-        if gyroscope.last > accelerometer.last + 2 * SENSOR_VALIDATION.longest_packet:  # it runs alone
-            gyroscope.drop_until(gyroscope.last - SENSOR_VALIDATION.longest_packet)
 
     def _usable_until(self) -> float:
         """Time up to which both sensors have samples, or the accelerometer if the gyroscope stopped. [s]"""
@@ -229,6 +174,14 @@ class StepStream:
         return profile.corrected(steps) if profile is not None and steps is not None else steps
 
 
+def _ingest(accelerometer: SensorStream, gyroscope: SensorStream) -> None:
+    """Validate the queued samples of both sensors."""
+    accelerometer.ingest(gyroscope.offset)
+    gyroscope.ingest(accelerometer.offset)
+    if gyroscope.last > accelerometer.last + 2 * SENSOR_VALIDATION.longest_packet:  # it runs alone
+        gyroscope.drop_until(gyroscope.last - SENSOR_VALIDATION.longest_packet)
+
+
 @dataclass(frozen=True)
 class StreamSettings:
     """Constants of the live steps, chosen by hand.
@@ -257,20 +210,6 @@ class StreamSettings:
 STEP_STREAM = StreamSettings()
 EMPTY_RECORDING = Recording("live", 0.0, None)
 STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-
-
-@dataclass(frozen=True)
-class SegmentCheckpoint:
-    """The state of a `SegmentStream`."""
-
-    attitude: AttitudeCheckpoint
-    detector: StepDetector
-    direction: HeadingStream
-    end: float
-    count: int
-    landed: Array
-    reported: int
-    durations: Array
 
 
 class SegmentStream:
@@ -310,26 +249,6 @@ class SegmentStream:
     def period(self) -> float:
         """Interval between samples. [s]"""
         return self.direction.period
-
-    def checkpoint(self) -> SegmentCheckpoint:
-        """The complete state."""
-        return SegmentCheckpoint(
-            attitude=storage.checkpoint(self.attitude, AttitudeCheckpoint),
-            detector=deepcopy(self.detector),
-            direction=deepcopy(self.direction),
-            end=self.end,
-            count=self.count,
-            landed=self.landed.copy(),
-            reported=self.reported,
-            durations=self.durations.copy(),
-        )
-
-    def restore(self, checkpoint: SegmentCheckpoint) -> None:
-        """Continue from a checkpoint of a stream with the same walker."""
-        storage.restore(self.attitude, checkpoint.attitude)
-        self.detector, self.direction = deepcopy(checkpoint.detector), deepcopy(checkpoint.direction)
-        self.end, self.count, self.reported = checkpoint.end, checkpoint.count, checkpoint.reported
-        self.landed, self.durations = checkpoint.landed.copy(), checkpoint.durations.copy()
 
     def next_times(self, count: int) -> Array:
         """Times ``(count,)`` of the next samples. [s]"""

@@ -148,14 +148,6 @@ class EventChecks:
         """A line for each reason why rows were left out."""
         return [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
 
-    def checkpoint(self) -> tuple[tuple[str, str, int], ...]:
-        """Return the counts."""
-        return tuple((*key, count) for key, count in self.unused.items())
-
-    def restore(self, counts: tuple[tuple[str, str, int], ...]) -> None:
-        """Set the counts to those of a checkpoint."""
-        self.unused = Counter({(name, reason): count for name, reason, count in counts})
-
     def _counted(self, name: str, data: Any, within: Mask, reason: str) -> Any:
         """The rows within; None without any."""
         if within.all():

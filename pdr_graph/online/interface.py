@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -227,7 +227,7 @@ class LiveEstimator(Protocol):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The walk smoothed so far; of a journaled navigator the rows that `finalized` has not returned yet."""
+        """The walk smoothed so far."""
         ...
 
     @property
@@ -246,20 +246,6 @@ class Georeferenced(LiveEstimator, Protocol):
     @property
     def frame(self) -> Frame | None:
         """The frame of the poses; None before anything defines it."""
-        ...
-
-
-class Journaled(LiveEstimator, Protocol):
-    """A navigator for a journal. Checkpoint: a dataclass that `storage.encode` accepts."""
-
-    Checkpoint: ClassVar[type]
-
-    def snapshot(self) -> Any:
-        """Return the state, a ``Checkpoint``, without the rows that `finalized` returned."""
-        ...
-
-    def finalized(self) -> Trajectory:
-        """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         ...
 
 

@@ -9,8 +9,8 @@ No data can end the walk: unusable data are counted, and the status states the p
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,20 +21,20 @@ from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
-from pdr_graph.estimation.live.live_floors import FloorsCheckpoint, LiveFloors
-from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
+from pdr_graph.estimation.live.live_floors import LiveFloors
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.estimation.results import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
-from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
+from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.stair_steps import with_goings
-from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.online.display import Display, modes_of
-from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
+from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
@@ -50,33 +50,6 @@ MOST_RECEIVERS = 100  # whose last positions are stored, to recognise duplicate 
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
 
-@dataclass(frozen=True)
-class NavigatorCheckpoint:
-    """State of a `Navigator`, without the rows that `finalized` returned.
-
-    taken, absurd: numbers of accepted and unusable fixes; early: of measurements; certain: of certain steps; gaps: of
-    gaps; unknown: notes of the steps; place: a known position ``(2,)``; last_fixes: the last position of each receiver;
-    unused: see `EventChecks`.
-    """
-
-    taken: int
-    early: int
-    absurd: int
-    certain: int
-    gaps: int
-    unknown: tuple[str, ...]
-    frame: Frame | None
-    place: Array | None
-    last_fixes: dict[str, tuple[float, ...]]
-    gait: StepStreamCheckpoint
-    compass: CompassCheckpoint
-    floors: FloorsCheckpoint
-    alone: FixesAlone | None
-    graph: SmootherCheckpoint
-    unused: tuple[tuple[str, str, int], ...] = ()
-    added: ClassVar = ("unused",)  # bytes of earlier versions have none
-
-
 class Navigator:
     """Estimator of a walk under way.
 
@@ -89,8 +62,6 @@ class Navigator:
     the walk, of which each is used at a fixed later time of the walk; without, `review` or the push that needs it does,
     with equal results.
     """
-
-    Checkpoint: ClassVar = NavigatorCheckpoint
 
     def __init__(
         self,
@@ -288,47 +259,6 @@ class Navigator:
     @property
     def _window(self) -> Window:
         return self._graph.graph.window
-
-    def snapshot(self) -> NavigatorCheckpoint:
-        """Return the state, without the rows that `finalized` returned."""
-        return NavigatorCheckpoint(
-            taken=self._accepted,
-            early=self._early,
-            absurd=self._checks.unused["fixes", UNUSABLE],
-            certain=self._certain,
-            gaps=self._gaps,
-            unknown=tuple(self._unknown),
-            frame=self.frame,
-            place=None if self._place is None else self._place.copy(),
-            last_fixes=dict(self._last_fixes),
-            gait=self._gait.checkpoint(),
-            compass=self._compass.checkpoint(),
-            floors=self._floors.checkpoint(),
-            alone=self._alone,
-            graph=self._graph.checkpoint(),
-            unused=self._checks.checkpoint(),
-        )
-
-    @classmethod
-    def restored(cls, checkpoint: NavigatorCheckpoint, **options: Any) -> Navigator:
-        """Create a navigator from a checkpoint; options: those of the navigator of the checkpoint."""
-        nav = cls(**options)
-        nav._accepted, nav._early = checkpoint.taken, checkpoint.early
-        nav._checks.restore(checkpoint.unused or (("fixes", UNUSABLE, checkpoint.absurd),))
-        nav._gaps, nav._unknown = checkpoint.gaps, dict.fromkeys(checkpoint.unknown)
-        nav._certain, nav._last_fixes = checkpoint.certain, dict(checkpoint.last_fixes)
-        if nav.frame is None and checkpoint.frame is not None:
-            nav._lie_in(checkpoint.frame)
-        nav._gait.restore(checkpoint.gait)
-        nav._graph.restore(checkpoint.graph)
-        nav._compass.restore(checkpoint.compass)
-        nav._floors.restore(checkpoint.floors)
-        nav._alone = checkpoint.alone
-        if checkpoint.place is not None and nav.frame is not None:
-            nav._locate(nav.frame, checkpoint.place.copy())
-        tail = nav._gait.advance()[1]
-        nav._tail = None if tail is None else with_goings(tail, nav._floors.goings)
-        return nav
 
     def _on_clock(self, time: Array) -> Array:
         """Times on the sensors' present clock; after a clock reset, with or without its offset, the nearer to now."""

@@ -182,8 +182,7 @@ def _opened(evidence: Evidence, events: int, kind: Any) -> Any:
     settings = {"recording": recording, "events": events, "walker": evidence.walker.describe()}
     settings |= journal_settings(options, files) | {"recorded_fixes": options.recorded_fixes}
     settings |= {} if options.start_heading is None else {"start_heading": options.start_heading}
-    kind = kind or _navigator()
-    return Journal.open(options.journal, create, partial(kind.restored, **create.keywords), settings)
+    return Journal.open(options.journal, create, settings)
 
 
 def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict[str, Any]:

@@ -20,8 +20,8 @@ import msgspec
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.online.replay import journal_settings, navigator_of
-from pdr_graph.serve.live_walk import LiveWalk, opened, read_session
+from pdr_graph.online.replay import navigator_of
+from pdr_graph.serve.live_walk import LiveWalk, read_session
 from pdr_graph.serve.publishing import PATH_INTERVAL
 from pdr_graph.walk import Options
 
@@ -34,13 +34,16 @@ READY = "ready"  # the first update
 
 @dataclass
 class Task:
-    """A walker with what is due: times on the monotonic clock [s]; posed: False while its pose is not published."""
+    """A walker with what is due: times on the monotonic clock [s]; posed: False while its pose is not published;
+    finishing: its walk ends with the messages that wait.
+    """
 
     walker: LiveWalk
     posed: bool = True
     last_pose: float = -np.inf
     last_path: float = -np.inf
     path_is_due: bool = True
+    finishing: bool = False
 
 
 class Estimating:
@@ -53,23 +56,20 @@ class Estimating:
     def __init__(self, root: Path, options: Options, send: Callable[[str, dict[str, Any]], None], working: Any):
         self._root, self._send, self._working = root, send, working
         self._executor = ThreadPoolExecutor(1)
-        create = partial(navigator_of(options), executor=self._executor)
-        settings = journal_settings(options, {"walker": options.walker})
-        kind: Any = create.func
-        self._arguments = create, partial(kind.restored, **create.keywords), settings
+        self._make = partial(navigator_of(options), executor=self._executor)
         self._tasks, self._failed = dict[str, Task](), dict[str, tuple[int, float]]()
 
     def handle(self, action: str, id_: str) -> None:
         """Do what the serving process asks: "new" messages, "finish" or "forget" a session."""
         if action == "forget":
-            self._drop(id_)
+            self._tasks.pop(id_, None)
             self._failed.pop(id_, None)
             self._send("forgotten", {"id": id_})
         elif action == "new":
             self._guarded(id_, lambda task: task.walker.look())
             self._send("looked", {"id": id_})
         elif action == "finish":
-            self._guarded(id_, self._finish)
+            self._guarded(id_, _finish_later)
         elif action == PING:
             self._send(PING, {})
 
@@ -78,7 +78,7 @@ class Estimating:
         """Time until there is something to do [s]."""
         now = time.time()
         due = [task.walker.due - now for task in self._tasks.values()]
-        unfinished = [0.0 for task in self._tasks.values() if not task.posed]
+        unfinished = [0.0 for task in self._tasks.values() if task.finishing or not task.posed]
         paths = [task.last_path + PATH_INTERVAL - time.monotonic() for task in self._tasks.values() if task.path_is_due]
         retries = [at - time.monotonic() for _, at in self._failed.values()]
         return min(max(0.0, min([*due, *unfinished, *paths, *retries], default=SLOWEST_WAIT)), SLOWEST_WAIT)
@@ -97,9 +97,7 @@ class Estimating:
                 self._guarded(id_, self._idle)
 
     def close(self) -> None:
-        """Close all files."""
-        for id_ in list(self._tasks):
-            self._drop(id_)
+        """End the thread."""
         self._executor.shutdown(cancel_futures=True)
 
     def _guarded(self, id_: str, action: Callable[[Task], Any]) -> bool:
@@ -109,13 +107,13 @@ class Estimating:
             if id_ not in self._tasks:
                 folder = self._root / id_
                 session = read_session(folder)
-                self._tasks[id_] = Task(opened(folder, session, *self._arguments), posed=False)
+                self._tasks[id_] = Task(LiveWalk(folder, session, self._make), posed=False)
             done = bool(action(self._tasks[id_]))
         except Exception as error:  # of one walker: the others go on
             failures = self._failed.get(id_, (0, 0.0))[0] + 1
             # retry [s] after a failure of a walker
             again = time.monotonic() + 5.0 if failures < MOST_FAILURES else np.inf
-            self._drop(id_)
+            self._tasks.pop(id_, None)
             self._failed[id_] = failures, again
             text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
             self._send("failed", {"id": id_, "text": one_line(text), "again": bool(np.isfinite(again))})
@@ -125,13 +123,19 @@ class Estimating:
         return done
 
     def _use_message(self, task: Task) -> bool:
-        used = task.walker.work(time.time())
+        walker = task.walker
+        used = walker.work(np.inf if task.finishing else time.time())
         if used:
-            self._failed.pop(task.walker.session.id, None)
+            self._failed.pop(walker.session.id, None)
             task.posed, task.path_is_due = False, True
+        elif task.finishing:
+            self._finish(task)
+            return True
+        if walker.catching_up and walker.due <= time.time():
+            return used  # its pose is one of long ago
         now = time.monotonic()
-        if not task.posed and (task.walker.due > time.time() or now > task.last_pose + LATEST_POSE):
-            self._send("pose", task.walker.pose())
+        if not task.posed and (walker.due > time.time() or now > task.last_pose + LATEST_POSE):
+            self._send("pose", walker.pose())
             task.posed, task.last_pose = True, now
         # latest path [s] after which a path is published even while messages wait
         if task.path_is_due and now > task.last_path + 10.0:
@@ -151,16 +155,17 @@ class Estimating:
     def _finish(self, task: Task) -> None:
         id_ = task.walker.session.id
         pose, path = task.walker.finish()
-        self._drop(id_)
+        self._tasks.pop(id_, None)
         self._send("pose", pose)
         if path is not None:
             self._send("path", path)
         self._send("finished", {"id": id_})
 
-    def _drop(self, id_: str) -> None:
-        task = self._tasks.pop(id_, None)
-        if task is not None:
-            task.walker.close()
+
+def _finish_later(task: Task) -> None:
+    """End a walk with the messages that wait; after a restart these are all of it."""
+    task.walker.look()
+    task.finishing = True
 
 
 def run(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:

@@ -7,9 +7,8 @@ import pytest
 from test_floors import Plan, along, fixes, flights, in_order
 
 from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live.live_floors import FloorsCheckpoint, LiveFloors
+from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.priors import LIVE_FLOORS
-from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes, Steps
 
 SOON = 10.0  # [s] after a climb: half the window of a median, a rate's Gaussian, a look every 3 s
@@ -133,18 +132,6 @@ def test_before_the_first_steps_the_floor_is_that_of_the_start():
     floors.advance()
     assert (floors.label, floors.labels(np.array([0.0, 5.0])), floors.climbing) == ("2", ("2", "2"), False)
     assert LiveFloors(None).labels(np.empty(0)) == ()
-
-
-def test_a_restored_state_continues_the_same():
-    """Encoded and decoded, on the stairs."""
-    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
-    whole = second_by_second(steps, barometer, LiveFloors(None, "0"))
-    first, second = LiveFloors(None, "0"), LiveFloors(None, "0")
-    second_by_second(part(steps, 0.0, 70.0), barometer, first)
-    second.restore(decode(encode(first.checkpoint()), FloorsCheckpoint))
-    assert encode(second.checkpoint()) == encode(first.checkpoint())
-    assert second.label == first.label
-    assert whole[-1][1] == "1"
 
 
 def test_a_chunk_may_have_no_steps():

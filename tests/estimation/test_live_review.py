@@ -1,6 +1,5 @@
 """While a walk goes on, its sources are compared as in the batch: wrong lists are found, what stays open is stated."""
 
-from copy import deepcopy
 from dataclasses import replace
 from functools import cache, partial
 
@@ -75,26 +74,16 @@ def with_a_receiver():
 
 
 @pytest.mark.parametrize("walk", [swapped, with_a_receiver])
-def test_idle_moments_and_checkpoints_change_nothing(walk):
-    """A review between pushes, and a state that was encoded and restored after each 40th step: the same walk."""
+def test_idle_moments_change_nothing(walk):
+    """A review between pushes: the same walk, bit by bit."""
     steps, data, *_ = walk()
-    count = iter(range(10**6))
 
     def idle(live):
         live.review()
 
-    def restored(live):
-        if next(count) % 40:
-            return live
-        again = started(None, 30.0)
-        again.restore(deepcopy(live.checkpoint()))
-        return again
-
-    plain = plainly_followed(walk)
-    rested, resumed = (followed(steps, data, between=between) for between in (idle, restored))
-    for other, limit in ((rested, 0.0), (resumed, 0.6)):  # linearised elsewhere, at sigmas of 5 m
-        assert other.ambiguity.findings.same_decisions(plain.ambiguity.findings)
-        assert np.abs(other.graph.window.pose - plain.graph.window.pose)[:, :2].max() <= limit
+    plain, rested = plainly_followed(walk), followed(steps, data, between=idle)
+    assert rested.ambiguity.findings.same_decisions(plain.ambiguity.findings)
+    assert np.array_equal(rested.graph.window.pose, plain.graph.window.pose)
     assert np.array_equal(rested.graph.excess.covariance, plain.graph.excess.covariance)
 
 

@@ -1,7 +1,6 @@
 """The graph of a walk under way, against the batch smoother and other independent answers."""
 
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from unittest.mock import patch
@@ -425,55 +424,11 @@ def test_finalised_rows_move_with_the_first_fix():
 
 
 def test_no_row_is_returned_before_the_position_is_certain():
-    """A journal stores finalised rows at each snapshot, and they could not be moved afterwards."""
+    """Who takes them stores them, and they could not be moved afterwards."""
     steps = wandering_walk(400, seed=3)
     graph = LiveSmoother(lag=LAG)
     for _ in walking(graph, steps, fixes_at([], np.empty((0, 2)))):
         assert not graph.output.pop_finalized()
-
-
-@pytest.mark.parametrize("lag", [LAG, np.inf])
-def test_two_walks_of_one_checkpoint_stay_identical(lag):
-    """In mid-walk, and restored again later: the same bits to the end."""
-    steps, fixes, _ = drawn_from_the_model(300, seed=6)
-    before, after = fixes[fixes.time <= steps.time[149]], fixes[fixes.time > steps.time[149]]
-    graph = LiveSmoother(lag=lag)
-    for _ in walking(graph, some(steps, 0, 150), before):
-        pass
-    state, ends = graph.checkpoint(), []
-    for _ in range(2):
-        graph = LiveSmoother(lag=lag)
-        graph.restore(deepcopy(state))
-        for _ in walking(graph, some(steps, 150, 300), after):
-            pass
-        graph.finish()
-        ends.append(rows_of(graph))
-    assert ends[0].pose.tobytes() == ends[1].pose.tobytes()
-    assert ends[0].covariance.tobytes() == ends[1].covariance.tobytes()
-
-
-def test_a_restored_walk_continues_the_same():
-    """The checkpoint linearises at the estimate, which changes the end by 5 cm at most."""
-    steps, fixes, _ = drawn_from_the_model(300, seed=6)
-    graph = LiveSmoother(lag=LAG)
-    times = walking(graph, steps, fixes)
-    for now in times:
-        if now == 150:
-            other = LiveSmoother(lag=LAG)
-            other.restore(deepcopy(graph.checkpoint()))
-            there, here = graph.output.belief(), other.output.belief()
-            assert here.mean == pytest.approx(there.mean, abs=0.15), "a tenth of its uncertainty"
-            assert here.covariance == pytest.approx(there.covariance, rel=0.1, abs=0.05)
-            break
-    for _ in times:
-        pass
-    after = fixes[fixes.time > steps.time[149]]
-    for _ in walking(other, some(steps, 150, 300), after):
-        pass
-    for smoother in (graph, other):
-        smoother.finish()
-    n = len(graph.output.rows().time)
-    assert np.hypot(*(graph.output.rows().pose[-n:, :2] - other.output.rows().pose[-n:, :2]).T).max() < 0.05
 
 
 def test_many_fixes_at_one_moment_are_one_keyframe():

@@ -1,6 +1,5 @@
 """Batch and live smoother are one engine: with all of a walk in the window they find the same walk."""
 
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -171,34 +170,3 @@ def test_the_windows_factors_are_those_of_the_batch():
         [one], [other] = (at.blocks_of(name)[:1] for at in (live.graph.at, again))
         assert len(one) == len(other)
         assert isinstance(one.loss, RobustLoss) == isinstance(other.loss, RobustLoss)
-
-
-@pytest.mark.parametrize(
-    ("drawn", "lag"),
-    [*((walk, np.inf) for walk in WALKS), *((walk, 30.0) for walk in (with_outliers, *WITH_A_RECEIVER))],
-)
-def test_a_checkpoint_in_mid_walk_leads_to_the_same_result(drawn, lag):
-    """Two restored of one checkpoint, one of which is written down once more: to 1e-6 m with all of the walk open.
-
-    With a lag to 0.6 m, where a receiver's fixes leave 5 m: what was linearised where stays behind in the marginal.
-    """
-    steps, data, floor = drawn(1)
-    begun = walking(started(floor, lag), steps, data, end=60)
-    kept, ends = begun.checkpoint(), []
-    for again in (False, True):
-        live = started(floor, lag)
-        live.restore(deepcopy(kept))
-        walking(live, steps, data, begin=60, end=75)
-        if again:
-            later, live = live.checkpoint(), started(floor, lag)
-            live.restore(deepcopy(later))
-        walking(live, steps, data, begin=75)
-        live.finish()
-        ends.append(live)
-    first, second = ends
-    assert second.graph.window.pose[-1] == pytest.approx(first.graph.window.pose[-1], abs=0.6)
-    if np.isinf(lag):
-        assert from_batch(first.final, second.final) < 1e-6
-        uninterrupted = walking(begun, steps, data, begin=60)
-        uninterrupted.finish()
-        assert from_batch(first.final, uninterrupted.final) < 1e-6

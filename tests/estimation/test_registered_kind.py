@@ -193,7 +193,7 @@ def test_rows_that_are_not_finite_are_counted_and_left_out():
 
 
 def journal_of(path):
-    return pdr.Journal.open(path, pdr.Navigator, lambda state: pdr.Navigator.restored(state), every=37)
+    return pdr.Journal.open(path, pdr.Navigator)
 
 
 def test_a_killed_process_loses_no_line(tmp_path):

@@ -36,17 +36,13 @@ def chunks(sightings, each=2.0):
         yield begin + each, Sightings(sightings.time[rows], names, sightings.rssi[rows])
 
 
-@pytest.mark.parametrize("resumed", [False, True])
-def test_the_fixes_are_those_of_the_whole_recording(radio_map, resumed):
+def test_the_fixes_are_those_of_the_whole_recording(radio_map):
     sightings, reported, blocks = heard(2), [], []
     expected = radio_map.fixes(Recording("two", 0.0, None, wifi=sightings))
     collector = ScanCollector(radio_map, reported.append)
     for now, part in chunks(sightings):
         collector.collect(part, "wifi")
         blocks += collector.due(now, None)
-        if resumed:
-            state, collector = collector.checkpoint(), ScanCollector(radio_map, reported.append)
-            collector.restore(state)
     blocks += collector.due(130.0, None)
     assert reported == blocks
     time = np.concatenate([fixes.time for fixes in blocks])

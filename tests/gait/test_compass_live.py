@@ -8,7 +8,7 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
+from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
@@ -17,7 +17,6 @@ from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.priors import COMPASS, LIVE_COMPASS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.storage import decode, encode
 from pdr_graph.types import Signal
 
 HERE = np.zeros(2)
@@ -262,41 +261,8 @@ def test_the_state_does_not_grow():
             )
         )
         gait.advance()
-        sizes = [len(v) for v in vars(compass.checkpoint()).values() if isinstance(v, np.ndarray)]
+        sizes = [len(v) for v in vars(compass).values() if isinstance(v, np.ndarray)]
         assert max(sizes) <= 1.2 * COMPASS.longest_stretch / LIVE_COMPASS.sampling
-
-
-@pytest.mark.parametrize("when", ["early", "late"])
-def test_a_restored_compass_continues_bit_by_bit(when):
-    """The checkpoint is encoded and decoded among the first steps, and in the second stretch."""
-    walk = walked(laps=2)
-    whole, first, second = LiveCompass(), LiveCompass(), LiveCompass()
-    calls, found = [], []
-    gait = StepStream(
-        listener=lambda part: calls.append(("update", part)), preview=lambda part: calls.append(("preview", part))
-    )
-    for event in events_of(recorded(walk)):
-        if event.sensor == "magnetometer":
-            calls.append(("push", event.time, event.values))
-        else:
-            gait.push(event.sensor, event.time, event.values)
-            gait.advance()
-
-    def continue_with(compass, part):
-        for name, *values in part:
-            getattr(compass, name)(*values)
-
-    early = next(n for n, call in enumerate(calls) if call[0] == "preview" and call[1].attitude.time[-1] > 11)
-    cut = early if when == "early" else len(calls) // 2
-    for compass, part in ((whole, calls), (first, calls[:cut])):
-        compass.locate(walk.frame, HERE)
-        continue_with(compass, part)
-        found.append(compass.advance())
-    second.restore(decode(encode(first.checkpoint()), CompassCheckpoint))
-    second.locate(walk.frame, HERE)
-    continue_with(second, calls[cut:])
-    assert found[0] == found[1] + second.advance()
-    assert len(found[0]) > len(found[1]) > 0
 
 
 def test_iterations_of_refined_iron_converge_to_fit_iron():

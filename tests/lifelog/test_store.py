@@ -183,9 +183,9 @@ def test_a_file_that_is_no_lifelog_is_refused(tmp_path):
 
 
 def test_a_journal_is_refused(tmp_path):
-    from pdr_graph.online.journal import open_store
+    from pdr_graph import Journal, Navigator
 
-    open_store(tmp_path / "journal", {}, "OFF")[0].close()
+    Journal.open(tmp_path / "journal", Navigator, {}).close()
     refused(tmp_path / "journal", "another kind of file, expected a lifelog", new=True)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.online.interface import Pose, Samples, Scan
-from pdr_graph.types import Array, Complex, Estimate, Fixes, FixReport, Steps, Trajectory
+from pdr_graph.types import Estimate, Fixes, FixReport, Steps, Trajectory
 
 WINDOW = 30  # rows that may still change
 
@@ -16,37 +16,14 @@ class Status:
     unknown: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class PointCheckpoint:
-    place: Complex
-    rows: Array
-    count: int
-
-
-@dataclass(frozen=True)
-class RowsCheckpoint:
-    rows: Array
-    steps: int
-
-
 class StandIn:
-    """Turns a point by what an event says and shifts it, so that nothing is forgotten and the order tells. Like
-    iSAM2's, its state is not quite that of its snapshots: float64 while it runs, float32 when restored.
-    """
+    """Turns a point by what an event says and shifts it, so that nothing is forgotten and the order tells."""
 
     status = Status()
-    Checkpoint = PointCheckpoint
 
-    def __init__(self, place=0j, rows=(), count=0):
-        self.place, self.count = complex(place), count
-        self.rows = [tuple(row) for row in rows]  # time, x, y
-
-    @classmethod
-    def restored(cls, snapshot):
-        return cls(snapshot.place.item(), snapshot.rows.tolist(), snapshot.count)
-
-    def snapshot(self):
-        return PointCheckpoint(np.array([self.place], np.complex64).astype(complex), table(self.rows), self.count)
+    def __init__(self):
+        self.place, self.count = 0j, 0
+        self.rows = []  # time, x, y
 
     def push(self, event):
         if isinstance(event, Fixes) and len(event) == 0:
@@ -84,17 +61,9 @@ class Metronome:
     """A step of 0.7 m to the east each half a second of the accelerometer's samples; a fix tells where that was."""
 
     status = Status(("the compass is broken",))
-    Checkpoint = RowsCheckpoint
 
-    def __init__(self, floor=None, *, lag=60.0, rows=(), steps=0, **options):
-        self.steps, self.lag, self.rows, self.fixes = steps, lag, [tuple(row) for row in rows], []
-
-    @classmethod
-    def restored(cls, snapshot, **options):
-        return cls(**options, rows=snapshot.rows.tolist(), steps=snapshot.steps)
-
-    def snapshot(self):
-        return RowsCheckpoint(table(self.rows), self.steps)
+    def __init__(self, floor=None, *, lag=60.0, **options):
+        self.steps, self.lag, self.rows, self.fixes = 0, lag, [], []
 
     def finalized(self):
         older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]

@@ -12,7 +12,6 @@ from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes
 
 
@@ -64,22 +63,3 @@ def test_a_barometer_that_stops_on_the_stairs_does_not_shorten_the_rest_of_the_w
     usual = level.length[level.time > stop + 8.0].sum()
     steps = nav._graph.graph.window.steps.steps
     assert steps.length[steps.time > stop + 8.0].sum() == pytest.approx(usual, rel=0.03)
-
-
-def test_a_snapshot_on_the_stairs_goes_on_to_the_same_end():
-    recording, level, batch = climbing()
-    on = np.flatnonzero(batch.length != level.length)
-    whole, events = Navigator(), list(events_of(recording))
-    at = {float(level.time[on[0]]) + seconds for seconds in (3.0, 7.0, 10.0)}
-    others = []
-    for event in events:
-        for nav in (whole, *others):
-            nav.push(event)
-        if at and isinstance(event, Samples) and event.time[-1] > min(at):
-            at.remove(min(at))
-            snapshot = whole.snapshot()
-            others.append(Navigator.restored(decode(encode(snapshot), type(snapshot))))
-    ends = [nav.finish().trajectory.position for nav in (whole, *others)]
-    assert len(ends) == 4
-    for end in ends[1:]:
-        assert end == pytest.approx(ends[0], abs=1e-3)

@@ -11,13 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.scenario import MAPS, Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.storage import decode, encode
 from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
 
 JUMP = 3600.0  # [s]
@@ -282,24 +281,24 @@ def test_any_order_of_events(random, reach):
     checked([early_events[n] for n in shuffled])
 
 
-def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
-    """Two restored of the same bytes end in the same bits; the one that was never restored, within 0.3 m."""
-    all_events = events()
-    for part in (0.2, 0.6):
-        at = int(part * len(all_events))
-        nav = pushed(all_events[:at])[0]
-        kept, ends = encode(nav.snapshot()), []
-        for _ in range(2):
-            again = Navigator.restored(decode(kept, Navigator.Checkpoint))
-            for event in all_events[at:]:
-                again.push(event)
-            ends.append(again.finish().trajectory)
-        for event in all_events[at:]:
-            nav.push(event)
-        whole, n = nav.finish().trajectory, len(ends[0])
-        assert ends[0].position.tobytes() == ends[1].position.tobytes()
-        assert ends[0].covariance.tobytes() == ends[1].covariance.tobytes()
-        assert np.hypot(*(whole.position[-n:] - ends[0].position).T).max() < 0.3
+@pytest.mark.parametrize("floor", [None, "loop"])
+def test_questions_between_events_change_nothing(floor):
+    """A walk is a function of its events, whether its pose, status and path are asked for or not."""
+    plan = None if floor is None else FloorPlan.load(MAPS / f"{floor}.geojson")
+    asked, plain = (Navigator(plan, lag=30.0) for _ in range(2))
+    for n, event in enumerate(events("loop" if floor else "figure_eight")):
+        asked.push(event)
+        plain.push(event)
+        if n % 5 == 0:
+            assert asked.pose is None or asked.status.keyframes
+            asked.review()
+        if n % 50 == 0:
+            len(asked.trajectory)
+    assert asked.steps > 100
+    assert (asked.pose is None) == (plain.pose is None)
+    ends = [nav.finish().trajectory for nav in (asked, plain)]
+    assert ends[0].position.tobytes() == ends[1].position.tobytes()
+    assert ends[0].covariance.tobytes() == ends[1].covariance.tobytes()
 
 
 def test_a_killed_replay_ends_the_same(tmp_path):

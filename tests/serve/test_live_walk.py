@@ -15,7 +15,7 @@ from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.serve import live_walk
 from pdr_graph.serve.finishing import finish
-from pdr_graph.serve.live_walk import JOURNAL, LOG, SESSION, TURNS, LiveWalk, Queue, Session
+from pdr_graph.serve.live_walk import LOG, SESSION, LiveWalk, Queue, Session
 from pdr_graph.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
 from pdr_graph.simulation.streaming import batches, message
 from pdr_graph.types import LONLAT, Fixes, Recording, Signal
@@ -42,9 +42,9 @@ def bodies(recording):
     return [message("s", n, payload) for n, payload in enumerate(batches(recording)[:SECONDS])]
 
 
-def opened(folder, open_=LiveWalk):
+def opened(folder):
     session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
-    return open_(folder, session, partial(Navigator, lag=20.0), partial(Navigator.restored, lag=20.0), {"lag": 20.0})
+    return LiveWalk(folder, session, partial(Navigator, lag=20.0))
 
 
 def received(n):
@@ -73,7 +73,6 @@ def expected(bodies, tmp_path_factory):
     logged(folder, bodies)
     walk = opened(folder)
     pose = used(walk)
-    walk.close()
     return pose
 
 
@@ -96,26 +95,23 @@ def test_messages_out_of_order_are_put_in_order(bodies, expected, tmp_path):
     logged(tmp_path, bodies, numbers)
     walk = opened(tmp_path)
     assert used(walk, now=0.0) | {"message": 0} == expected | {"message": 0}
-    walk.close()
 
 
 def test_a_repeated_message_changes_nothing(bodies, expected, tmp_path):
     logged(tmp_path, bodies, [n for n in range(SECONDS) for _ in range(2)])
     walk = opened(tmp_path)
     assert used(walk) == expected
-    walk.close()
 
 
 def test_a_lost_message_is_a_gap_of_the_walk(bodies, tmp_path):
     logged(tmp_path, bodies, [n for n in range(SECONDS) if n != 15])
     walk = opened(tmp_path)
     assert used(walk)["state"] == "running"
-    walk.close()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_walk_goes_on_after_an_end_at_any_moment(bodies, expected, tmp_path, seed, monkeypatch):
-    """The process ends within a message: before, after or between its events."""
+    """The process ends within a message: before, after or between its events; it had published poses and paths."""
     rng, ends = np.random.default_rng(seed), 4
     for end in range(ends + 1):
         logged(tmp_path, bodies[: SECONDS * (end + 1) // (ends + 1)])
@@ -124,70 +120,61 @@ def test_the_walk_goes_on_after_an_end_at_any_moment(bodies, expected, tmp_path,
             remaining = int(rng.integers(1, 250))
             with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
                 _end_after(patch, remaining)
-                used(walk)
-        else:
-            pose = used(walk)
-        walk.close()
-    assert pose == expected
+                while walk.work(np.inf):
+                    walk.pose()
+                    walk.path()
+    assert used(walk) == expected
 
 
-@pytest.mark.parametrize("remaining", [1, 2])
-def test_the_walk_goes_on_after_an_end_within_its_first_message(bodies, expected, tmp_path, remaining, monkeypatch):
-    """Its time 0 is that of the first sample, though no message was used completely."""
+def test_poses_and_paths_between_messages_change_nothing(bodies, expected, tmp_path):
     logged(tmp_path, bodies)
     walk = opened(tmp_path)
-    with monkeypatch.context() as patch:
-        _end_after(patch, remaining)
-        with pytest.raises(KeyboardInterrupt):
-            used(walk)
-    walk.close()
-    walk = opened(tmp_path)
-    assert used(walk) == expected
-    walk.close()
+    assert walk.catching_up
+    while walk.work(np.inf):
+        assert walk.pose()["message"] == SECONDS - walk.waiting
+        walk.path()
+    assert not walk.catching_up
+    assert without_display(walk.pose()) == without_display(expected)
+
+
+def without_display(pose):
+    """A pose without the point of a map, which follows a jump of the poses that it showed."""
+    return {name: value for name, value in pose.items() if name != "display"}
 
 
 def _end_after(patch, remaining):
     """KeyboardInterrupt after some events: it passes all handlers, as a signal does."""
-    push, left = live_walk.Journal.push, [remaining]
+    push, left = Navigator.push, [remaining]
 
-    def interrupted(journal, event):
+    def interrupted(navigator, event):
         left[0] -= 1
         if left[0] < 0:
             raise KeyboardInterrupt
-        push(journal, event)
+        push(navigator, event)
 
-    patch.setattr(live_walk.Journal, "push", interrupted)
+    patch.setattr(Navigator, "push", interrupted)
 
 
-def test_other_options_begin_again_from_the_messages(bodies, tmp_path):
+def test_an_event_that_fails_is_counted_and_the_walk_goes_on(bodies, tmp_path, monkeypatch):
     logged(tmp_path, bodies)
-    walk = opened(tmp_path)
+    push, walk = Navigator.push, opened(tmp_path)
+
+    def failing(navigator, event):
+        if event.time[0] == pytest.approx(10.0, abs=0.01):
+            raise ZeroDivisionError
+        push(navigator, event)
+
+    monkeypatch.setattr(Navigator, "push", failing)
     pose = used(walk)
-    walk.close()
-
-    def reopened(folder):
-        session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
-        make = partial(Navigator, lag=20.0), partial(Navigator.restored, lag=20.0)
-        return live_walk.opened(folder, session, *make, {"lag": 20.0, "map": "another plan"})
-
-    walk = reopened(tmp_path)
-    assert walk.waiting == SECONDS
-    assert used(walk) == pose
-    walk.close()
+    assert any("could not be used" in issue for issue in pose["issues"])
+    assert pose["steps"] > 25
 
 
-@pytest.mark.parametrize("name", [JOURNAL, TURNS])
-def test_a_damaged_file_is_made_again_from_the_messages(bodies, expected, tmp_path, name):
+def test_files_of_earlier_versions_beside_the_log_are_ignored(bodies, expected, tmp_path):
     logged(tmp_path, bodies)
-    walk = opened(tmp_path)
-    used(walk)
-    walk.close()
-    content = bytearray((tmp_path / name).read_bytes())
-    content[200:4000] = b"\xff" * 3800
-    (tmp_path / name).write_bytes(content)
-    walk = opened(tmp_path, live_walk.opened)
-    assert used(walk) == expected
-    walk.close()
+    for name in ("turns.db", "walk.journal"):
+        (tmp_path / name).write_bytes(b"of an earlier version")
+    assert used(opened(tmp_path)) == expected
 
 
 def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
@@ -208,14 +195,12 @@ def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
     assert whole["finalised"]["x"] == points["x"]
     assert (np.diff(points["time"] + path["current"]["time"]) > 0).all()
     log.close()
-    walk.close()
 
 
 def test_a_finished_walk_has_its_whole_path(bodies, tmp_path):
     logged(tmp_path, bodies)
     walk = opened(tmp_path)
     pose, path = walk.finish()
-    walk.close()
     assert pose["state"] == "finished"
     assert path["current"]["time"] == []
     assert len(path["finalised"]["time"]) > 18
@@ -225,7 +210,6 @@ def test_a_clock_hours_off_is_an_issue(bodies, tmp_path):
     logged(tmp_path, bodies[:5], late=2 * 3600.0)
     walk = opened(tmp_path)
     assert "the phone's clock is 2.0 h behind this machine's" in used(walk)["issues"]
-    walk.close()
 
 
 def entry(identity, received=0.0):
@@ -239,6 +223,25 @@ def test_a_message_waits_two_seconds_for_those_before_it():
     assert queue.next(100.0).identity == 0
     assert queue.next(101.9) is None
     assert [queue.next(102.1).identity, queue.next(102.1).identity] == [2, 3]
+
+
+def test_the_order_does_not_depend_on_when_it_is_asked_for():
+    """A message that came too late stays late when the log is read again."""
+    arrivals = [(0, 100.0), (2, 100.1), (1, 103.0), (3, 103.1), (5, 103.2), (4, 104.0)]
+    live, again, order = Queue(ordered=True), Queue(ordered=True), []
+    for identity, received in arrivals:
+        order += emptied(live, received)
+        for queue in (live, again):
+            queue.add(entry(identity, received))
+    assert [*order, *emptied(live)] == emptied(again) == [0, 2, 1, 3, 4, 5]
+
+
+def emptied(queue, now=np.inf):
+    """Identities of the messages that are due."""
+    order = []
+    while (due := queue.next(now)) is not None:
+        order.append(due.identity)
+    return order
 
 
 def test_too_many_waiting_messages_go_on_without_the_lost_one():

@@ -23,7 +23,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.batch_start import modes_at_end
-from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint, numbered
+from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
 from pdr_graph.estimation.live.step_buffer import later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.stair_steps import with_goings
@@ -177,14 +177,6 @@ def _keyframes(optimum: Optimum, time: Array) -> tuple[Array, Array]:
     return poses_at(time, chain.time, poses), spread
 
 
-@dataclass(frozen=True)
-class HistoryCheckpoint:
-    """State of a `History`."""
-
-    steps: Steps | None
-    tables: list[TableCheckpoint]
-
-
 class History:
     """The steps and measurements of the last `DOUBTS.span` seconds; log: gets the rows of the window's log."""
 
@@ -220,15 +212,6 @@ class History:
         self._chunks = [steps]
         self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
         return steps
-
-    def checkpoint(self) -> HistoryCheckpoint:
-        """Return the state."""
-        return HistoryCheckpoint(concatenate_steps(self._chunks) if self._chunks else None, self.log.checkpoint())
-
-    def restore(self, checkpoint: HistoryCheckpoint) -> None:
-        """Set the state to a checkpoint."""
-        self._chunks = [] if checkpoint.steps is None else [checkpoint.steps]
-        self.log.restore(checkpoint.tables)
 
 
 @dataclass(frozen=True)

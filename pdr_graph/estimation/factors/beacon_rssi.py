@@ -502,12 +502,3 @@ class LevelCollector:
     def forget(self, before: float) -> None:
         """Drop advertisements from before ``before`` [s]."""
         self._window = self._window[self._window[:, 0] >= before]
-
-    def checkpoint(self) -> dict[str, AnyArray]:
-        """Return the state as arrays by name."""
-        return {"waiting": self._waiting, "window": self._window, "met": np.array(list(self._met), dtype=float)}
-
-    def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Set the state to a checkpoint with the same beacons."""
-        self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
-        self._met = {m: n for n, m in enumerate(checkpoint["met"].astype(int).tolist())}

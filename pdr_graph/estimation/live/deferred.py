@@ -67,8 +67,3 @@ class Deferred(Generic[Result]):
         if self._future is not None:
             self._future.cancel()
         self._question, self._future, self._answer, self.due = None, None, None, np.inf
-
-    def restore(self, answer: Result | None, due: float) -> None:
-        """Set the state to that of a checkpoint, which `work` and ``due`` gave."""
-        self.cancel()
-        self._answer, self.due = answer, due

@@ -32,18 +32,6 @@ class TrajectoryRows:
         return cls(**columns, floor=[label for part in parts for label in part.floor])
 
 
-@dataclass(frozen=True)
-class FinalizedCheckpoint:
-    """State of a `FinalizedTrajectory` without its reports."""
-
-    final: list[TrajectoryRows]
-    left: list[TrajectoryRows]
-    anchored: bool
-    hinge: Array
-    edge_time: float
-    edge: Array
-
-
 class FinalizedTrajectory:
     """Finalised rows and reports that `pop_finalized` has not returned yet.
 
@@ -116,13 +104,3 @@ class FinalizedTrajectory:
             return []
         rows, self.final, self.reports = self.final, [], {}
         return rows
-
-    def checkpoint(self) -> FinalizedCheckpoint:
-        """Return the state without the reports."""
-        return FinalizedCheckpoint(list(self.final), list(self.left), self.anchored, self.hinge, *self.edge)
-
-    def restore(self, checkpoint: FinalizedCheckpoint) -> None:
-        """Set the state to a checkpoint."""
-        self.final, self.left = list(checkpoint.final), list(checkpoint.left)
-        self.anchored, self.hinge = checkpoint.anchored, checkpoint.hinge
-        self.edge = checkpoint.edge_time, checkpoint.edge

@@ -10,15 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.review import (
-    Excess,
     Findings,
     History,
-    HistoryCheckpoint,
     Places,
     PlacesQuestion,
     Review,
@@ -31,7 +28,6 @@ from pdr_graph.estimation.live.deferred import Deferred
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.measurement_log import Decisions
-from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
 from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
@@ -40,36 +36,6 @@ from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, pose_costs
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask
-
-
-@dataclass(frozen=True)
-class AmbiguityCheckpoint:
-    """State of a `LiveAmbiguity`; fields as its attributes, and the answers of its questions with their times [s]."""
-
-    sure: bool
-    solved: bool
-    restarting: bool
-    carried: bool
-    modes: ModesCheckpoint | None
-    next_batch: float
-    next_search: float
-    next_comparison: float
-    asked: dict[str, Index]
-    solution: BatchSolution | None
-    batch_due: float
-    trial: Trial | None
-    trial_due: float
-    places: Places | None
-    search_due: float
-    review: Review | None
-    review_due: float
-    history: HistoryCheckpoint
-    findings: Findings
-    excess: Excess
-    restarts: int
-    batch_reviewed: bool
-    tried: int
-    accepted: int
 
 
 class LiveAmbiguity:
@@ -424,51 +390,6 @@ class LiveAmbiguity:
             window.c[interval.segment] = review.calibration(interval.end)
         graph.restart(graph.lag)
         graph.solve(SCHEDULE.rounds)
-
-    def checkpoint(self) -> AmbiguityCheckpoint:
-        """Return the state."""
-        return AmbiguityCheckpoint(
-            sure=self.output.sure,
-            solved=self.solved,
-            restarting=self._restarting,
-            carried=self._carried,
-            modes=self.output.modes.checkpoint(),
-            next_batch=self.next_batch,
-            next_search=self.next_search,
-            next_comparison=self.next_comparison,
-            asked=self._asked,
-            solution=self.batch.work(),
-            batch_due=self.batch.due,
-            trial=self.trial.work(),
-            trial_due=self.trial.due,
-            places=self.place.work(),
-            search_due=self.place.due,
-            review=self.sources.work(),
-            review_due=self.sources.due,
-            history=self.history.checkpoint(),
-            findings=self.findings,
-            excess=self.graph.excess,
-            restarts=self.restarts,
-            batch_reviewed=self.batch_reviewed,
-            tried=self.alternatives_tried,
-            accepted=self.alternatives_accepted,
-        )
-
-    def restore(self, checkpoint: AmbiguityCheckpoint) -> None:
-        """Set the state to a checkpoint."""
-        self.output.sure, self.solved = checkpoint.sure, checkpoint.solved
-        self._restarting, self._carried = checkpoint.restarting, checkpoint.carried
-        self.output.modes.restore(checkpoint.modes)
-        self.next_batch, self.next_search = checkpoint.next_batch, checkpoint.next_search
-        self.next_comparison, self._asked = checkpoint.next_comparison, checkpoint.asked
-        self.batch.restore(checkpoint.solution, checkpoint.batch_due)
-        self.trial.restore(checkpoint.trial, checkpoint.trial_due)
-        self.place.restore(checkpoint.places, checkpoint.search_due)
-        self.sources.restore(checkpoint.review, checkpoint.review_due)
-        self.history.restore(checkpoint.history)
-        self.findings, self.graph.excess = checkpoint.findings, checkpoint.excess
-        self.restarts, self.batch_reviewed = checkpoint.restarts, checkpoint.batch_reviewed
-        self.alternatives_tried, self.alternatives_accepted = checkpoint.tried, checkpoint.accepted
 
 
 def _were_rejected(before: Decisions, adopted: Decisions) -> bool:

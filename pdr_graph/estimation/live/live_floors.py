@@ -6,12 +6,8 @@ without climbs, on the floor estimated for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
-
 import numpy as np
 
-from pdr_graph import storage
 from pdr_graph.estimation.floors import FloorHeights, Floors, floors_along
 from pdr_graph.gait.stair_steps import goings_of
 from pdr_graph.inertial.barometer import Climbs
@@ -20,30 +16,6 @@ from pdr_graph.types import Array, Fixes, Signal, Steps
 
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
 MOST_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
-
-
-@dataclass(frozen=True)
-class FloorsCheckpoint:
-    """State of a `LiveFloors`; fields as its attributes."""
-
-    start: str
-    label: str
-    climbing: bool
-    begin: float
-    end: float
-    looked: float
-    time: Array
-    duration: Array
-    pressure: Array
-    open: Array
-    fix_time: Array
-    fix_label: tuple[str, ...]
-    row_time: Array
-    row_label: tuple[str, ...]
-    heard: bool
-    goings: Array = field(default_factory=lambda: np.empty((0, 3)))
-
-    added: ClassVar = ("goings",)
 
 
 class LiveFloors:
@@ -115,17 +87,6 @@ class LiveFloors:
             return (self.label,) * len(time)
         row = np.minimum(np.searchsorted(self.row_time, np.asarray(time) - 1e-6), len(self.row_time) - 1)
         return tuple(self.row_label[row].tolist())
-
-    def checkpoint(self) -> FloorsCheckpoint:
-        """Return the state, from which estimates continue the same."""
-        state = storage.checkpoint(self, FloorsCheckpoint)
-        return replace(state, fix_label=tuple(self.fix_label), row_label=tuple(self.row_label))
-
-    def restore(self, checkpoint: FloorsCheckpoint) -> None:
-        """Set the state to a checkpoint with the same building."""
-        storage.restore(self, checkpoint)
-        self.fix_label = np.array(checkpoint.fix_label, dtype=object)
-        self.row_label = np.array(checkpoint.row_label, dtype=object)
 
     def _is_measured(self, now: float) -> bool:
         """True if the barometer covers the window; cuts the window where the barometer stops or starts."""

@@ -21,19 +21,18 @@ from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_h
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations, Solution
-from pdr_graph.estimation.live.finalization import FinalizedCheckpoint, FinalizedTrajectory
+from pdr_graph.estimation.live.finalization import FinalizedTrajectory
 from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
     Collector,
     Decisions,
     MeasurementLog,
-    TableCheckpoint,
     merged_decisions,
     same_decisions,
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import Part, Window, WindowCheckpoint
+from pdr_graph.estimation.live.window import Part, Window
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation
@@ -66,36 +65,6 @@ class WindowFactors:
         if not (self.known and self.known[0].fits(at)):
             self.known[:] = [NormalEquations(at)]
         return self.known[0]
-
-
-@dataclass(frozen=True)
-class LiveGraphCheckpoint:
-    """State of a `LiveGraph`.
-
-    symbols, numbers, values: of the variables that measurements add, with their estimates.
-    """
-
-    window: WindowCheckpoint
-    past: FinalizedCheckpoint
-    marginals: list[MarginalFactor]
-    symbols: list[str]
-    numbers: Index
-    values: Array
-    priors: list[tuple[str, int]]
-    leaving_after: float
-    failures: list[str]
-    iterations: int
-    tables: list[TableCheckpoint]
-    collectors: list[dict[str, Array]]
-    decisions: Decisions
-    c_mean: Array
-    c_covariance: Array
-    begins: int
-    hold_keyframe: int
-    hold_pose: Array
-    hold_sigmas: Array
-    arrivals: list[float]
-    too_late: int
 
 
 class LiveGraph:
@@ -278,6 +247,10 @@ class LiveGraph:
         if search is None or len(search.at.state.poses) != len(self.window.keyframes):
             return self._begun()
         return search
+
+    def begin_search(self) -> None:
+        """Begin the search if it has none, so that a later question for the pose changes nothing."""
+        self.search  # noqa: B018
 
     def _begun(self) -> Descent:
         """Begin the search with the present factors, at the present estimate."""
@@ -474,58 +447,6 @@ class LiveGraph:
         other.finalized, other.collectors, other._arrivals = FinalizedTrajectory(), [], list(self._arrivals)
         other.marginals, other._equations, other._factors, other._search = list(self.marginals), [], None, None
         return other
-
-    def checkpoint(self) -> LiveGraphCheckpoint:
-        """Return the state, from which the walk continues bit by bit the same."""
-        if self._left is not None:
-            self._built()
-        self._factors = self._search = None  # as of one that is restored
-        others = [(symbol, number, value) for symbol, of in self._others.items() for number, value in of.items()]
-        keyframe, hold = self._hold
-        return LiveGraphCheckpoint(
-            window=self.window.checkpoint(),
-            past=self.finalized.checkpoint(),
-            marginals=list(self.marginals),
-            symbols=[symbol for symbol, _, _ in others],
-            numbers=np.array([number for _, number, _ in others], dtype=np.intp),
-            values=np.array([value for _, _, value in others]).reshape(-1, 3),
-            priors=sorted(self._priors),
-            leaving_after=self.leaving_after,
-            failures=list(self.failures),
-            iterations=self.iterations,
-            tables=self.log.checkpoint(),
-            collectors=[collector.checkpoint() for collector in self.collectors],
-            decisions=self.decisions,
-            c_mean=self.c_prior[0],
-            c_covariance=self.c_prior[1],
-            begins=self._begins,
-            hold_keyframe=keyframe,
-            hold_pose=hold.pose,
-            hold_sigmas=hold.sigmas,
-            arrivals=list(self._arrivals),
-            too_late=self.too_late,
-        )
-
-    def restore(self, checkpoint: LiveGraphCheckpoint) -> None:
-        """Set the state to a checkpoint of a graph with the same prior, lag, plan and collectors."""
-        self.log.restore(checkpoint.tables)
-        self.decisions, self.too_late = checkpoint.decisions, checkpoint.too_late
-        self.c_prior, self._begins = (checkpoint.c_mean, checkpoint.c_covariance), checkpoint.begins
-        self._hold = checkpoint.hold_keyframe, first_pose_prior(checkpoint.hold_pose, checkpoint.hold_sigmas)
-        self._arrivals = list(checkpoint.arrivals)
-        self.finalized.restore(checkpoint.past)
-        for collector, stored in zip(self.collectors, checkpoint.collectors, strict=True):
-            collector.restore(stored)
-        self.window.restore(checkpoint.window)
-        self.marginals, self.leaving_after = list(checkpoint.marginals), checkpoint.leaving_after
-        self.failures, self.iterations = list(checkpoint.failures), checkpoint.iterations
-        self._priors = frozenset((name, number) for name, number in checkpoint.priors)
-        self._others = {symbol: {} for symbol in checkpoint.symbols}
-        for symbol, number, value in zip(
-            checkpoint.symbols, checkpoint.numbers.tolist(), checkpoint.values, strict=True
-        ):
-            self._others[symbol][number] = value
-        self.moved()
 
 
 def _binds(marginal: MarginalFactor, present: set[tuple[str, int]]) -> bool:

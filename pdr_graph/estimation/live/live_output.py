@@ -131,7 +131,7 @@ class LiveOutput:
         rows = self.graph.log.rows(Fixes)
         if rows is None or not ((rows.time > begin + CLOSE) & (rows.time <= end)).any():
             return []
-        factor = made_from(Fixes, self.graph.factors.measurements)
+        factor = made_from(Fixes, self.graph.at.measurements)
         positions = []
         for n in np.flatnonzero((rows.time > begin + CLOSE) & (rows.time <= end)).tolist():
             share = 1.0

@@ -12,30 +12,19 @@ intervals (`BatchQuestion`), and no keyframe leaves the window.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.review import SOURCE, Findings
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.live.live_ambiguity import AmbiguityCheckpoint, LiveAmbiguity
-from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
+from pdr_graph.estimation.live.live_ambiguity import LiveAmbiguity
+from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Estimate, Headings, Sightings, Steps
-
-
-@dataclass(frozen=True)
-class SmootherCheckpoint:
-    """State of a `LiveSmoother`. walls_due, rounds_due: what the next steps do."""
-
-    graph: LiveGraphCheckpoint
-    ambiguity: AmbiguityCheckpoint
-    walls_due: bool
-    rounds_due: int
 
 
 class LiveSmoother:
@@ -76,6 +65,7 @@ class LiveSmoother:
         busy = self._close() or self._refine()
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
+        self.graph.begin_search()
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
@@ -89,6 +79,7 @@ class LiveSmoother:
         if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
             self._close()
             self.ambiguity.follow_modes()
+            self.graph.begin_search()
 
     def collect(self, received: Sightings, radio: str) -> bool:
         """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""
@@ -161,14 +152,3 @@ class LiveSmoother:
         elif self._rounds_due:
             self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
         return due
-
-    def checkpoint(self) -> SmootherCheckpoint:
-        """Return the state, without the rows that `LiveOutput.pop_finalized` returned."""
-        ambiguity = self.ambiguity.checkpoint()
-        return SmootherCheckpoint(self.graph.checkpoint(), ambiguity, self._walls_due, self._rounds_due)
-
-    def restore(self, checkpoint: SmootherCheckpoint) -> None:
-        """Set the state to a checkpoint of a smoother with the same prior, lag, plan and collectors."""
-        self.ambiguity.restore(checkpoint.ambiguity)
-        self.graph.restore(checkpoint.graph)
-        self._walls_due, self._rounds_due = checkpoint.walls_due, checkpoint.rounds_due

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,7 +12,6 @@ from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
 from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.storage import decode, encode
 from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps, appended, last_time, take
 
 WAITING = 1000  # measurements of a type that are kept for the first steps
@@ -41,29 +40,12 @@ class Collector(Protocol):
         """Drop raw data from before a moment [s]."""
         ...
 
-    def checkpoint(self) -> dict[str, Array]:
-        """Return the state as arrays by name."""
-        ...
-
-    def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Set the state to a checkpoint."""
-        ...
-
 
 @dataclass(frozen=True)
 class Table:
     """Rows of one type of data. number: ``(n,)`` permanent row numbers; count: number of all rows so far."""
 
     data: Any
-    number: Index
-    count: int
-
-
-@dataclass(frozen=True)
-class TableCheckpoint:
-    """A `Table`. data: by `storage.encode`, with the name of its type, which is in `KINDS`."""
-
-    data: bytes
     number: Index
     count: int
 
@@ -194,15 +176,6 @@ class MeasurementLog:
         other = MeasurementLog()
         other._tables, other.version = dict(self._tables), self.version
         return other
-
-    def checkpoint(self) -> list[TableCheckpoint]:
-        """Return all tables."""
-        return [TableCheckpoint(encode(table.data), table.number, table.count) for table in self._tables.values()]
-
-    def restore(self, checkpoint: Sequence[TableCheckpoint]) -> None:
-        """Set the tables to those of a checkpoint. Raises ValueError if the type of a table is not in `KINDS`."""
-        tables = [Table(decode(table.data, *KINDS), table.number.copy(), table.count) for table in checkpoint]
-        self._tables = {type(table.data): table for table in tables}
 
     def _keep(self, kind: type, table: Table, kept: Any) -> None:
         which = np.flatnonzero(kept)

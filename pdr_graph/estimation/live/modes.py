@@ -6,7 +6,7 @@ it. On a plan, ways whose present position is inside walls count less, as long a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,15 +19,6 @@ from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import LIVE_PATHS
 from pdr_graph.types import Array, Headings, Index, take
-
-
-@dataclass(frozen=True)
-class ModesCheckpoint:
-    """State of `Modes`."""
-
-    mixture: GaussianMixture
-    time: float
-    used: Index
 
 
 class Modes:
@@ -69,18 +60,6 @@ class Modes:
                 self.mixture, steps.whole, steps.start, self.time, take(headings, np.flatnonzero(new))
             )
             self.used = np.append(self.used, number[new])
-
-    def checkpoint(self) -> ModesCheckpoint | None:
-        """Return the state; None before the first fix and when the walk is certain."""
-        if self.mixture is None:
-            return None
-        return ModesCheckpoint(self.mixture, self.time, self.used)
-
-    def restore(self, checkpoint: ModesCheckpoint | None) -> None:
-        """Set the state to a checkpoint."""
-        self.mixture = None
-        if checkpoint is not None:
-            self.mixture, self.time, self.used = checkpoint.mixture, checkpoint.time, checkpoint.used
 
 
 def after_headings(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from pdr_graph.estimation.fingerprinting import RadioMap, scans_in
 from pdr_graph.priors import SCANS
-from pdr_graph.types import Array, Fixes, Sightings
+from pdr_graph.types import Fixes, Sightings
 
 MOST_RECEPTIONS = 20_000  # that are stored: some minutes where 100 transmitters are heard
 LONGEST_SPAN = 600.0  # [s] of the walk whose levels are stored: the scans are a table of windows times transmitters
@@ -65,15 +64,3 @@ class ScanCollector:
         kept = [n for n in range(len(names)) if n < len(self._map.transmitter) or n in stored]
         self._received[:, 1] = np.searchsorted(kept, self._received[:, 1])
         self._names = {names[n]: row for row, n in enumerate(kept)}
-
-    def checkpoint(self) -> dict[str, Any]:
-        """Return the state as arrays by name."""
-        names = "\n".join(list(self._names)[len(self._map.transmitter) :]).encode()
-        return {"heard": self._received, "block": np.array(self._block), "names": np.frombuffer(names, np.uint8)}
-
-    def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Set the state to a checkpoint with the same map."""
-        self._received, self._block = checkpoint["heard"].reshape(-1, 3), float(checkpoint["block"])
-        names = checkpoint["names"].astype(np.uint8).tobytes().decode()
-        for name in filter(None, names.split("\n")):
-            self._names.setdefault(name, len(self._names))

@@ -156,35 +156,13 @@ class StepBuffer:
         if count:
             start = float(self.whole[count - 1, END])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
-        self.chunks = [later_steps(steps, before) for steps in self.chunks if steps.end > before] or self.chunks[-1:]
+        self.chunks = [later_steps(self.steps, before)]
 
     def copy(self) -> StepBuffer:
         """An independent buffer of the same steps."""
         other = copy(self)
         other.chunks = list(self.chunks)
         return other
-
-    def checkpoint(self) -> StepCheckpoint:
-        """Return the state."""
-        return StepCheckpoint(self.whole, self.start, self.walked, self.steps if self.chunks else None)
-
-    @classmethod
-    def restored(cls, checkpoint: StepCheckpoint) -> StepBuffer:
-        """Create from a checkpoint."""
-        buffer = cls()
-        buffer.whole, buffer.start, buffer.walked = checkpoint.whole.reshape(-1, 8), checkpoint.start, checkpoint.walked
-        buffer.chunks = [] if checkpoint.steps is None else [checkpoint.steps]
-        return buffer
-
-
-@dataclass(frozen=True)
-class StepCheckpoint:
-    """State of a `StepBuffer`."""
-
-    whole: Array
-    start: float
-    walked: float
-    steps: Steps | None
 
 
 def later_steps(steps: Steps, before: float) -> Steps:

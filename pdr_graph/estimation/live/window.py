@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, St
 from pdr_graph.estimation.factors.chain import Bridge, Chain, Pieces, preintegrate
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_on_plan
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
+from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import rotation, wrap_angle
@@ -21,27 +21,6 @@ from pdr_graph.types import Array, Index
 
 ALL = 10**9  # more pieces or intervals than any window has
 Others = Mapping[str, Mapping[int, Array]]  # estimates ``(3,)`` of further variables, by symbol and number
-
-
-@dataclass(frozen=True)
-class WindowCheckpoint:
-    """State of a `Window`.
-
-    pose: ``(k, 3)``; calibrations: ``(s, 4)`` number and value of each segment; segments, labels: segment and floor of
-    each interval.
-    """
-
-    floor: str
-    segment: int
-    in_segment: int
-    count: int
-    steps: StepCheckpoint
-    keyframes: list[int]
-    times: list[float]
-    pose: Array
-    segments: list[int]
-    labels: list[str]
-    calibrations: Array
 
 
 class Window:
@@ -198,33 +177,6 @@ class Window:
         other.keyframes, other.times, other.pose = list(self.keyframes), list(self.times), self.pose.copy()
         other.intervals, other.c, other.steps = [copy(each) for each in self.intervals], dict(self.c), self.steps.copy()
         return other
-
-    def checkpoint(self) -> WindowCheckpoint:
-        """Return the state."""
-        return WindowCheckpoint(
-            floor=self.floor,
-            segment=self.segment,
-            in_segment=self.in_segment,
-            count=self.count,
-            steps=self.steps.checkpoint(),
-            keyframes=list(self.keyframes),
-            times=list(self.times),
-            pose=self.pose.copy(),
-            segments=[interval.segment for interval in self.intervals],
-            labels=[interval.label for interval in self.intervals],
-            calibrations=np.array([[segment, *value] for segment, value in self.c.items()]).reshape(-1, 4),
-        )
-
-    def restore(self, checkpoint: WindowCheckpoint) -> None:
-        """Set the state to a checkpoint of a window with the same prior and plan."""
-        self.floor, self.steps = checkpoint.floor, StepBuffer.restored(checkpoint.steps)
-        self.segment, self.in_segment, self.count = checkpoint.segment, checkpoint.in_segment, checkpoint.count
-        self.keyframes, self.times = list(checkpoint.keyframes), list(checkpoint.times)
-        self.c = {int(segment): np.array(value) for segment, *value in checkpoint.calibrations}
-        spans = zip(self.keyframes, self.keyframes[1:], self.times, self.times[1:], strict=False)
-        rows = zip(spans, checkpoint.segments, checkpoint.labels, strict=True)
-        self.intervals = [self._interval(*span, segment, label) for span, segment, label in rows]
-        self.pose = checkpoint.pose.reshape(-1, 3).copy()
 
     def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
         return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
