@@ -516,7 +516,6 @@ def _trajectory(time: Array, way: SmoothTrack, floor: tuple[str, ...]) -> Trajec
     return Trajectory(time, way.position, np.arctan2(way.velocity[:, 1], way.velocity[:, 0]), floor, covariance)
 
 
-TRUSTED = 0.9  # weight above which a fix is reported as "full weight"
 TOO_FAST = "too far to be reached in time: not used"  # reason in reports
 
 

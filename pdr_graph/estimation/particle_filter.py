@@ -614,7 +614,7 @@ def advance_through(particles: ParticleFilter, graph: WalkGraph, begin: int) -> 
 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:
     """The pieces of an interval; where a kind says that the walker stood, they err no more."""
-    pieces = graph.pieces.only(interval)
+    pieces = graph.pieces.between(interval, interval + 1)
     limits = [kind.standing_variance(interval) for kind in graph.measurements if isinstance(kind, LimitsSteps)]
     stood = min(limits, default=np.inf)
     if not np.isfinite(stood):

@@ -289,6 +289,12 @@ class FactorBlock:
         row_of = np.arange(n).repeat(r)
         return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, r, **others)
 
+    @classmethod
+    def prior_of(cls, name: str, variables: tuple[str, Index], off: Array, sigma: Array, number: Index) -> FactorBlock:
+        """Priors of variables ``(n,)``. off: ``(n, 3)`` from their means; sigma: ``(n, 3)``."""
+        root = 1 / sigma
+        return cls.uniform(name, off * root, [variables], lambda: [np.eye(3) * root[:, :, None]], number, prior=True)
+
     def __len__(self) -> int:
         return len(self.number)
 

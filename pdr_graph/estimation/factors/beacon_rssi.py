@@ -188,22 +188,20 @@ class BeaconRssiFactor(Measurement):
                 self.beacon_number,
                 prior=True,
             ),
-            FactorBlock.uniform(
+            FactorBlock.prior_of(
                 f"{self.name}.path_loss",
-                (q - BEACONS.path_loss) / BEACONS.path_loss_sigma,
-                [("q", single)],
-                lambda: [np.diag(1 / np.array(BEACONS.path_loss_sigma))[None]],
+                ("q", single),
+                q - BEACONS.path_loss,
+                np.array([BEACONS.path_loss_sigma]),
                 single,
-                prior=True,
             ),
         ]
 
     def _displacement(self, at: Evaluation) -> FactorBlock:
         """The prior of how far the whole list is displaced: ``origin``, and what ``d`` adds to it."""
-        single, root = np.zeros(1, dtype=np.intp), np.diag([1 / BEACONS.origin_sigma, 1 / BEACONS.origin_sigma, 1.0])
-        off = (at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)) @ root
-        name = f"{self.name}.displacement"
-        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, prior=True)
+        single, sigma = np.zeros(1, dtype=np.intp), np.array([[BEACONS.origin_sigma, BEACONS.origin_sigma, 1.0]])
+        off = at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)
+        return FactorBlock.prior_of(f"{self.name}.displacement", ("d", single), off, sigma, single)
 
     def rough_fixes(self) -> Fixes:
         """A rough fix at the strongest surveyed beacon in every BIN seconds."""

@@ -59,24 +59,21 @@ class Pieces:
         before = (total - per_piece)[..., self.first]
         return total - before[..., self.interval]
 
-    def only(self, i: int) -> Pieces:
-        """The pieces of interval ``i`` alone."""
-        return self.between(i, i + 1)
-
-    def between(self, begin: int, end: int) -> Pieces:
-        """The intervals from number ``begin`` to before ``end``; without rows of a trajectory."""
-        m = self.first[begin]
-        here = slice(m, self.last[end - 1] + 1)
+    def between(self, begin: int, end: int | None = None) -> Pieces:
+        """The intervals from number ``begin`` to before ``end``, by default to the last, with their rows."""
+        end = len(self.first) if end is None else end
+        first, after = np.append(self.first, len(self.length))[[begin, end]]
+        here = slice(first, after)
         return Pieces(
             length=self.length[here],
             to_middle=self.to_middle[:, here],
             to_end=self.to_end[:, here],
             variance=self.variance[here],
             interval=self.interval[here] - begin,
-            first=self.first[begin:end] - m,
-            last=self.last[begin:end] - m,
+            first=self.first[begin:end] - first,
+            last=self.last[begin:end] - first,
             keyframe_time=self.keyframe_time[begin : end + 1],
-            row_end=np.empty(0, dtype=np.intp),
+            row_end=self.row_end[(self.row_end >= first) & (self.row_end < after)] - first,
         )
 
     def parts(self) -> list[tuple[int, int, slice]]:
@@ -91,21 +88,6 @@ class Pieces:
         none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
         turns = np.empty((2, 0))
         return cls(none, turns, turns, np.empty((0, 3)), numbers, numbers, numbers, np.array([time]), numbers)
-
-    def after(self, first: int) -> Pieces:
-        """The intervals from number ``first`` on."""
-        m = self.first[first] if first < len(self.first) else len(self.length)
-        return Pieces(
-            length=self.length[m:],
-            to_middle=self.to_middle[:, m:],
-            to_end=self.to_end[:, m:],
-            variance=self.variance[m:],
-            interval=self.interval[m:] - first,
-            first=self.first[first:] - m,
-            last=self.last[first:] - m,
-            keyframe_time=self.keyframe_time[first:],
-            row_end=self.row_end[self.row_end >= m] - m,
-        )
 
     @classmethod
     def together(cls, parts: Sequence[Pieces]) -> Pieces:
@@ -377,7 +359,7 @@ class Chain:
         m = self.pieces.first[first] if first < len(self.segment) else len(self.pieces.length)
         row = self.segment[first] if first < len(self.segment) else max(len(self.segment_number) - 1, 0)
         return Chain(
-            pieces=self.pieces.after(first),
+            pieces=self.pieces.between(first),
             bridge=Bridge(self.bridge.root[first:], self.bridge.gain[m:], self.bridge.spread[m:]),
             delta=self.delta[first:],
             segment=self.segment[first:] - row,

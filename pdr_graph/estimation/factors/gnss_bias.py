@@ -219,15 +219,9 @@ class GnssBias(Measurement):
             self.node_number[later],
             prior=True,
         )
-        root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
-        same = FactorBlock.uniform(
-            f"{self.name}.throughout",
-            o * root,
-            [(self.symbol_throughout, np.arange(len(o)))],
-            lambda: [np.eye(3) * root[:, :, None]],
-            self.receiver_number,
-            prior=True,
-        )
+        receivers = self.symbol_throughout, np.arange(len(o))
+        sigma = np.stack([self.throughout * self.usual] * 2 + [np.ones(len(o))], axis=1)
+        same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, sigma, self.receiver_number)
         return [begin, follow, same]
 
 

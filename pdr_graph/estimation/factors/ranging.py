@@ -130,16 +130,9 @@ class RangeFactor(Measurement):
         return [ranges, self._anchors(at)]
 
     def _anchors(self, at: Evaluation) -> FactorBlock:
-        every, place = np.arange(len(self._met)), self.ranges.position_sigma[self._met]
-        root = 1 / np.stack([place, place, np.full(len(every), RANGES.bias)], axis=1)
-        return FactorBlock.uniform(
-            f"{self.name}.anchor",
-            (at.state[self.symbol] - self._surveyed) * root,
-            [(self.symbol, every)],
-            lambda: [np.eye(3) * root[:, :, None]],
-            self._met,
-            prior=True,
-        )
+        place, off = self.ranges.position_sigma[self._met], at.state[self.symbol] - self._surveyed
+        sigma = np.stack([place, place, np.full(len(place), RANGES.bias)], axis=1)
+        return FactorBlock.prior_of(f"{self.name}.anchor", (self.symbol, np.arange(len(place))), off, sigma, self._met)
 
     @cached_property
     def _met(self) -> Index:
