@@ -19,13 +19,11 @@ from pdr_graph.types import Array, Mask, Recording, Signal
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:
-    """Split a recording at gaps into parts in which every inertial sensor ran; without a gap, the recording itself.
+    """Split a recording at gaps into parts in which the accelerometer ran; without a gap, the recording itself.
 
     Parts of less than a second are dropped. Raises InputError if no part is longer.
     """
-    inertial = [
-        s for s in (recording.accelerometer, recording.linear_acceleration, recording.gyroscope) if s is not None
-    ]
+    inertial = [s for s in (recording.accelerometer, recording.linear_acceleration) if s is not None]
     gaps = np.concatenate([_gaps(signal) for signal in inertial]) if inertial else np.empty((0, 2))
     if not len(gaps):
         return [recording]
@@ -67,10 +65,7 @@ def _cut(recording: Recording, start: float, end: float) -> Recording:
 
 @dataclass(frozen=True)
 class GaitSignals(OneLineRepr):
-    """Attitude, landings and walking direction of an uninterrupted part of a recording.
-
-    direction: constant if there is no gyroscope.
-    """
+    """Attitude, landings and walking direction of an uninterrupted part of a recording."""
 
     recording: Recording
     attitude: Attitude
@@ -103,7 +98,4 @@ def gait_signals(recording: Recording | list[GaitSignals]) -> list[GaitSignals]:
 def _of_part(recording: Recording) -> GaitSignals:
     attitude = attitude_of(recording)
     landings = walking_steps(attitude.time, attitude.acceleration)
-    nothing = np.zeros(len(attitude.time))
-    measured = attitude.angular_rate is not None
-    direction = walking_direction(attitude, landings.usual_step) if measured else Direction(nothing, nothing)
-    return GaitSignals(recording, attitude, landings, direction)
+    return GaitSignals(recording, attitude, landings, walking_direction(attitude, landings.usual_step))

@@ -12,8 +12,9 @@ from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
+from pdr_graph.inertial.attitude import NO_GYROSCOPE
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Array, Recording, Steps
+from pdr_graph.types import Recording, Steps
 
 
 def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None = None) -> Steps:
@@ -22,7 +23,8 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
     recording: or its `gait_signals`, where they are needed for something else too; walker: whose stride model and
     profile are used, by default those of a person of 1.70 m.
 
-    A gap in the recording is a row of length 0 with a wide sigma. Without a gyroscope turns are 0 with a wide sigma.
+    A gap in the recording is a row of length 0 with a wide sigma. Where no gyroscope ran, turns are 0 with a wide
+    sigma.
     ``unknown`` names what the sensors cannot measure.
 
     Raises InputError if there is no accelerometer.
@@ -55,6 +57,10 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
     set_off = np.interp(landings.time - duration, attitude.time, heading)
     before = np.append(np.interp(start, attitude.time, heading), landed[:-1])[: len(landed)]
 
+    rows, unmeasured = np.append(start, landings.time), np.isnan(attitude.angular_rate[:, 0])
+    variance = np.interp(rows, attitude.time, gait.direction.variance)
+    blind = np.diff(np.interp(rows, attitude.time, np.cumsum(unmeasured))) > 0
+
     return Steps(
         start=start,
         end=float(attitude.time[-1]),
@@ -64,14 +70,7 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=_sigma_turn(gait, walker, start),
+        sigma_turn=np.where(blind, MOTION.unmeasured_turn, np.sqrt(walker.sigma_turn**2 + np.diff(variance))),
         final_turn=float(heading[-1] - (landed[-1] if len(landed) else np.interp(start, attitude.time, heading))),
-        unknown=attitude.unknown,
+        unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
-
-
-def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
-    """Standard deviation ``(n,)`` of each step's turn. [rad]"""
-    usual = walker.sigma_turn if gait.attitude.angular_rate is not None else MOTION.unmeasured_turn
-    variance = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
-    return np.sqrt(usual**2 + np.diff(variance))

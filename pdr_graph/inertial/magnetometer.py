@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.frames import EarthField
 from pdr_graph.geometry import gaussian_weights, interpolate, nearest
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.attitude_stream import SensorStream
+from pdr_graph.inertial.sensor_stream import SensorStream
 from pdr_graph.priors import MAGNETOMETER, NORTH, REST
 from pdr_graph.types import Array, Signal
 

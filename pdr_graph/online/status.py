@@ -11,7 +11,7 @@ import numpy as np
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.contradiction import Verdict
 from pdr_graph.errors import count
-from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
 
