@@ -26,11 +26,10 @@ from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.compass import magnetic_headings
-from pdr_graph.gait.signals import gait_signals
-from pdr_graph.gait.stair_steps import with_stair_lengths
-from pdr_graph.gait.steps import detect_steps
+from pdr_graph.gait.steps import detect_steps, gait_signals
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.inputs import Inputs
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory

@@ -18,7 +18,7 @@ REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
     "reading the recording": ("pdr_graph.io.loading:load",),
     "plan, fixes, frame": ("pdr_graph.inputs:read",),
-    "attitude": ("pdr_graph.gait.signals:attitude_of",),
+    "attitude": ("pdr_graph.gait.steps:attitude_of",),
     "steps": (
         "pdr_graph.pipeline:gait_signals",
         "pdr_graph.pipeline:detect_steps",

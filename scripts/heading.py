@@ -8,7 +8,7 @@ from tables import DOCS, publish, table
 from pdr_graph import detect_steps
 from pdr_graph.frames import enu
 from pdr_graph.gait.heading import walking_direction
-from pdr_graph.gait.signals import uninterrupted
+from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.papers.attitude_filters import imu_filter

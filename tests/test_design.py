@@ -67,7 +67,7 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (29, 4161),
+    ".": (29, 4158),
     "cli": (12, 985),
     "estimation": (23, 2891),
     "estimation/ambiguity": (7, 546),
@@ -76,8 +76,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "evaal": (5, 551),
     "floor": (10, 1233),
     "floor/formats": (20, 1936),
-    "gait": (12, 1447),
-    "inertial": (6, 599),
+    "gait": (10, 1417),
+    "inertial": (6, 621),
     "io": (20, 1737),
     "lifelog": (53, 6299),
     "lifelog/past": (21, 1055),
@@ -89,8 +89,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (53, 7223),
-    "online.navigator": (106, 14022),
+    "estimation.smoother": (53, 7220),
+    "online.navigator": (101, 13758),
 }
 
 

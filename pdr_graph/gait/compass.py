@@ -22,7 +22,7 @@ from pdr_graph import storage
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
 from pdr_graph.gait.heading import Direction, Forward, forward_axis, live_forward_axis
-from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.gait.steps import GaitSignals, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs

@@ -13,10 +13,9 @@ import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.gait.heading import Direction, HeadingStream
-from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_detection import Landings, StepDetector, decimation
-from pdr_graph.gait.steps import steps_of
+from pdr_graph.gait.steps import GaitSignals, steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeCheckpoint, AttitudeStream, GravityRestorer
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream

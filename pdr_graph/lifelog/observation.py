@@ -27,7 +27,7 @@ from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording,
 from pdr_graph.walk_options import Options
 
 if TYPE_CHECKING:
-    from pdr_graph.gait.signals import GaitSignals
+    from pdr_graph.gait.steps import GaitSignals
     from pdr_graph.inputs import Inputs
 
 # Chosen by hand
@@ -149,8 +149,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     Raises InputError if the recording cannot be used or has no date.
     """
     from pdr_graph.gait.compass import magnetic_headings
-    from pdr_graph.gait.signals import gait_signals
-    from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.gait.steps import detect_steps, gait_signals
 
     options = options or RecordingOptions()
     inputs = read_inputs(recording, options)

@@ -29,10 +29,10 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
-from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
+from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.measurements import last_time, take
 from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks

@@ -21,7 +21,7 @@ from pdr_graph.estimation.factors.receivers import duplicates
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inputs import Inputs, load_radio_map, read
 from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory

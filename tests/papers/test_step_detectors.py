@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.papers import step_detectors
 from pdr_graph.simulation.scenario import Scenario
