@@ -331,7 +331,7 @@ class MagnetometerPriors(Table):
     smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait")
     prediction: float = number(1.0, "s", "over which the gyroscope predicts the field")
     fit_samples: int = number(600, "samples", "most of a calibration fit")
-    fit_evaluations: int = number(60, "evaluations", "most of a fit, slow where the phone was hardly turned")
+    fit_rounds: int = number(30, "iterations", "of a fit from any start")
     hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration")
     soft_spread: float = number(0.1, "share", "sigma of its soft iron")
     field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss")

@@ -29,11 +29,10 @@ from pdr_graph.floor.cells import BEACON
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import magnetic_headings
-from pdr_graph.gait.signals import GaitSignals, gait_signals
-from pdr_graph.gait.stair_steps import with_stair_lengths
-from pdr_graph.gait.steps import detect_steps
+from pdr_graph.gait.steps import GaitSignals, detect_steps, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
 from pdr_graph.io.loading import load
 from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges

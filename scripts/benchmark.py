@@ -30,7 +30,7 @@ from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.papers.attitude_filters import METHODS, switching
 from pdr_graph.priors import PARTICLES, changed
@@ -174,7 +174,7 @@ def attitude_rows():
         values = walk.signals[name].values
         signals[name] = Signal(np.arange(HOUR) / 100, np.resize(values, (HOUR, 3)))
     recording = Recording("an hour", 0.0, None, **signals)
-    methods = {**METHODS, "switching at rest": lambda r: switching(r, 0.05), "**VQF, offline (default)**": vqf_offline}
+    methods = {**METHODS, "switching at rest": lambda r: switching(r, 0.05), "**VQF, offline (default)**": attitude_of}
     times = {name: median_time(lambda m=method: m(recording), 3) for name, method in methods.items()}
     attitude = table(["attitude of an hour at 100 Hz", "time"], [[name, f"{t:.2f} s"] for name, t in times.items()])
     time_, samples = recording.accelerometer.time, recording.accelerometer.values

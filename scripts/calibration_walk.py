@@ -9,8 +9,8 @@ from pdr_graph import detect_steps
 from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait import step_length
-from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
 from pdr_graph.papers import step_detectors

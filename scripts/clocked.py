@@ -18,7 +18,7 @@ REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
     "reading the recording": ("pdr_graph.walk:load",),
     "plan, fixes, frame": ("pdr_graph.report.output_files:read",),
-    "attitude": ("pdr_graph.gait.signals:attitude_of",),
+    "attitude": ("pdr_graph.gait.steps:attitude_of",),
     "steps": (
         "pdr_graph.walk:gait_signals",
         "pdr_graph.walk:detect_steps",

@@ -11,8 +11,8 @@ from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
 from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.heading import braking_axis, forward_axis, reading_axis, walking_direction
-from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load

@@ -6,7 +6,7 @@ from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.fingerprinting import RadioMap
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.io.loading import load
 from pdr_graph.priors import SCANS

@@ -8,8 +8,8 @@ from tables import DOCS, publish, table
 from pdr_graph import detect_steps
 from pdr_graph.frames import enu
 from pdr_graph.gait.heading import walking_direction
-from pdr_graph.gait.signals import uninterrupted
-from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.gait.steps import uninterrupted
+from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.papers.attitude_filters import imu_filter
 from pdr_graph.papers.heading_methods import (
@@ -32,7 +32,7 @@ METHODS = {  # the paper's own use its choice of attitude
     "acceleration PCA": (imu_filter, acceleration_axis),
     "angular-rate PCA": (imu_filter, angular_rate_axis),
     "angular-rate accumulation": (imu_filter, accumulate_turn),
-    "**ours**": (vqf_offline, walking_direction),
+    "**ours**": (attitude_of, walking_direction),
 }
 TRIALS, WALKERS = 62, 10
 CORNERS = [[1.2, 1.2], [1.2, 27.0]]  # of the L: west, then north

@@ -12,7 +12,7 @@ from shapely.affinity import scale, translate
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.floor.cells import WALL, Area
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, rotation, unit
 from pdr_graph.io.beacons import SURVEY_SIGMA
 from pdr_graph.simulation.body import Body

@@ -26,7 +26,7 @@ from recorded import SIGMA, WAYPOINT_NOISE, Walk, ipin21_walks, ipin2023_walks, 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import events_of

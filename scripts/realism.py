@@ -11,7 +11,7 @@ from scipy.stats import ks_2samp, kurtosis, skew
 from tables import DOCS, publish, table
 
 from pdr_graph import dead_reckon, detect_steps
-from pdr_graph.gait.signals import uninterrupted
+from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.loading import load
 from pdr_graph.simulation.carrying import HOLDS

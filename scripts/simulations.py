@@ -7,7 +7,7 @@ import numpy as np
 from recorded import Walk
 
 from pdr_graph import detect_steps, magnetic_headings
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.simulation.recorders import write

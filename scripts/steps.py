@@ -8,9 +8,9 @@ from pdr_graph import Walker, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import posterior_profile, prior_of
 from pdr_graph.frames import enu
 from pdr_graph.gait import step_length
-from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.papers.step_detectors import peak_pairs, trough_to_peak

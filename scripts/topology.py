@@ -12,7 +12,7 @@ from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.floor.network import Network
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

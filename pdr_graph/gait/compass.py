@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
 from pdr_graph.gait.heading import Direction, Forward, forward_axis, live_forward_axis
-from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.gait.steps import GaitSignals, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
@@ -193,7 +193,7 @@ class LiveCompass:
             self.turn_variance += MOTION.gap_turn**2
             self.period, self.direction_variance = attitude.period, float(variance[0])
         rows = self._rows(gait)
-        steady = ~(np.diff(variance, prepend=self.direction_variance) > 0) & (not attitude.unknown)
+        steady = ~(np.diff(variance, prepend=self.direction_variance) > 0) & np.isfinite(attitude.angular_rate[:, 0])
         self.durations = np.append(self.durations, gait.landings.period)
         for first, after in np.transpose(runs(steady)).tolist():
             if first > 0:
@@ -283,7 +283,7 @@ class LiveCompass:
         if self._earth is None or self.evaluated >= LIVE_COMPASS.early_steps[-1] * step or not np.isfinite(step):
             return
         follows = gait.attitude.period == self.period and gait.attitude.time[0] - self.end < 1.5 * self.period
-        if not follows or variance[-1] > self.direction_variance or gait.attitude.unknown:
+        if not follows or variance[-1] > self.direction_variance or np.isnan(gait.attitude.angular_rate).any():
             return
         begin = self.begin
         if not len(self.samples) + len(self.incomplete):
@@ -310,7 +310,7 @@ class LiveCompass:
         samples, begin = samples[stood:], begin + stood * spacing
         attitude = Rotation.from_quat(samples[:, ATTITUDE])
         time = begin + spacing * np.arange(len(samples), dtype=float)
-        part = Attitude(time, spacing, attitude, samples[:, ACCELERATION], None)
+        part = Attitude(time, spacing, attitude, samples[:, ACCELERATION], np.zeros((len(samples), 3)))
         heading, walking = samples[:, HEADING], samples[:, WALKING] > 0.5
 
         # The direction by this stretch alone

@@ -12,7 +12,7 @@ returns a `Forward`. A direction method takes an `Attitude` and the typical dura
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import fft
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
-from pdr_graph.priors import FORWARD, GRIP
+from pdr_graph.priors import FORWARD, GRIP, STEP
 from pdr_graph.types import Array, Complex, Mask
 
 
@@ -170,14 +170,6 @@ class GripChange:
 Spans = list[tuple[int, int]]  # first and last samples
 
 
-def grip_changes(attitude: Attitude, up: Array, heading: Array, step: float) -> list[GripChange]:
-    """All grip changes of a walk.
-
-    up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` computed as if there were none [rad].
-    """
-    return confirmed_grip_changes(attitude, heading, step, *possible_grip_changes(up, heading, step, attitude.period))
-
-
 def possible_grip_changes(up: Array, heading: Array, step: float, period: float) -> tuple[Spans, Spans]:
     """Spans in which the device changes its tilt, and other spans of turns as fast as a wrist's."""
     tilted = _to_another_tilt(up, step, period)
@@ -271,48 +263,6 @@ class Direction:
     variance: Array
 
 
-def walking_direction(attitude: Attitude, step: float) -> Direction:
-    """The default: for a phone in any grip, and with grip changes in mid-walk.
-
-    The turn of the phone's attitude, averaged over a stride, is the walker's turn: an elliptic swing changes the
-    integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
-    a stride the rate about gravity is more accurate. During a grip change (`grip_changes`) the phone does not measure
-    the walker, whose turn then comes from the gait, or is 0 ± 0.35 rad.
-    """
-    samples = max(1, round(step / attitude.period))
-    steady = mean_attitude(with_continuous_signs(attitude.R_world_device.as_quat()), 2 * samples)
-    turned = np.concatenate([[0.0], np.cumsum(turns_about_vertical(steady))])
-    rate_integral = integrated_rate(attitude)
-    coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
-    heading = without_gait(rate_integral, samples) - coning
-    heading -= heading[0]
-    turn, variance = without_grip_changes(heading, grip_changes(attitude, vertical_in_device(steady), heading, step))
-    return Direction(np.cumsum(turn), np.cumsum(variance))
-
-
-def without_gait(heading: Array, samples_per_step: int) -> Array:
-    """Heading without most of the sway of the gait, which the paper names as accumulation's defect.
-
-    A centred mean over one step does not lag. The remaining sway alternates from step to step and does not accumulate;
-    a mean over a whole stride would remove it too, but would cut the corners of real turns.
-    """
-    return uniform_filter1d(heading, max(1, samples_per_step), mode="nearest")
-
-
-def integrated_rate(attitude: Attitude) -> Array:
-    """The angular rate about gravity, integrated from the first sample on ``(n,)``. [rad]"""
-    assert attitude.angular_rate is not None, "there is a gyroscope"
-    rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
-    turned = np.cumsum(rate_z) * attitude.period
-    return turned - turned[0]
-
-
-def with_continuous_signs(quaternion: Array) -> Array:
-    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not jump from sample to sample."""
-    turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
-    return quaternion * np.concatenate([[1.0], turned_round])[:, None]
-
-
 def mean_attitude(quaternion: Array, samples: int) -> Array:
     """Unit quaternions ``(4, n)`` of attitudes ``(n, 4)`` averaged over a window of samples.
 
@@ -348,3 +298,188 @@ def without_grip_changes(heading: Array, changes: list[GripChange]) -> tuple[Arr
         turn[during] = change.turn / count
         variance[during] = GRIP.sigma**2 / count
     return turn, variance
+
+
+def with_continuous_signs(quaternion: Array) -> Array:
+    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not jump from sample to sample."""
+    turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
+    return quaternion * np.concatenate([[1.0], turned_round])[:, None]
+
+
+FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
+SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading", "course", "variance")
+
+
+def _context_steps() -> int:
+    """Number of steps before the first sample that is not final."""
+    return 2 * GRIP.steps_beside + FILTER_EDGE
+
+
+@dataclass
+class HeadingStream:
+    """The samples of the last seconds and the walker's heading at them.
+
+    The turn of the phone's attitude, averaged over a stride, is the walker's turn: an elliptic swing changes the
+    integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
+    a stride the rate about gravity is more accurate: a centred mean over one step removes most of the sway and does not
+    lag. During a grip change the phone does not measure the walker, whose turn then comes from the gait, or is
+    0 ± 0.35 rad.
+
+    origin: time of sample 0 [s]; period [s]; first: number of the first stored sample; step: typical duration [s].
+    quaternion ``(n, 4)`` and acceleration ``(n, 3)``; measured: ``(n,)`` True where the gyroscope ran.
+    rate_integral, turned: ``(n,)`` integrated rate about the vertical, and turn of the mean attitude [rad].
+    up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` ignoring grip changes [rad]; both are final
+        for the first ``heading_final`` samples.
+    course, variance: ``(n,)`` the walker's heading [rad] and its variance [rad²], final for the first ``course_final``
+        samples.
+    """
+
+    origin: float
+    period: float
+    first: int = 0
+    step: float = STEP.usual
+    heading_final: int = 0
+    course_final: int = 0
+    quaternion: Array = field(default_factory=lambda: np.empty((0, 4)))
+    acceleration: Array = field(default_factory=lambda: np.empty((0, 3)))
+    measured: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
+    rate_integral: Array = field(default_factory=lambda: np.empty(0))
+    up: Array = field(default_factory=lambda: np.empty((0, 3)))
+    turned: Array = field(default_factory=lambda: np.empty(0))
+    heading: Array = field(default_factory=lambda: np.empty(0))
+    course: Array = field(default_factory=lambda: np.empty(0))
+    variance: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def time(self) -> Array:
+        """Times ``(n,)`` of the stored samples. [s]"""
+        return self.origin + self.period * np.arange(self.first, self.first + len(self.quaternion), dtype=float)
+
+    @property
+    def final_until(self) -> float:
+        """Time of the last sample whose heading is final. [s]"""
+        return self.origin + self.period * (self.first + self.course_final - 1)
+
+    def attitude(self, part: slice) -> Attitude:
+        """The attitude of a part of the stored samples; its angular rates are 0, or NaN: no later stage uses them."""
+        level, acceleration = Rotation.from_quat(self.quaternion[part]), self.acceleration[part]
+        rate = np.where(self.measured[part, None], 0.0, np.full(3, np.nan))
+        return Attitude(self.time[part], self.period, level, acceleration, rate)
+
+    def update(self, quaternion: Array, acceleration: Array, angular_rate: Array, last: bool = False) -> None:
+        """Add samples: quaternions ``(m, 4)``, accelerations ``(m, 3)`` and angular rates ``(m, 3)``, as in `Attitude`.
+
+        last: True if no more samples follow.
+        """
+        self._append(quaternion, acceleration, angular_rate)
+        self._smooth()
+        if last:
+            self.finish()
+        else:
+            self._correct(last=False)
+
+    def finish(self) -> None:
+        """Make all headings final: no more samples follow."""
+        self.heading_final = len(self.quaternion)
+        self._correct(last=True)
+
+    def forget(self, before: float) -> None:
+        """Drop samples that no later step depends on; steps before the time ``before`` [s] are final."""
+        final = min(self.course_final, int((before - self.origin) / self.period) - self.first)
+        drop = max(0, final - round(_context_steps() * self.step / self.period))
+        self.first += drop
+        self.heading_final -= drop
+        self.course_final -= drop
+        for name in SERIES:
+            setattr(self, name, getattr(self, name)[drop:])
+
+    def _append(self, quaternion: Array, acceleration: Array, angular_rate: Array) -> None:
+        rate = np.sum(vertical_in_device(quaternion.T) * angular_rate, axis=1) * self.period
+        measured = np.isfinite(rate)
+        rate = np.where(measured, rate, 0.0)
+        start = self.rate_integral[-1] if len(self.rate_integral) else -rate[0]
+        joined = with_continuous_signs(np.concatenate([self.quaternion[-1:], quaternion]))
+        self.quaternion = np.concatenate([self.quaternion[:-1], joined])
+        self.acceleration = np.concatenate([self.acceleration, acceleration])
+        self.measured = np.append(self.measured, measured)
+        self.rate_integral = np.append(self.rate_integral, start + np.cumsum(rate))
+
+    def _smooth(self) -> None:
+        """Update heading and vertical, gait removed."""
+        samples = max(1, round(self.step / self.period))
+        last = max(0, self.heading_final - 1)
+        begin = max(0, last - 2 * samples)
+        steady = mean_attitude(self.quaternion[begin:], 2 * samples)[:, last - begin :]
+        up = vertical_in_device(steady)
+        turn = turns_about_vertical(steady) * self.measured[last + 1 :]
+        start = self.turned[last] if len(self.turned) else 0.0
+        turned = start + np.concatenate([[0.0], np.cumsum(turn)])
+        of_step, of_stride = (uniform_filter1d(self.rate_integral[begin:], n * samples, mode="nearest") for n in (1, 2))
+        new = self.heading_final - last  # 0 or 1: the last final sample stays
+        keep = self.heading_final
+        self.up = np.concatenate([self.up[:keep], up[new:]])
+        self.turned = np.concatenate([self.turned[:keep], turned[new:]])
+        self.heading = np.concatenate([self.heading[:keep], (turned + (of_step - of_stride)[last - begin :])[new:]])
+        self.heading_final = max(self.heading_final, len(self.quaternion) - samples)
+
+    def _correct(self, last: bool) -> None:
+        """Update the walker's heading; it is final up to the first undecided grip change."""
+        begin, end = max(0, self.course_final - 1), max(1, self.heading_final)
+        tilted, fast = self._possible_changes(begin, end)
+        until, decided = self._decided_changes(tilted, fast, last)
+        found = self._confirmed_changes(*decided)
+        found += [GripChange(*span, 0.0) for span in tilted if span[0] >= until]
+        turn, variances = without_grip_changes(self.heading, found)
+        course, variance = (self.course[begin], self.variance[begin]) if len(self.course) else (0.0, 0.0)
+        new = self.course_final - begin
+        self.course = np.append(self.course[: self.course_final], (course + _cumulative(turn[begin:]))[new:])
+        self.variance = np.append(self.variance[: self.course_final], (variance + _cumulative(variances[begin:]))[new:])
+        self.course_final = max(self.course_final, until)
+
+    def _possible_changes(self, begin: int, end: int) -> tuple[Spans, Spans]:
+        """Spans of changed tilt and of fast turns among the samples [begin, end)."""
+        if end - begin < 3:
+            return [], []
+        tilted, fast = possible_grip_changes(self.up[begin:end], self.heading[begin:end], self.step, self.period)
+        return _later(tilted, begin), _later(fast, begin)
+
+    def _decided_changes(self, tilted: Spans, fast: Spans, last: bool) -> tuple[int, tuple[Spans, Spans]]:
+        """The first sample at which grip changes are undecided, and the spans before it."""
+        now = len(self.quaternion)
+        if last:
+            return now, (tilted, fast)
+        step = self.step / self.period
+        until = self.heading_final - round(GRIP.within / self.period) - round(step) - 2
+        spans = [(*span, 2 * GRIP.steps_beside + FILTER_EDGE) for span in tilted]
+        spans += [(*span, GRIP.steps_beside + FILTER_EDGE) for span in fast]
+        for begin, end, steps in sorted(spans, reverse=True):
+            undecided = end >= self.heading_final - 2 or end + steps * step > now
+            if undecided or end >= until:
+                until = min(until, begin)
+        until = max(until, now - round(GRIP.longest_undecided / self.period), self.course_final)
+        return until, ([s for s in tilted if s[1] < until], [s for s in fast if s[1] < until])
+
+    def _confirmed_changes(self, tilted: Spans, fast: Spans) -> list[GripChange]:
+        """The grip changes among decided spans."""
+        if not tilted and not fast:
+            return []
+        begin = max(0, min(span[0] for span in tilted + fast) - round(_context_steps() * self.step / self.period))
+        attitude, heading = self.attitude(slice(begin, None)), self.heading[begin:]
+        found = confirmed_grip_changes(attitude, heading, self.step, _later(tilted, -begin), _later(fast, -begin))
+        return [GripChange(change.first + begin, change.last + begin, change.turn) for change in found]
+
+
+def _later(spans: Spans, samples: int) -> Spans:
+    return [(first + samples, last + samples) for first, last in spans]
+
+
+def _cumulative(values: Array) -> Array:
+    """Cumulative sums ``(n,)`` from 0, without the first value."""
+    return np.concatenate([[0.0], np.cumsum(values[1:])])
+
+
+def walking_direction(attitude: Attitude, step: float) -> Direction:
+    """The default: for a phone in any grip, and with grip changes in mid-walk (`HeadingStream`)."""
+    stream = HeadingStream(float(attitude.time[0]), attitude.period, step=step)
+    stream.update(attitude.R_world_device.as_quat(), attitude.acceleration, attitude.angular_rate, last=True)
+    return Direction(stream.course, stream.variance)

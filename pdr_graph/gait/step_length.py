@@ -18,7 +18,7 @@ from pdr_graph.priors import STRIDES
 from pdr_graph.types import Array
 
 if TYPE_CHECKING:
-    from pdr_graph.gait.signals import GaitSignals
+    from pdr_graph.gait.steps import GaitSignals
 
 BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] uses four bands of 0–5 Hz; their edges are not published
 

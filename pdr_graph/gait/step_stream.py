@@ -11,22 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.gait.heading import Direction
-from pdr_graph.gait.heading_stream import HeadingStream
-from pdr_graph.gait.signals import GaitSignals
+from pdr_graph.gait.heading import Direction, HeadingStream
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_detection import Landings, StepDetector, decimation
-from pdr_graph.gait.steps import steps_of
+from pdr_graph.gait.steps import GaitSignals, steps_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.attitude import NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
-from pdr_graph.inertial.attitude_stream import (
-    SENSOR_VALIDATION,
+from pdr_graph.inertial.attitude import (
+    NO_GRAVITY,
+    SHORTEST_WALK,
     AttitudeStream,
     GravityRestorer,
-    Health,
-    SensorStream,
 )
-from pdr_graph.priors import MOTION, REST, STEP
+from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
+from pdr_graph.priors import REST, STEP
 from pdr_graph.types import Array, Recording, Steps
 
 
@@ -271,11 +268,10 @@ class SegmentStream:
         """
         if count:
             time = self.next_times(count)
-            acceleration, measured = accelerometer.at(time), gyroscope.covers(time)
-            rate = gyroscope.at(time) if measured.any() else np.zeros((count, 3))
-            quaternion, rate = self.attitude.update(acceleration, rate, measured)
+            acceleration = accelerometer.at(time)
+            quaternion, rate = self.attitude.update(acceleration, gyroscope.sampled(time))
             self._add_landings(*self.detector.update(acceleration))
-            self.direction.update(quaternion, acceleration, rate, measured)
+            self.direction.update(quaternion, acceleration, rate)
             self.count += count
         if last:
             self._add_landings(*self.detector.finish())
@@ -328,17 +324,7 @@ class SegmentStream:
         """All steps after the certain ones."""
         landings = self._landings()
         first = max(0, int((self.end - STEP_STREAM.margin - self.origin) / self.period) - self.direction.first)
-        gait = self._signals(slice(first, None), landings)
-        steps = steps_of(gait, self.walker, self.end)
-        unmeasured = self.direction.unmeasured[first:]
-        if unmeasured[-1] == unmeasured[0]:
-            return steps
-        at_steps = np.interp(np.append(self.end, steps.time), gait.attitude.time, unmeasured)
-        without_gyroscope = np.diff(at_steps) > 0
-        if not without_gyroscope.any():
-            return steps
-        sigma_turn = np.where(without_gyroscope, MOTION.unmeasured_turn, steps.sigma_turn)
-        return replace(steps, sigma_turn=sigma_turn, unknown=(NO_GYROSCOPE,))
+        return steps_of(self._signals(slice(first, None), landings), self.walker, self.end)
 
     def _signals(self, part: slice, landings: Landings) -> GaitSignals:
         """Gait signals of a part of the stored samples."""
@@ -365,19 +351,12 @@ class SegmentStream:
             int((t - self.origin) / self.period + 1e-6) + 1 - course.first for t in (steps.start, steps.end)
         )
         amplitude = self.landed[self.reported : self.reported + len(steps), 1]
-        gait = self._signals(slice(first, after), Landings(steps.time, steps.duration, amplitude))
-        return self._with_gyroscope(gait, first, after)
+        return self._signals(slice(first, after), Landings(steps.time, steps.duration, amplitude))
 
     def provisional_signals(self) -> GaitSignals:
         """Gait signals of the samples after the certain steps."""
         first = int((self.end - self.origin) / self.period + 1e-6) + 1 - self.direction.first
-        return self._with_gyroscope(self._signals(slice(first, None), self._landings()), first, None)
-
-    def _with_gyroscope(self, gait: GaitSignals, first: int, after: int | None) -> GaitSignals:
-        """The signals of the samples [first, after); ``unknown`` names the gyroscope if it did not run throughout."""
-        if np.any(np.diff(self.direction.unmeasured[max(0, first - 1) : after]) > 0):
-            return replace(gait, attitude=replace(gait.attitude, unknown=(NO_GYROSCOPE,)))
-        return gait
+        return self._signals(slice(first, None), self._landings())
 
     def _landings(self) -> Landings:
         """All landings after the certain ones."""

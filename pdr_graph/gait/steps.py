@@ -1,19 +1,24 @@
-"""Pedestrian dead reckoning, start here: a recording becomes steps; steps of several parts become one walk.
+"""Pedestrian dead reckoning, start here: a recording becomes gait signals, and these become steps.
 
-Gaps in a recording become rows of length 0.
+A gap splits a recording: the app was paused or put to sleep, and the walker may have gone anywhere. The gait signals of
+a part are attitude, landings and walking direction, before any stride model or north. A gap becomes a row of length 0.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from pdr_graph.errors import expect
-from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.errors import InputError, count, expect, slow_rate
+from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_chunks import join
+from pdr_graph.gait.step_detection import Landings, walking_steps
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
-from pdr_graph.priors import MOTION
-from pdr_graph.types import Array, Recording, Steps
+from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
+from pdr_graph.priors import MOTION, REST
+from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal, Steps
 
 
 def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None = None) -> Steps:
@@ -22,7 +27,8 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
     recording: or its `gait_signals`, where they are needed for something else too; walker: whose stride model and
     profile are used, by default those of a person of 1.70 m.
 
-    A gap in the recording is a row of length 0 with a wide sigma. Without a gyroscope turns are 0 with a wide sigma.
+    A gap in the recording is a row of length 0 with a wide sigma. Where no gyroscope ran, turns are 0 with a wide
+    sigma.
     ``unknown`` names what the sensors cannot measure.
 
     Raises InputError if there is no accelerometer.
@@ -55,6 +61,10 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
     set_off = np.interp(landings.time - duration, attitude.time, heading)
     before = np.append(np.interp(start, attitude.time, heading), landed[:-1])[: len(landed)]
 
+    rows, unmeasured = np.append(start, landings.time), np.isnan(attitude.angular_rate[:, 0])
+    variance = np.interp(rows, attitude.time, gait.direction.variance)
+    blind = np.diff(np.interp(rows, attitude.time, np.cumsum(unmeasured))) > 0
+
     return Steps(
         start=start,
         end=float(attitude.time[-1]),
@@ -64,14 +74,90 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=_sigma_turn(gait, walker, start),
+        sigma_turn=np.where(blind, MOTION.unmeasured_turn, np.sqrt(walker.sigma_turn**2 + np.diff(variance))),
         final_turn=float(heading[-1] - (landed[-1] if len(landed) else np.interp(start, attitude.time, heading))),
-        unknown=attitude.unknown,
+        unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
 
 
-def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
-    """Standard deviation ``(n,)`` of each step's turn. [rad]"""
-    usual = walker.sigma_turn if gait.attitude.angular_rate is not None else MOTION.unmeasured_turn
-    variance = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
-    return np.sqrt(usual**2 + np.diff(variance))
+def uninterrupted(recording: Recording) -> list[Recording]:
+    """Split a recording at gaps into parts in which the accelerometer ran; without a gap, the recording itself.
+
+    Parts of less than a second are dropped. Raises InputError if no part is longer.
+    """
+    inertial = [s for s in (recording.accelerometer, recording.linear_acceleration) if s is not None]
+    gaps = np.concatenate([_gaps(signal) for signal in inertial]) if inertial else np.empty((0, 2))
+    if not len(gaps):
+        return [recording]
+    begins, ends = np.sort(gaps[:, 0]), np.sort(gaps[:, 1])
+    start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
+    spans = [
+        (a, b) for a, b in zip(np.append(start, ends), np.append(begins, end), strict=True) if b - a > SHORTEST_WALK
+    ]
+    if not spans:
+        longest = np.max(ends - begins)
+        found = f"{len(gaps)} gaps of up to {longest:.0f} s and no {SHORTEST_WALK:.0f} s of samples between them"
+        expected = "samples more often than one a second" + slow_rate(min(s.rate for s in inertial))
+        raise InputError(recording.source, "", found, expected)
+    return [_cut(recording, a, b) for a, b in spans]
+
+
+def _gaps(signal: Signal) -> Array:
+    """Begin and end ``(g, 2)`` of each gap in a signal. [s]"""
+    long = np.flatnonzero(np.diff(signal.time) > REST.longest_bridged)
+    return np.stack([signal.time[long], signal.time[long + 1]], axis=1)
+
+
+def _cut(recording: Recording, start: float, end: float) -> Recording:
+    """The recording with its inertial sensors from ``start`` to ``end`` [s], inclusive."""
+
+    def part(signal: Signal | None) -> Signal | None:
+        if signal is None:
+            return None
+        inside = (signal.time >= start) & (signal.time <= end)
+        return Signal(signal.time[inside], signal.values[inside])
+
+    return replace(
+        recording,
+        accelerometer=part(recording.accelerometer),
+        linear_acceleration=part(recording.linear_acceleration),
+        gyroscope=part(recording.gyroscope),
+    )
+
+
+@dataclass(frozen=True)
+class GaitSignals(OneLineRepr):
+    """Attitude, landings and walking direction of an uninterrupted part of a recording."""
+
+    recording: Recording
+    attitude: Attitude
+    landings: Landings
+    direction: Direction
+
+    def _summary(self) -> list[str]:
+        return [repr(self.attitude), count(len(self.landings), "landing")]
+
+    @property
+    def walking(self) -> Mask:
+        """``(n,)`` True at the attitude's samples during a step."""
+        return self.landings.under_way(self.attitude.time)
+
+    @property
+    def forward(self) -> Array:
+        """Acceleration along the walking direction ``(n,)``. [m/s²]"""
+        ahead = forward_axis(self.attitude, self.direction.heading, self.walking, self.landings.usual_step)
+        return forward_acceleration(self.attitude, self.direction.heading, ahead)
+
+
+def gait_signals(recording: Recording | list[GaitSignals]) -> list[GaitSignals]:
+    """The gait signals of each uninterrupted part; a list of them is returned unchanged.
+
+    Raises InputError without an accelerometer.
+    """
+    return [_of_part(part) for part in uninterrupted(recording)] if isinstance(recording, Recording) else recording
+
+
+def _of_part(recording: Recording) -> GaitSignals:
+    attitude = attitude_of(recording)
+    landings = walking_steps(attitude.time, attitude.acceleration)
+    return GaitSignals(recording, attitude, landings, walking_direction(attitude, landings.usual_step))

@@ -1,16 +1,18 @@
-"""The phone's attitude, and what every attitude method needs: a uniform time grid, rest detection, gyroscope bias."""
+"""The phone's attitude by VQF: causal as samples arrive, acausal over a recording; the gyroscope's bias at rest."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import vqf
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, SensorStream
 from pdr_graph.priors import REST
 from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, OneLineRepr, Recording, Signal
 
@@ -29,7 +31,8 @@ def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[A
     """
     signals = [_required(recording, name) for name in names]
     _check_gravity(recording, signals[0])
-    time, period = _uniform_grid(recording, signals)
+    start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
+    time, period = _uniform_grid(recording, signals[0], start, end)
     return time, period, [interpolate(time, signal.time, signal.values) for signal in signals]
 
 
@@ -49,13 +52,12 @@ def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
         raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", expected)
 
 
-def _uniform_grid(recording: Recording, signals: list[Signal]) -> tuple[Array, float]:
-    """Times ``(n,)`` and period [s] of a grid over the common span of the signals, at the rate of the first."""
-    start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
+def _uniform_grid(recording: Recording, accelerometer: Signal, start: float, end: float) -> tuple[Array, float]:
+    """Times ``(n,)`` and period [s] of a grid from ``start`` to ``end`` [s] at the rate of the accelerometer."""
     if end - start < SHORTEST_WALK:
         found = f"{max(end - start, 0):.2f} s in which all of its sensors ran"
         raise InputError(recording.source, "", found, f"at least {SHORTEST_WALK:.0f} s")
-    intervals = np.diff(signals[0].time)
+    intervals = np.diff(accelerometer.time)
     samples = round((end - start) / float(np.median(intervals[intervals > 0]))) + 1
     if samples > MOST_GRID_SAMPLES:
         found = f"{end - start:.0f} s, {samples} samples at their median interval"
@@ -120,8 +122,6 @@ def _spread(values: Array, samples: int) -> Array:
     return np.sqrt(np.maximum(square - mean**2, 0).sum(axis=1))
 
 
-# VQF's options [°/s, s]: a phone has calibrated its gyroscope and warms up in minutes. VQF's defaults (0.5 °/s, doubled
-# within 100 s) estimate a false bias from a swinging arm.
 NO_GYROSCOPE = "turns: there is no gyroscope"
 NO_GRAVITY = "the vertical: the recorder removed gravity; the axis of the largest motion is used instead"
 
@@ -133,7 +133,7 @@ class Attitude(OneLineRepr, row="sample"):
     time: ``(n,)`` [s], ``period`` apart.
     R_world_device: n rotations; world z is up, its x axis points anywhere level (no magnetometer is used).
     acceleration: ``(n, 3)`` device axes, with gravity [m/s²].
-    angular_rate: ``(n, 3)`` device axes, bias removed [rad/s]; None without a gyroscope.
+    angular_rate: ``(n, 3)`` device axes, bias removed [rad/s]; NaN where the gyroscope did not run.
     unknown: quantities that the sensors do not measure, or only under an assumption; one line each.
     """
 
@@ -141,58 +141,44 @@ class Attitude(OneLineRepr, row="sample"):
     period: float
     R_world_device: Rotation
     acceleration: Array
-    angular_rate: Array | None
+    angular_rate: Array
     unknown: tuple[str, ...] = ()
 
     def __getitem__(self, part: slice) -> Attitude:
         """A part of the samples."""
-        rate = None if self.angular_rate is None else self.angular_rate[part]
-        attitude, acceleration = self.R_world_device[part], self.acceleration[part]
-        return replace(
-            self, time=self.time[part], R_world_device=attitude, acceleration=acceleration, angular_rate=rate
-        )
+        parts = {name: getattr(self, name)[part] for name in ("time", "R_world_device", "acceleration", "angular_rate")}
+        return replace(self, **parts)
 
 
 def attitude_of(recording: Recording) -> Attitude:
-    """Attitude by VQF, or by the accelerometer alone if there is no gyroscope.
+    """The attitude in an uninterrupted recording by VQF's acausal form (Laidig & Seel 2023, 6-D).
+
+    It needs no start attitude, estimates the gyroscope's bias in motion and at rest, and runs over the log forwards and
+    backwards, so that the first second of a short walk is as accurate as the last. Where the gyroscope did not run, the
+    vertical follows the accelerometer, and the heading is constant.
 
     Raises InputError if there is no accelerometer at all, or the log is shorter than a second.
     """
-    complete, unknown = _with_gravity(recording)
-    attitude = tilt(complete) if complete.gyroscope is None else vqf_offline(complete)
-    return replace(attitude, unknown=(*unknown, *attitude.unknown))
+    recording, unknown = _with_gravity(recording)
+    accelerometer = _required(recording, "accelerometer")
+    _check_gravity(recording, accelerometer)
+    gyroscope, signal = SensorStream(), recording.gyroscope
+    if signal is not None:
+        gyroscope = SensorStream(signal.time, signal.values)
+    start, end = gyroscope.segment_start(float(accelerometer.time[0])), float(accelerometer.time[-1])
+    end = min(end, gyroscope.last) if gyroscope.last > end - REST.longest_bridged else end
+    time, period = _uniform_grid(recording, accelerometer, start, end)
+    acceleration = interpolate(time, accelerometer.time, accelerometer.values)
 
-
-def vqf_offline(recording: Recording) -> Attitude:
-    """Attitude from accelerometer and gyroscope by VQF's acausal form (Laidig & Seel 2023, 6-D).
-
-    It is the default because it needs no start attitude, estimates the gyroscope's bias in motion and at rest, and runs
-    over the log forwards and backwards, so that the first second of a short walk is as accurate as the last.
-
-    Raises InputError if a sensor is missing or the log is shorter than a second.
-    """
-    time, period, (acceleration, angular_rate) = on_one_grid(recording, "accelerometer", "gyroscope")
-    rest = at_rest(angular_rate, acceleration, period)
-    angular_rate = angular_rate - bias_from_rests(angular_rate, rest, period)
-    out = vqf.offlineVQF(angular_rate, acceleration, None, period, REST.vqf)
-    return Attitude(
-        time=time,
-        period=period,
-        R_world_device=Rotation.from_quat(out["quat6D"], scalar_first=True),
-        acceleration=acceleration,
-        angular_rate=angular_rate - out["bias"],
-    )
-
-
-def tilt(recording: Recording) -> Attitude:
-    """Attitude from the accelerometer alone: its slow part is gravity. The heading is undefined.
-
-    Raises InputError if there is no accelerometer or the log is shorter than a second.
-    """
-    time, period, (acceleration,) = on_one_grid(recording, "accelerometer")
-    smoothing = 0.5  # [s] Gaussian that leaves gravity
-    level = upright(gaussian_filter1d(acceleration, smoothing / period, axis=0))
-    return Attitude(time, period, level, acceleration, None, (NO_GYROSCOPE,))
+    angular_rate = gyroscope.sampled(time)
+    measured = np.isfinite(angular_rate)
+    rate = np.where(measured, angular_rate, 0.0)
+    rest = at_rest(rate, acceleration, period) & measured[:, 0]
+    rate = np.where(measured, rate - bias_from_rests(rate, rest, period), 0.0)
+    options = {"motionBiasEstEnabled": bool(measured.any()), "restBiasEstEnabled": bool(measured.any())}
+    out = vqf.offlineVQF(rate, acceleration, None, period, REST.vqf | options)
+    level = Rotation.from_quat(out["quat6D"], scalar_first=True)
+    return Attitude(time, period, level, acceleration, np.where(measured, rate - out["bias"], np.nan), unknown)
 
 
 def upright(up: Array) -> Rotation:
@@ -214,13 +200,109 @@ def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
     linear = recording.linear_acceleration
     if recording.accelerometer is not None or linear is None:
         return recording, ()
-    up = vertical_of(np.cov(linear.values.T)) if len(linear) > 1 else np.array([0.0, 0.0, 1.0])
-    return replace(recording, accelerometer=replace(linear, values=linear.values + STANDARD_GRAVITY * up)), (
-        NO_GRAVITY,
-    )
+    restored = GravityRestorer().restored(linear.values)
+    return replace(recording, accelerometer=replace(linear, values=restored)), (NO_GRAVITY,)
 
 
 def vertical_of(covariance: Array) -> Array:
     """Unit vector ``(3,)`` upwards in the device axes of a walker's phone with this covariance of acceleration."""
     vertical = np.linalg.eigh(covariance)[1][:, -1]
     return vertical * np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
+
+
+@dataclass
+class GravityRestorer:
+    """Restores gravity that the recorder removed, along the axis of the largest motion so far.
+
+    moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
+    """
+
+    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
+
+    @property
+    def used(self) -> bool:
+        """True once it has restored a sample."""
+        return bool(self.moments[0, 0] > 0)
+
+    def restored(self, values: Array) -> Array:
+        """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
+        valid = (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
+        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
+        self.moments = self.moments + ones.T @ ones
+        count, total = self.moments[0, 0], self.moments[0, 1:]
+        covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
+        return values + STANDARD_GRAVITY * vertical_of(covariance)
+
+
+@dataclass(frozen=True)
+class AttitudeCheckpoint:
+    """The state of an `AttitudeStream`. filter_state: that of VQF."""
+
+    rest_bias: Array
+    recent: Array
+    filter_state: Array
+
+
+class AttitudeStream:
+    """The phone's attitude as samples arrive.
+
+    period: between samples [s]; bias: ``(3,)`` start value of the gyroscope's bias [rad/s].
+    """
+
+    def __init__(self, period: float, bias: Array | None = None):
+        self.rest_bias = np.zeros(3)  # [rad/s] mean rate of the last rest
+        self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
+        self._period, self._samples = period, max(3, round(REST.shortest / period))
+        options: dict[str, Any] = REST.vqf
+        self._vqf: Any = vqf.VQF(period, **options)  # its stubs lack the setter of its state
+        if bias is not None:
+            self._vqf.setBiasEstimate(np.array(bias))
+
+    def update(self, acceleration: Array, angular_rate: Array) -> tuple[Array, Array]:
+        """Quaternions ``(n, 4)`` from device to world, scalar last, and angular rates ``(n, 3)`` without bias [rad/s].
+
+        acceleration ``(n, 3)`` [m/s²]; angular_rate ``(n, 3)`` [rad/s], NaN while the gyroscope does not run. Then the
+        vertical follows the accelerometer, and the bias stays.
+        """
+        measured = np.isfinite(angular_rate)
+        ran = bool(measured.all())
+        if ran:
+            self._learn_from_rest(acceleration, angular_rate)
+        else:
+            angular_rate = np.where(measured, angular_rate, self.bias)
+        self._vqf.setMotionBiasEstEnabled(ran)
+        self._vqf.setRestBiasEstEnabled(ran)
+        rate = np.ascontiguousarray(angular_rate - self.rest_bias)
+        out = self._vqf.updateBatch(rate, np.ascontiguousarray(acceleration))
+        return np.roll(out["quat6D"], -1, axis=1), np.where(measured, rate - out["bias"], np.nan)
+
+    @property
+    def bias(self) -> Array:
+        """Present bias of the gyroscope ``(3,)``. [rad/s]"""
+        return self.rest_bias + np.array(self._vqf.state["bias"])
+
+    @property
+    def filter_state(self) -> Array:
+        """The state of VQF as one array."""
+        return np.concatenate([np.ravel(value) for value in self._vqf.state.values()]).astype(float)
+
+    @filter_state.setter
+    def filter_state(self, state: Array) -> None:
+        now = self._vqf.state
+        parts = np.split(state, np.cumsum([np.size(value) for value in now.values()])[:-1])
+        values = zip(now.items(), parts, strict=True)
+        self._vqf.state = {
+            name: part.tolist() if isinstance(value, list) else type(value)(part[0]) for (name, value), part in values
+        }
+
+    def _learn_from_rest(self, acceleration: Array, angular_rate: Array) -> None:
+        """Estimate the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s."""
+        recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
+        self.recent = recent[-self._samples :]
+        if len(self.recent) < self._samples:
+            return
+        still = at_rest(self.recent[:, :3], self.recent[:, 3:], self._period).all()
+        bias = self.recent[:, :3].mean(axis=0)
+        if still and np.linalg.norm(bias - self.rest_bias) > np.radians(1.0):
+            self.rest_bias = bias
+            self._vqf.setBiasEstimate(np.zeros(3))

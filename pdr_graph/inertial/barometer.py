@@ -4,18 +4,20 @@ Weather changes the pressure by up to 1 hPa (8 m) an hour, fifty times slower th
 as stairs but do not last. So a median removes spikes from the height (it keeps edges, a mean would not), and a climb is
 a run in which the rate exceeds a low threshold, with a high one exceeded somewhere in it. The height of a climb is the
 difference of the medians over some seconds before and after it, so that weather between climbs has no effect.
+
+Steps on stairs are as long as the treads: stride models are fitted on level ground and overestimate them by half.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from pdr_graph.errors import count
 from pdr_graph.inertial.attitude import runs
-from pdr_graph.priors import CLIMB, KIND
+from pdr_graph.priors import CLIMB, KIND, TREADS
 from pdr_graph.types import Array, Index, Mask, OneLineRepr, Signal, Steps
 
 SCALE_HEIGHT = 287.05 * 293.15 / 9.80665  # [m] R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C
@@ -204,3 +206,52 @@ def _during(climbs: Climbs, steps: Steps, total: Array) -> Array:
         return np.zeros(len(climbs))
     knots = np.stack([steps.time - steps.duration, steps.time], axis=1).ravel()
     return np.interp(climbs.end, knots, total) - np.interp(climbs.start, knots, total)
+
+
+ALIKE = 0.02  # [m] a smaller change of a length is not reported, live
+
+
+def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:
+    """Shorten the steps on stairs to the depth of a tread: 0.63 m less twice the rise of a step (Blondel's rule).
+
+    climbs, kinds: height changes and their kinds from `climb_kinds`.
+    """
+    return with_goings(steps, goings_of(steps, climbs, kinds), alike=0.0)
+
+
+def goings_of(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Array:
+    """The goings of the climbs on stairs ``(k, 3)``: start and end of the climb [s], depth of a tread [m]."""
+    rows = []
+    for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
+        count = np.count_nonzero(_steps_during(steps, start, end))
+        if kind == STAIRS and count:
+            rows.append(
+                (
+                    start,
+                    end,
+                    np.clip(TREADS.blondel - 2 * abs(height) / count, TREADS.shortest_going, TREADS.longest_going),
+                )
+            )
+    return np.array(rows).reshape(-1, 3)
+
+
+def with_goings(steps: Steps, goings: Array, alike: float = ALIKE) -> Steps:
+    """The steps with those on stairs as long as the treads, unless they are within ``alike`` [m]: then the same object.
+
+    goings: ``(k, 3)``, see `goings_of`.
+    """
+    if not len(goings):
+        return steps
+    length, sigma = steps.length.copy(), steps.sigma_length.copy()
+    for start, end, going in goings.tolist():
+        on = _steps_during(steps, start, end)
+        on &= (np.abs(length - going) > alike) | (sigma != TREADS.sigma)
+        length[on], sigma[on] = going, TREADS.sigma
+    if np.array_equal(length, steps.length) and np.array_equal(sigma, steps.sigma_length):
+        return steps
+    return replace(steps, length=length, sigma_length=sigma)
+
+
+def _steps_during(steps: Steps, start: float, end: float) -> Mask:
+    """``(n,)`` True for steps between two times [s]."""
+    return (steps.time > start) & (steps.time - steps.duration < end) & ~steps.is_gap

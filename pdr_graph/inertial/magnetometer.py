@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.frames import EarthField
 from pdr_graph.geometry import gaussian_weights, interpolate, nearest
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.attitude_stream import SensorStream
+from pdr_graph.inertial.sensor_stream import SensorStream
 from pdr_graph.priors import MAGNETOMETER, NORTH, REST
 from pdr_graph.types import Array, Signal
 
@@ -44,35 +44,24 @@ class Iron:
         return (measured - self.hard) @ self.soft
 
 
-def fit_iron(measured: Array, magnitude: float) -> Iron:
+def fit_iron(measured: Array, magnitude: float, iron: Iron | None = None, rounds: int | None = None) -> Iron:
     """Hard and soft iron from samples ``(n, 3)`` of a phone in changing orientations. [µT]
 
     The field has a constant magnitude [µT], so that the samples lie on an ellipsoid: robust least squares finds the one
     into which iron deforms the sphere. The sigmas are large where the orientations do not determine it.
+
+    iron: start of the search; rounds: of Gauss–Newton steps with Cauchy's loss, enough from any start by default.
     """
-    from scipy.optimize import least_squares  # here: few walks need it and it is slow to load
-
     samples = measured[:: max(1, -(-len(measured) // MAGNETOMETER.fit_samples))]
-    usual, spread = _iron_prior()
-    share = np.sqrt(min(1.0, MAGNETOMETER.independent / len(samples)))
-
-    def residuals(x: Array) -> Array:
-        length = np.linalg.norm((samples - x[:3]) @ _symmetric(x[3:]), axis=1)
-        return np.concatenate([share * (length - magnitude) / MAGNETOMETER.field_spread, (x - usual) / spread])
-
-    start = np.concatenate([np.median(samples, axis=0), usual[3:]])
-    fit = least_squares(residuals, start, loss="cauchy", f_scale=share, max_nfev=MAGNETOMETER.fit_evaluations)
-    sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3]) if fit.success else np.full(3, np.inf)
-    return Iron(fit.x[:3], _symmetric(fit.x[3:]), sigma)
+    if iron is None:
+        iron = Iron(np.median(samples, axis=0), np.eye(3), np.full(3, MAGNETOMETER.hard_spread))
+    for _ in range(rounds or MAGNETOMETER.fit_rounds):
+        iron = _refined(iron, samples, magnitude)
+    return iron
 
 
-def initial_iron(measured: Array) -> Iron:
-    """Iron from which `refined_iron` starts, before any fit to samples ``(n, 3)`` [µT]."""
-    return Iron(np.median(measured, axis=0), np.eye(3), np.full(3, MAGNETOMETER.hard_spread))
-
-
-def refined_iron(iron: Iron, measured: Array, magnitude: float) -> Iron:
-    """Iron after one Gauss–Newton iteration of the fit of `fit_iron` to samples ``(n, 3)``. [µT]"""
+def _refined(iron: Iron, measured: Array, magnitude: float) -> Iron:
+    """Iron after one Gauss–Newton iteration."""
     share = np.sqrt(min(1.0, MAGNETOMETER.independent / len(measured)))
     apart = measured - iron.hard
     corrected = apart @ iron.soft
@@ -229,13 +218,12 @@ class LiveMagnetometerSettings:
 
     packets: number of packets that are ingested together; history: duration of the stored samples [s], for late
         requests; furthest: between the latest sample and a requested time [s], else the samples are discarded.
-    samples, interval: number and interval [s] of the last samples to which iron is fitted; rounds: iterations per fit.
+    interval: between the samples to which iron is fitted [s]; rounds: iterations per fit.
     """
 
     packets: int = 20
     history: float = 60.0
     furthest: float = 120.0
-    samples: int = 600
     interval: float = 0.5
     rounds: int = 3
 
@@ -285,16 +273,15 @@ class MagnetometerStream:
         every = max(1, round(LIVE_MAGNETOMETER.interval * len(time) / (time[-1] - time[0] + 1e-9)))
         up = R_world_device.inv().apply([0.0, 0.0, 1.0])
         selected = np.flatnonzero(np.any(field, axis=1))[::every]
-        self.calibration = np.concatenate([self.calibration, field[selected]])[-LIVE_MAGNETOMETER.samples :]
-        self.up = np.concatenate([self.up, up[selected]])[-LIVE_MAGNETOMETER.samples :]
+        self.calibration = np.concatenate([self.calibration, field[selected]])[-MAGNETOMETER.fit_samples :]
+        self.up = np.concatenate([self.up, up[selected]])[-MAGNETOMETER.fit_samples :]
         return field
 
     def without_iron(self, field: Array, magnitude: float) -> Array:
         """The field around the phone ``(n, 3)``; the measured one if the phone was not tilted enough. [µT]"""
         if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= MAGNETOMETER.tilted:
             return field
-        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else initial_iron(self.calibration)
-        for _ in range(LIVE_MAGNETOMETER.rounds):
-            iron = refined_iron(iron, self.calibration, magnitude)
+        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else None
+        iron = fit_iron(self.calibration, magnitude, iron, LIVE_MAGNETOMETER.rounds)
         self.iron = np.vstack([iron.hard, iron.soft, iron.sigma])
         return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.reliable else field

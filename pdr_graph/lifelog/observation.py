@@ -41,9 +41,8 @@ from pdr_graph.types import (
 )
 
 if TYPE_CHECKING:
-    from pdr_graph.gait.signals import GaitSignals
+    from pdr_graph.gait.steps import GaitSignals
     from pdr_graph.walk import Evidence
-
 
 # Chosen by hand
 END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
@@ -164,7 +163,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
 
     Raises InputError if the recording cannot be used or has no date.
     """
-    from pdr_graph.gait.signals import gait_signals
+    from pdr_graph.gait.steps import gait_signals
     from pdr_graph.walk import detected
 
     options = options or RecordingOptions()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
+from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INSTANT,

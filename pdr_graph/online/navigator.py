@@ -29,10 +29,10 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import LiveCompass
-from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
+from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows

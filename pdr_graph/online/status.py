@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pdr_graph.errors import count
-from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
 from pdr_graph.types import OneLineRepr, Verdict

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
+from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.interface import trajectory_of_rows
 from pdr_graph.priors import FIXES
 from pdr_graph.types import Array, Fixes, FixReport, Steps, Trajectory

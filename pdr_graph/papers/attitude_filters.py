@@ -2,7 +2,7 @@
 
 Each is a function from a recording to an `Attitude`. They are causal: each function runs a filter that takes samples
 one by one or all at once, with the same result. With a magnetometer the world x axis is magnetic east; without one it
-is any horizontal direction. The rest of the package uses `attitude.vqf_offline`.
+is any horizontal direction. The rest of the package uses `attitude.attitude_of`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ from pdr_graph.gait.heading import (
     Direction,
     Forward,
     at_step_frequency,
-    integrated_rate,
     level_and_vertical,
     push,
 )
@@ -56,8 +55,8 @@ def accumulate_turn(attitude: Attitude, step: float) -> Direction:
 
     As in the paper it includes the sway of the gait; `step` is not used.
     """
-    heading = integrated_rate(attitude)
-    return Direction(heading, np.zeros(len(heading)))
+    heading = np.cumsum(attitude.R_world_device.apply(attitude.angular_rate)[:, 2]) * attitude.period
+    return Direction(heading - heading[0], np.zeros(len(heading)))
 
 
 def acceleration_axis(
@@ -79,7 +78,6 @@ def angular_rate_axis(
     attitude: Attitude, step: float, window: float = PRINCIPAL_WINDOW, axes: int = 2
 ) -> PrincipalDirection:
     """[heading] Sec. 4.2: the second principal component of the last seconds' angular rate; as `acceleration_axis`."""
-    assert attitude.angular_rate is not None, "there is a gyroscope"
     samples = attitude.R_world_device.apply(attitude.angular_rate)
     return _principal(samples[:, :axes], 1, round(window / attitude.period))
 

@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.frames import Frame
-from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.interface import NO_DATA, Pose
 from pdr_graph.online.status import SILENT, Status
 from pdr_graph.types import Array, Trajectory

@@ -1,5 +1,7 @@
 """Which way of the phone is ahead, on simulated walks and on accelerations that are known exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -27,7 +29,7 @@ def marching(start=None, sway=0.6, push=0.5, heading=None):
     level = (ahead + 1j * left) * np.exp(1j * course)
     world = np.column_stack([level.real, level.imag, 9.81 + 2 * np.cos(step)])
     held = Rotation.from_euler("Z", np.zeros((len(TIME), 1)) + course[:, None]) * (start or Rotation.identity())
-    return Attitude(TIME, PERIOD, held, held.inv().apply(world), None)
+    return Attitude(TIME, PERIOD, held, held.inv().apply(world), np.zeros_like(world))
 
 
 def simulated(hold, seed):
@@ -64,7 +66,7 @@ def first_steps(count, turns, reverse_until=0):
     attitude, part = marching(start, sway=0.2), slice(0, round(count * STEP / PERIOD) + 1)
     backwards = marching(start, sway=0.2, push=-0.5).acceleration
     acceleration = np.where(TIME[:, None] < reverse_until * STEP, backwards, attitude.acceleration)
-    walk = Attitude(TIME, PERIOD, attitude.R_world_device, acceleration, None)[part]
+    walk = Attitude(TIME, PERIOD, attitude.R_world_device, acceleration, np.zeros_like(acceleration))[part]
     return live_forward_axis(walk, np.zeros(len(walk.time)), ALWAYS[part], STEP)
 
 
@@ -109,7 +111,7 @@ def test_the_walk_need_not_be_straight():
 def test_a_standing_person_has_no_forward_axis():
     attitude = marching(sway=0.0, push=0.0)
     noise = np.random.default_rng(0).normal(0, 0.1, attitude.acceleration.shape)
-    standing = Attitude(TIME, PERIOD, attitude.R_world_device, attitude.acceleration + noise, None)
+    standing = Attitude(TIME, PERIOD, attitude.R_world_device, attitude.acceleration + noise, attitude.angular_rate)
     assert not braking_axis(standing, np.zeros(len(TIME)), ALWAYS, STEP).determined
     for method in (braking_axis, reading_axis, principal_axis, forward_axis):
         assert not method(attitude, np.zeros(len(TIME)), ~ALWAYS, STEP).determined
@@ -141,5 +143,5 @@ def test_unusual_sampling_rates_are_accepted(method):
     """At 3 Hz the step frequency is above the Nyquist frequency."""
     slow = slice(None, None, 33)
     attitude = marching()
-    sparse = Attitude(TIME[slow], 0.33, attitude.R_world_device[slow], attitude.acceleration[slow], None)
+    sparse = replace(attitude[slow], period=0.33)
     assert method(sparse, np.zeros(len(TIME[slow])), ALWAYS[slow], STEP).sigma > 0

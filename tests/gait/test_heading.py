@@ -48,6 +48,14 @@ def test_turns_are_measured_in_any_orientation(start):
     assert direction.variance[-1] == 0
 
 
+def test_the_sway_of_the_gait_is_removed():
+    """A heading that sways once per step about a slow curve: only the curve remains."""
+    curve = 0.3 * np.sin(2 * np.pi * TIME / 40)
+    swaying = Rotation.from_euler("z", (curve + 0.2 * np.sin(2 * np.pi * TIME / STEP))[:, None])
+    direction = walking_direction(attitude(swaying), STEP)
+    assert np.ptp((direction.heading - curve)[100:-100]) < 0.02
+
+
 def test_a_grip_change_adds_variance_and_no_turn():
     """From flat in the hand to upright in a pocket, turned by 90° on the way; the walker goes straight on."""
     share = np.clip((TIME - 20) / 1.4, 0, 1)[:, None]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pdr_graph.gait import step_length
-from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.priors import STRIDES
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

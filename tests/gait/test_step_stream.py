@@ -14,7 +14,7 @@ from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
-from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
+from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
 from pdr_graph.priors import MOTION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

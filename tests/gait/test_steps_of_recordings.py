@@ -5,7 +5,6 @@ import pytest
 from simulated import GYRO_BIAS, walk_along
 
 from pdr_graph import InputError, Walker, WalkGraph, detect_steps, smooth
-from pdr_graph.gait.heading import without_gait
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.types import Fixes, Recording, Signal
 
@@ -87,13 +86,6 @@ def test_a_turn_after_the_last_step_is_the_final_turn(walk):
     assert turned.final_turn - plain.final_turn == pytest.approx(np.pi / 2, abs=0.15)
 
 
-def test_the_sway_of_the_gait_is_removed():
-    """A heading that sways once per step about a slow curve: only the curve remains."""
-    n = np.arange(600)
-    curve = 0.3 * np.sin(2 * np.pi * n / 600)
-    assert without_gait(curve + 0.2 * np.sin(2 * np.pi * n / 25), 25)[30:-30] == pytest.approx(curve[30:-30], abs=0.01)
-
-
 def test_taller_walkers_take_longer_steps(walk):
     tall, short = (detect_steps(recorded(walk), Walker(height=h)).length.sum() for h in (1.9, 1.5))
     assert tall / short == pytest.approx(1.9 / 1.5, rel=0.01)
@@ -112,6 +104,20 @@ def test_without_a_gyroscope_turns_are_unknown_and_steps_the_same(walk):
     assert not deaf.turn.any()
     assert (deaf.sigma_turn > 10 * complete.sigma_turn).all()
     assert deaf.unknown == ("turns: there is no gyroscope",)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(-1.0, 14.0), (14.0, 99.0), (10.0, 18.0)], ids=["late", "early", "pauses"])
+def test_where_the_gyroscope_does_not_run_turns_are_unknown_and_steps_the_same(walk, steps, begin, end):
+    ran = (walk.time < begin) | (walk.time > end)
+    found = detect_steps(recorded(walk, gyroscope=Signal(walk.time[ran], walk.angular_rate[ran])))
+    assert found.time == pytest.approx(steps.time, abs=0.03)
+    blind = (found.time > begin) & (found.time < end)
+    assert (found.sigma_turn[blind] > 0.2).all()
+    assert np.sum(found.sigma_turn[~blind] > 0.1) <= 2, "those at the edges"
+    assert found.turn[blind] == pytest.approx(0.0, abs=0.1)
+    measured = ~blind & (np.abs(found.time - begin) > 2) & (np.abs(found.time - end) > 2)
+    assert found.turn[measured].sum() == pytest.approx(steps.turn[measured].sum(), abs=0.1)
+    assert found.unknown == ("turns: there is no gyroscope",)
 
 
 def test_removed_gravity_is_restored_along_the_axis_of_the_largest_motion(walk):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from walks import PERIOD, steps_of
 
-from pdr_graph.gait.stair_steps import with_stair_lengths
-from pdr_graph.inertial.barometer import Climbs
+from pdr_graph.inertial.barometer import Climbs, with_stair_lengths
 
 
 def climbed(height, kind):

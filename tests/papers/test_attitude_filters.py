@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import InputError
-from pdr_graph.inertial.attitude import on_one_grid, vqf_offline
+from pdr_graph.inertial.attitude import attitude_of, on_one_grid
 from pdr_graph.papers import attitude_filters
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
 
 NAMES = ("accelerometer", "gyroscope", "magnetometer")
-ALL = {**attitude_filters.METHODS, "VQF offline": vqf_offline}
+ALL = {**attitude_filters.METHODS, "VQF offline": attitude_of}
 MAGNETIC = ("accelerometer + magnetometer", "MARG filter", "VQF, 9-D")
 # [deg] median tilt error of a phone in the hand, 95 % quantile of each method
 TILT = {"accelerometer + magnetometer": 12.0, "gyro integration": 9.0, "IMU filter": 4.0, "MARG filter": 4.0}

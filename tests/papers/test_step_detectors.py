@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.papers import step_detectors
 from pdr_graph.simulation.scenario import Scenario
@@ -18,7 +18,7 @@ def level(vertical, forward=None):
     """The attitude of a level phone with these accelerations [m/s²] beside gravity."""
     ahead = np.zeros(len(TIME)) if forward is None else forward
     world = np.column_stack([ahead, np.zeros(len(TIME)), 9.81 + vertical])
-    return Attitude(TIME, PERIOD, Rotation.identity(len(TIME)), world, None)
+    return Attitude(TIME, PERIOD, Rotation.identity(len(TIME)), world, np.zeros_like(world))
 
 
 def bouncing(amplitude=3.0):

@@ -26,7 +26,6 @@ from pdr_graph.estimation.live.batch_start import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
 from pdr_graph.estimation.live.step_buffer import later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
-from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import (
     ANY_HEADING,
@@ -37,6 +36,7 @@ from pdr_graph.geometry import (
     pose_rotation,
     rotation,
 )
+from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import DOUBTS, REPORTS
 from pdr_graph.types import Array, Contradiction, Fixes, Headings, Index, Steps
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.estimation.floors import FloorHeights, Floors, floors_along
-from pdr_graph.gait.stair_steps import goings_of
-from pdr_graph.inertial.barometer import Climbs
+from pdr_graph.inertial.barometer import Climbs, goings_of
 from pdr_graph.priors import CLIMB, LIVE_FLOORS
 from pdr_graph.types import Array, Fixes, Signal, Steps
 

@@ -17,8 +17,8 @@ from pdr_graph.estimation.factors.chain import (
     whole_pieces,
 )
 from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
+from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import FIXES, MOTION
 from pdr_graph.types import INSTANT, Array, Index, Steps
 

@@ -1,17 +1,14 @@
-"""Live attitude: validation of the samples that arrive, and causal VQF."""
+"""The samples of one sensor: validation as they arrive, and values at any time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import vqf
 
 from pdr_graph.geometry import interpolate
-from pdr_graph.inertial.attitude import vertical_of
 from pdr_graph.priors import REST
-from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
+from pdr_graph.types import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -149,6 +146,11 @@ class SensorStream:
         """Interpolated values ``(m, 3)`` at times ``(m,)`` [s]."""
         return interpolate(time, self.time, self.values)
 
+    def sampled(self, time: Array) -> Array:
+        """Interpolated values ``(m, 3)`` at times ``(m,)`` [s]; NaN where the sensor did not run."""
+        ran = self.covers(time)
+        return np.where(ran[:, None], self.at(time) if ran.any() else np.zeros((len(time), 3)), np.nan)
+
     def covers(self, time: Array) -> Mask:
         """``(m,)`` True at times ``(m,)`` [s] at which the sensor ran."""
         edges = np.concatenate([[-np.inf], self.time, [np.inf]])
@@ -203,80 +205,3 @@ class SensorStream:
     def _discard_suspects(self) -> None:
         self.dropped += len(self.suspect_time)
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
-
-
-@dataclass
-class GravityRestorer:
-    """Restores gravity that the recorder removed, along the axis of the largest motion so far, as `attitude_of` does.
-
-    moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
-    """
-
-    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
-
-    @property
-    def used(self) -> bool:
-        """True once it has restored a sample."""
-        return bool(self.moments[0, 0] > 0)
-
-    def restored(self, values: Array) -> Array:
-        """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
-        valid = (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
-        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
-        self.moments = self.moments + ones.T @ ones
-        count, total = self.moments[0, 0], self.moments[0, 1:]
-        covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
-        return values + STANDARD_GRAVITY * vertical_of(covariance)
-
-
-class AttitudeStream:
-    """The phone's attitude as samples arrive.
-
-    period: between samples [s]; bias: ``(3,)`` start value of the gyroscope's bias [rad/s].
-    """
-
-    def __init__(self, period: float, bias: Array | None = None):
-        self.rest_bias = np.zeros(3)  # [rad/s] mean rate of the last rest
-        self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
-        self._samples = max(3, round(REST.shortest / period))
-        options: dict[str, Any] = REST.vqf
-        self._vqf: Any = vqf.VQF(period, **options)  # its stubs lack the setter of its state
-        if bias is not None:
-            self._vqf.setBiasEstimate(np.array(bias))
-
-    def update(self, acceleration: Array, angular_rate: Array, measured: Mask) -> tuple[Array, Array]:
-        """Quaternions ``(n, 4)`` from device to world, scalar last, and angular rates ``(n, 3)`` without bias [rad/s].
-
-        acceleration ``(n, 3)`` [m/s²]; angular_rate ``(n, 3)`` [rad/s]; measured: ``(n,)`` True while the gyroscope
-        runs. Otherwise the vertical follows the accelerometer, and the bias stays.
-        """
-        ran = bool(measured.all())
-        if ran:
-            self._learn_from_rest(acceleration, angular_rate)
-        else:
-            angular_rate = np.where(measured[:, None], angular_rate, self.bias)
-        self._vqf.setMotionBiasEstEnabled(ran)
-        self._vqf.setRestBiasEstEnabled(ran)
-        rate = np.ascontiguousarray(angular_rate - self.rest_bias)
-        out = self._vqf.updateBatch(rate, np.ascontiguousarray(acceleration))
-        return np.roll(out["quat6D"], -1, axis=1), rate - out["bias"]
-
-    @property
-    def bias(self) -> Array:
-        """Present bias of the gyroscope ``(3,)``. [rad/s]"""
-        return self.rest_bias + np.array(self._vqf.state["bias"])
-
-    def _learn_from_rest(self, acceleration: Array, angular_rate: Array) -> None:
-        """Estimate the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s."""
-        recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
-        self.recent = recent[-self._samples :]
-        if len(self.recent) < self._samples:
-            return
-        mean = self.recent.mean(axis=0)
-        spread = np.sqrt(np.mean((self.recent - mean) ** 2, axis=0))
-        still = np.linalg.norm(spread[:3]) < REST.rate and np.linalg.norm(spread[3:]) < REST.acceleration
-        bias = mean[:3]
-        beyond_vqf = np.linalg.norm(bias - self.rest_bias) > np.radians(1.0)
-        if still and np.linalg.norm(bias) < REST.largest_bias and beyond_vqf:
-            self.rest_bias = bias
-            self._vqf.setBiasEstimate(np.zeros(3))
