@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import IO, BinaryIO, cast
 
 from pdr_graph.errors import InputError
+from pdr_graph.io.source import Source
 from pdr_graph.lifelog.past import (
     fit,
     google_edits,
@@ -23,7 +24,6 @@ from pdr_graph.lifelog.past import (
     owntracks_log,
 )
 from pdr_graph.lifelog.past.past_rows import Batch
-from pdr_graph.source import Source
 
 # Modules with NAME, recognizes(head) and read(stream, where); the first that recognises a file reads it
 READERS: tuple[ModuleType, ...] = (
