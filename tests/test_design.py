@@ -245,6 +245,19 @@ def test_no_two_modules_have_the_same_name():
     assert {name for name, times in count.items() if times > 1} == set()
 
 
+def test_one_module_makes_evidence_of_files_and_a_result_of_evidence():
+    """What commands do with a walk stands on top of `walk.py`."""
+    steps = {
+        "pdr_graph.io.tables.read_fixes",
+        "pdr_graph.plausibility.Plausibility",
+        "pdr_graph.gait.compass.magnetic_headings",
+        "pdr_graph.estimation.smoother",
+    }
+    assert steps <= imported(MODULES["pdr_graph.walk"]), "a control"
+    pages = {name: imported(path) for name, path in MODULES.items() if HEIGHT.get(room(path), -99) > HEIGHT["walk"]}
+    assert {name for name, names in pages.items() if names & steps and room(MODULES[name]) != "papers"} == set()
+
+
 def test_the_product_imports_no_papers():
     others = {name: path for name, path in MODULES.items() if room(path) != "papers"}
     assert {
