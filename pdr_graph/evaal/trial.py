@@ -84,6 +84,11 @@ class PositionFormat:
         sigma, epsg = np.array([0.5]), LONLAT if self.lonlat else None
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
 
+    def check_begins_near(self, plan: Path | None, building: Building | None) -> None:
+        """Raise InputError if the initial position is far from a plan, or in another frame. building: on the plan."""
+        if plan is not None and building is not None:
+            check_initial(plan, building, self.initial_fix(0.0, ()))
+
 
 def _position(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
     """The first two cells as a position; None if they are not valid, or 0,0."""
@@ -213,8 +218,7 @@ def run_trial(
     with closing(RequestLog(out, api.url, api.trial)) as log:
         state = _begin(api, log) if log.end is None else None
         form = PositionFormat(lonlat, log.initial or "", ignore_initial)
-        if options.plan is not None and building is not None:
-            check_initial(options.plan, building, form.initial_fix(0.0, ()))
+        form.check_begins_near(options.plan, building)
         if (state and state.offline) or log.asked[:1] == [(OFFLINE, "")]:
             text, missing = _run_offline(api, log, out, options, form, floors)
             return Ending(not missing, one_line(text), missing)
