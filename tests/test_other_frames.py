@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
-from pdr_graph.evaal.trial import format_on_plan
+from pdr_graph.evaal.trial import PositionFormat
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu, projected
 from pdr_graph.online.replay import navigator_of
@@ -226,9 +226,9 @@ def test_a_refused_server_writes_nothing(tmp_path):
 
 
 def refusal_of_a_trial(plan, initial, lonlat=True):
-    navigator = navigator_of(Options(plan=plan))
+    building = navigator_of(Options(plan=plan)).keywords["floor"]
     try:
-        format_on_plan(lonlat, False, plan, navigator, initial)
+        PositionFormat(lonlat, initial).check_begins_near(plan, building)
     except InputError as error:
         return str(error)
     return ""

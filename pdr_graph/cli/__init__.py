@@ -208,30 +208,21 @@ def evaal(
     \b
     pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
     """
-    from functools import partial
     from urllib.parse import quote
 
     from pdr_graph.evaal.client import Api
-    from pdr_graph.evaal.trial import Entry, format_on_plan, run_trial
-    from pdr_graph.online.replay import navigator_of
-    from pdr_graph.report.output_files import smooth_recording
+    from pdr_graph.evaal.trial import run_trial
     from pdr_graph.walk import Options
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
     check_replaceable(folder, "requests.log", force)
     options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
-    navigator = navigator_of(options)
-    labels = navigator.keywords["floor"].labels if map_ else ()
-
-    def smooth_offline(recording: Path, fixes: Path | None) -> tuple[str, ...]:
-        return smooth_recording(recording, folder, replace(options, fixes=fixes))
 
     def show(text: str) -> None:
         typer.echo(f"\r{printable(text)} ", nl=False, err=True)
 
-    position_format = partial(format_on_plan, format_ is Coordinates.lonlat, ignore_initial, map_, navigator)
-    entry = Entry(navigator, smooth_offline, position_format, labels, show if shows_progress() else None)
-    ending = run_trial(api, folder, entry)
+    lonlat, progress = format_ is Coordinates.lonlat, show if shows_progress() else None
+    ending = run_trial(api, folder, options, lonlat, ignore_initial, progress)
     echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
         for part in ending.missing:

@@ -25,8 +25,8 @@ from scipy.spatial.distance import cdist
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, length_along, nearest
+from pdr_graph.io.source import Source
 from pdr_graph.priors import SCANS
-from pdr_graph.source import Source
 from pdr_graph.types import Array, Closures, Fixes, Index, Mask, Recording, Sightings, Trajectory
 from pdr_graph.whole_files import write_file
 

@@ -9,8 +9,7 @@ import json
 import math
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -32,12 +31,16 @@ from pdr_graph.evaal.client import (
     UnreachableError,
 )
 from pdr_graph.evaal.row_stream import RowStream
+from pdr_graph.floor.building import Building
 from pdr_graph.frames import Frame
 from pdr_graph.io import writers
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.online.interface import Georeferenced, Pose, trajectory_of
+from pdr_graph.online.replay import navigator_of
 from pdr_graph.plausibility import check_initial
+from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import LONLAT, Array, Fixes
+from pdr_graph.walk import Options
 from pdr_graph.whole_files import output_folder, write_file
 
 
@@ -81,18 +84,10 @@ class PositionFormat:
         sigma, epsg = np.array([0.5]), LONLAT if self.lonlat else None
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
 
-
-def format_on_plan(
-    lonlat: bool, ignored: bool, plan: Path | None, navigator: partial[Any], initial: str
-) -> PositionFormat:
-    """The format of a trial's positions. navigator: makes that of the walk, with the plan as its ``floor``.
-
-    lonlat, ignored, initial: as of `PositionFormat`. Raises InputError if the initial position is far from the plan.
-    """
-    form = PositionFormat(lonlat, initial, ignored)
-    if plan is not None:
-        check_initial(plan, navigator.keywords["floor"], form.initial_fix(0.0, ()))
-    return form
+    def check_begins_near(self, plan: Path | None, building: Building | None) -> None:
+        """Raise InputError if the initial position is far from a plan, or in another frame. building: on the plan."""
+        if plan is not None and building is not None:
+            check_initial(plan, building, self.initial_fix(0.0, ()))
 
 
 def _position(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
@@ -106,21 +101,17 @@ def _position(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
 
 
 def _run_offline(
-    api: Api,
-    log: RequestLog,
-    out: Path,
-    smooth: Callable[[Path, Path | None], tuple[str, ...]],
-    form: PositionFormat,
-    floors: tuple[str, ...],
+    api: Api, log: RequestLog, out: Path, options: Options, form: PositionFormat, floors: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]]:
-    """Run an offline trial; return how it ended and what is missing, as texts. Arguments as of `Entry`.
+    """Run an offline trial; return how it ended and what is missing, as texts. floors: labels of the plan.
 
     Raises InputError if the rows cannot be received or used. Received rows stay in the log: the same command resumes.
     """
     if log.end is not None:
         raise InputError(log.path, "", f"positions that were sent ({log.end})", "a trial that has not ended")
     _download(api, log)
-    missing = smooth(log.received, _write_initial(log, out, form, floors))
+    initial = _write_initial(log, out, form, floors)
+    missing = smooth_recording(log.received, out, replace(options, fixes=initial))
     try:
         reply = api.post_estimates(_position_lines(out, form))
     except UnreachableError as error:
@@ -204,37 +195,37 @@ class Ending:
     missing: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Entry:
-    """The functions that take part in a trial.
-
-    navigator: makes the navigator of an online trial; smooth: writes the results of an offline trial from its recording
-    and a file of fixes, and returns what is missing; position_format: from the text of the initial position; floors:
-    labels of the plan; progress: is called with a text after each request.
-    """
-
-    navigator: Callable[[], Georeferenced]
-    smooth: Callable[[Path, Path | None], tuple[str, ...]]
-    position_format: Callable[[str], PositionFormat]
-    floors: tuple[str, ...] = ()
-    progress: Callable[[str], object] | None = None
-
-
-def run_trial(api: Api, out: Path, entry: Entry) -> Ending:
+def run_trial(
+    api: Api,
+    out: Path,
+    options: Options | None = None,
+    lonlat: bool = True,
+    ignore_initial: bool = False,
+    progress: Callable[[str], object] | None = None,
+    kind: Any = None,
+) -> Ending:
     """Run a trial, or resume one that was interrupted, and write its files to ``out``.
 
-    Raises InputError if there is no such trial, if it is over, or if ``out`` has the files of another one.
+    options: plan, beacons and walker; lonlat, ignore_initial: as of `PositionFormat`; progress: is called with a text
+    after each request; kind: class of the navigator, by default ``Navigator``.
+    Raises InputError if an input cannot be used, if there is no such trial, if it is over, if it begins far from the
+    plan, or if ``out`` has the files of another one.
     """
+    options = options or Options()
+    create = navigator_of(options, kind=kind)
+    building: Building | None = create.keywords["floor"]
+    floors = building.labels if building else ()
     with closing(RequestLog(out, api.url, api.trial)) as log:
         state = _begin(api, log) if log.end is None else None
-        form = entry.position_format(log.initial or "")
+        form = PositionFormat(lonlat, log.initial or "", ignore_initial)
+        form.check_begins_near(options.plan, building)
         if (state and state.offline) or log.asked[:1] == [(OFFLINE, "")]:
-            text, missing = _run_offline(api, log, out, entry.smooth, form, entry.floors)
+            text, missing = _run_offline(api, log, out, options, form, floors)
             return Ending(not missing, one_line(text), missing)
-        walk = _OnlineWalk(entry.navigator(), form, entry.floors, log)
+        walk = _OnlineWalk(create(), form, floors, log)
         if state and state.begun and not log.asked:
             walk.notes.append(f"the trial had begun already: its rows before {state.time:.1f} s are lost")
-        normal, text = _run_online(api, log, walk, entry.progress) if log.end is None else _online_end(log.end)
+        normal, text = _run_online(api, log, walk, progress) if log.end is None else _online_end(log.end)
         text = one_line(text)
         with output_folder(out) as staged:
             missing = walk.write(staged, api.log())

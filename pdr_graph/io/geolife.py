@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.io.delimited import TextRows
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GeoLife"

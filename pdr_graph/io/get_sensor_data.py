@@ -17,8 +17,8 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.io.delimited import TextRows
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes, surveyed
-from pdr_graph.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
 
 NAME = "GetSensorData (IPIN, xDR)"

@@ -12,8 +12,8 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.delimited import Table, TextRows
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GnssLogger"

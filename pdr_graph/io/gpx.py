@@ -19,8 +19,8 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
 
 NAME = "GPX"

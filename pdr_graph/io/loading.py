@@ -19,7 +19,7 @@ from pdr_graph.io import (
     sensor_logger,
 )
 from pdr_graph.io.likely_causes import description
-from pdr_graph.source import Source
+from pdr_graph.io.source import Source
 from pdr_graph.types import Recording
 
 # Modules with NAME, recognizes(source) and read(source); the first that recognises a recording reads it

@@ -12,8 +12,8 @@ import numpy as np
 
 from pdr_graph.errors import count
 from pdr_graph.io.delimited import TextRows
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording
-from pdr_graph.source import Source
 from pdr_graph.types import Recording
 
 NAME = "Oxford step counter"

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.errors import InputError
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.source import Source
 from pdr_graph.types import Fixes, Recording
 
 NAME = "imported past"

@@ -15,8 +15,8 @@ import numpy as np
 from pdr_graph.geometry import interpolate
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Recording, Sightings
 
 NAME = "Sensor Logger"

@@ -13,8 +13,8 @@ from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
+from pdr_graph.io.source import Source
 from pdr_graph.io.validation import iso_time
-from pdr_graph.source import Source
 from pdr_graph.types import FARTHEST, FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pdr_graph.errors import InputError
-from pdr_graph.source import Source
+from pdr_graph.io.source import Source
 
 
 def content_hash(path: Path) -> str:

@@ -12,12 +12,12 @@ from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside
 from pdr_graph.io.loading import READERS, load
+from pdr_graph.io.source import Source
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import check_usable, read_inputs
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.plausibility import check_floors
-from pdr_graph.source import Source
 
 DEFAULT_PERSON = "me"
 TIME_FORM = "a time such as 2024-05-01T09:30:00+02:00"
@@ -163,11 +163,15 @@ def _is_recording(path: Path) -> bool:
 
 def _check(path: Path, options: RecordingOptions) -> None:
     """Raise InputError where a recording could not be observed."""
-    walk = load(path)
+    if any(name != "walker" for name in options.files):
+        evidence = read_inputs(path, options)
+        walk, fixes = evidence.walk, evidence.fixes
+    else:
+        walk = load(path)
+        fixes = walk.fixes
     if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
-    placed = any(name != "walker" for name in options.files)
-    check_usable(path, walk, len((read_inputs(path, options) if placed else walk).fixes))
+    check_usable(path, walk, len(fixes))
 
 
 def _checked(person: str | None, options: RecordingOptions) -> RecordingOptions:

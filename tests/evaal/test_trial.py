@@ -3,7 +3,6 @@
 import csv
 import sys
 import types
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from pdr_graph import cli
 from pdr_graph.errors import InputError
 from pdr_graph.evaal.client import CSV, TRIES, Api, State
 from pdr_graph.evaal.row_stream import FIRST_SECOND, RowStream
-from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
+from pdr_graph.evaal.trial import INTERVAL, PositionFormat, run_trial
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, Scan
@@ -202,7 +201,7 @@ def test_a_request_is_on_disk_before_it_is_sent(tmp_path, log):
             return super().next_data(label, position, horizon)
 
     with serving(t=Trial(log, INITIAL)) as url:
-        assert run_trial(Watched(url, "t"), tmp_path, Entry(Echo, None, partial(PositionFormat, True))).normal
+        assert run_trial(Watched(url, "t"), tmp_path, kind=Echo).normal
 
 
 def test_a_folder_belongs_to_one_trial(tmp_path, log):

@@ -1,14 +1,13 @@
 """Helpers to run a trial with a navigator that echoes the last fix."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
 
 from pdr_graph.evaal.client import Api
 from pdr_graph.evaal.row_stream import RowStream
-from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
+from pdr_graph.evaal.trial import INTERVAL, run_trial
 from pdr_graph.frames import Frame, enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Pose, Samples, Scan
@@ -52,10 +51,10 @@ def no_pauses(pauses=None):
     return (lambda seconds: None) if pauses is None else pauses.append
 
 
-def run(url, out, trial="t", echo=None, lonlat=True, ignored=False, smooth=None, pauses=None):
+def run(url, out, trial="t", echo=None, lonlat=True, ignored=False, pauses=None):
     echo = Echo() if echo is None else echo
-    form = partial(PositionFormat, lonlat, ignored=ignored)
-    return run_trial(Api(url, trial, no_pauses(pauses)), out, Entry(lambda: echo, smooth, form)), echo
+    api = Api(url, trial, no_pauses(pauses))
+    return run_trial(api, out, lonlat=lonlat, ignore_initial=ignored, kind=lambda **_: echo), echo
 
 
 def received(out):

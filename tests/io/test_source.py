@@ -11,9 +11,10 @@ import pytest
 from mutations import mutated
 from recorders import in_folder, in_zip, phyphox, sample
 
-from pdr_graph import InputError, source
+from pdr_graph import InputError
+from pdr_graph.io import source
 from pdr_graph.io.loading import load
-from pdr_graph.source import MAXIMUM_FILES
+from pdr_graph.io.source import MAXIMUM_FILES
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from pdr_graph.floor.formats import microsoft
 from pdr_graph.floor.formats.drawing import Drawing, floor_heights
 from pdr_graph.floor.formats.geojson import LARGEST_FILE
 from pdr_graph.frames import Frame
-from pdr_graph.source import Source
+from pdr_graph.io.source import Source
 
 # Endings of plans, those with most detail first: what has the first is the plan, pictures beside it are not
 FORMATS = (

@@ -18,6 +18,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
+from pdr_graph.io.source import Source
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.facts import forgotten_times
 from pdr_graph.lifelog.ingest import DEFAULT_PERSON
@@ -25,7 +26,6 @@ from pdr_graph.lifelog.past import google, tracks
 from pdr_graph.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
 from pdr_graph.lifelog.past.past_rows import Batch, DaySpill, Format
 from pdr_graph.lifelog.store import Store
-from pdr_graph.source import Source
 
 # The first whose sign a file has reads it
 FORMATS = (
