@@ -47,8 +47,8 @@ LIMITED = {
         "storage.py",
         "sqlite3.connect(path, PATIENCE, isolation_level=None, check_same_thread=False)",
     ): "PATIENCE is its timeout",
+    ("lifelog/store.py", "sqlite3.connect(':memory:')"): "it is in memory",
     ("recovery.py", "sqlite3.connect(address, storage.PATIENCE, uri=True)"): "PATIENCE is its timeout",
-    ("lifelog/checksums.py", "sqlite3.connect(':memory:')"): "it is in memory",
 }
 
 

@@ -13,20 +13,18 @@ import math
 import sqlite3
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import astuple, dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pdr_graph import storage
 from pdr_graph.errors import InputError, count
 from pdr_graph.gait.walker import Profile
-from pdr_graph.lifelog import checksums
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES, Rows, day_of, profile_of
 from pdr_graph.lifelog.facts import Correction, Guess
-from pdr_graph.recovery import DataLossWarning, checked
+from pdr_graph.recovery import DataLossWarning, Row, checked
 from pdr_graph.storage import Kind
 from pdr_graph.types import OneLineRepr
 
@@ -40,18 +38,20 @@ FACTS = (
         longitude REAL, probability REAL, PRIMARY KEY (person, source, start, stop, kind, name))""",
 )
 COMPARED = "(ifnull({0}probability, -1), ifnull({0}latitude, -99), ifnull({0}longitude, -999))"
-PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}, NULL) ON CONFLICT DO UPDATE SET sum = NULL,
+PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}) ON CONFLICT DO UPDATE SET
     probability = excluded.probability, latitude = excluded.latitude, longitude = excluded.longitude
     WHERE {COMPARED.format("excluded.")} > {COMPARED.format("guess.")}"""
+SUMMED = ("setting", "phone", "recording", "correction", "guess", "day")  # with a column of checksums in version 5
 LIFELOG = Kind(
     "lifelog",
     0x5044524C,  # "PDRL"
-    5,
+    6,
     REMEDY,
     {
         2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''"),
         3: (*FACTS, "ALTER TABLE recording ADD zone TEXT DEFAULT ''"),
-        4: checksums.SCHEMA,
+        4: (*(f"ALTER TABLE {table} ADD sum INTEGER" for table in SUMMED), "CREATE TABLE total (name TEXT)"),
+        5: (*(f"ALTER TABLE {table} DROP COLUMN sum" for table in SUMMED), "DROP TABLE total"),
     },
     repair=": pdr-graph lifelog build recovers what is left of it",
 )
@@ -67,8 +67,9 @@ SCHEMA = (
     *FACTS,
     # days that the last build could not build; said: the reason
     "CREATE TABLE failure (person TEXT, date TEXT, said TEXT, PRIMARY KEY (person, date))",
-    *checksums.SCHEMA,
 )
+# Tables of a damaged lifelog that a build cannot make, and how many of their first columns are never NULL
+KEPT = {"setting": 2, "recording": 3, "correction": 7, "guess": 6, "phone": 2}
 ZONE = "zone"
 TOGETHER = "together"
 SETTINGS = {ZONE: "", TOGETHER: ""}  # time zone of the days, "" for that of each place; key of the last joint estimate
@@ -172,7 +173,8 @@ class Store:
     def __init__(self, path: Path, new: bool = False, thorough: bool = False):
         """Open a lifelog; new: create it if it does not exist; thorough: examine all of it, which reads it once.
 
-        Of a damaged one all that is whole is recovered, with a `DataLossWarning`; the damaged file is kept beside it.
+        Of a damaged one the rows that can be read are recovered, but days, which a build makes again, with a
+        `DataLossWarning`; the damaged file is kept beside it.
         Raises InputError if it is not a lifelog, of a newer version, damaged beyond that, in use or missing; OSError of
         the disk.
         """
@@ -180,22 +182,12 @@ class Store:
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
         begins = {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())}
-        damaged, whole = partial(checksums.damaged_rows, days=thorough), checksums.whole_rows
-        self._database, loss = checked(path, LIFELOG, SCHEMA, begins, damaged, whole, pages=thorough)
+        self._database, loss = checked(path, LIFELOG, SCHEMA, begins, lambda _: "", _rows_kept, pages=thorough)
         if loss:
             advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
             warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
         self._database.execute("PRAGMA synchronous = NORMAL")  # survives kill -9; a power cut loses the last days
         self._database.execute("PRAGMA secure_delete = ON")  # deleted rows are overwritten
-        try:
-            with storage.explained(self.path, LIFELOG):
-                sealed = checksums.are_sealed(self._database.execute)
-            if not sealed:
-                with self._transaction(*checksums.SUMMED):
-                    pass
-        except BaseException:
-            self.close()
-            raise
 
     def entries(self) -> tuple[Entry, ...]:
         """Entries of all recordings, ordered by hash."""
@@ -211,13 +203,15 @@ class Store:
     def days(self) -> dict[tuple[str, str], StoredDay]:
         """Stored days by (person, date), in this order."""
         profiles = self._all("SELECT * FROM profile")
-        days = self._all(f"SELECT {', '.join(checksums.DAY)} FROM day ORDER BY person, date")
-        with self._reading("days"):
-            known = {(person, date): profile_of(row) for person, date, *row in profiles}
-            return {
-                (person, date): StoredDay(key, tuple(json.loads(recordings)), known.get((person, date)))
-                for person, date, key, recordings in days
-            }
+        days = self._all("SELECT person, date, key, recordings FROM day ORDER BY person, date")
+        known, stored = dict[tuple[str, str], Profile](), dict[tuple[str, str], StoredDay]()
+        for person, date, *row in profiles:
+            with self._reading_day(person, date):
+                known[person, date] = profile_of(row)
+        for person, date, key, recordings in days:
+            with self._reading_day(person, date):
+                stored[person, date] = StoredDay(key, tuple(json.loads(recordings)), known.get((person, date)))
+        return stored
 
     def day(self, person: str, date: str) -> Day | None:
         """A day of a person; None if it is not stored."""
@@ -228,12 +222,7 @@ class Store:
             columns = "SELECT * FROM {} WHERE person = ? AND date = ? ORDER BY rowid"
             return [row[2:] for row in self._all(columns.format(table), person, date)]
 
-        with storage.explained(self.path, LIFELOG):
-            whole = checksums.is_whole_day(self._database.execute, person, date)
-        if not whole:
-            expected = "those that were written: pdr-graph lifelog build makes the day again"
-            raise InputError(self.path, f"{person}, {date}", "damaged rows", expected)
-        with self._reading(f"{person}, {date}"):
+        with self._reading_day(person, date):
             return day_of(person, date, read)
 
     def day_hash(self, person: str, date: str) -> str:
@@ -251,14 +240,14 @@ class Store:
 
     def put(self, *entries: Entry) -> None:
         """Insert or replace entries of recordings."""
-        with self._transaction("recording") as execute:
+        with self._transaction() as execute:
             for entry in entries:
                 row = entry.row
                 execute(_insert("recording", len(row), f" ({', '.join(row)})"), tuple(row.values()))
 
     def delete(self, *hashes: str) -> None:
         """Delete entries of recordings; the next build deletes what was made from them."""
-        with self._transaction("recording") as execute:
+        with self._transaction() as execute:
             for name in hashes:
                 execute("DELETE FROM recording WHERE hash = ?", (name,))
 
@@ -274,7 +263,7 @@ class Store:
         """Insert guesses; returns how many are new. Of two that differ in place or probability alone, the larger stays,
         so that the order of insertion does not matter.
         """
-        with self._transaction("guess") as execute:
+        with self._transaction() as execute:
             before = execute("SELECT count(*) FROM guess", ()).fetchone()[0]
             for guess in guesses:
                 execute(PUT_GUESS, (person, *astuple(guess)))
@@ -282,7 +271,7 @@ class Store:
 
     def delete_guesses(self, person: str, start: float, stop: float) -> None:
         """Delete the guesses that touch a time (Unix times [s])."""
-        with self._transaction("guess") as execute:
+        with self._transaction() as execute:
             execute("DELETE FROM guess WHERE person = ? AND start <= ? AND stop >= ?", (person, stop, start))
 
     def phones(self) -> dict[str, str]:
@@ -291,34 +280,36 @@ class Store:
 
     def put_phone(self, person: str, transmitter: str) -> None:
         """Store that a person carries a Bluetooth transmitter."""
-        with self._transaction("phone") as execute:
+        with self._transaction() as execute:
             execute(_insert("phone", 2, " (transmitter, person)"), (transmitter, person))
 
     def corrections(self, person: str | None = None) -> tuple[Correction, ...]:
         """Corrections of a person, of all persons by default, in the order in which they were made."""
-        rows = self._all(f"SELECT {', '.join(checksums.COLUMNS['correction'])} FROM correction ORDER BY number")
-        with self._reading("corrections"):
+        rows = self._all("SELECT number, person, made, kind, start, stop, value FROM correction ORDER BY number")
+        try:
             return tuple(c for c in map(Correction.of_row, rows) if person in (None, c.person))
+        except (ValueError, TypeError) as error:
+            raise InputError(self.path, "corrections", f"{error}", "an undamaged lifelog: restore a backup") from None
 
     def put_correction(self, correction: Correction) -> int:
         """Insert a correction, or replace that of the same number; returns its number."""
-        with self._transaction("correction") as execute:
-            return execute(_insert("correction", 8), (*correction.row, None)).lastrowid or 0
+        with self._transaction() as execute:
+            return execute(_insert("correction", 7), correction.row).lastrowid or 0
 
     def delete_correction(self, number: int) -> None:
         """Delete a correction."""
-        with self._transaction("correction") as execute:
+        with self._transaction() as execute:
             execute("DELETE FROM correction WHERE number = ?", (number,))
 
     def delete_days(self, days: Iterable[tuple[str, str]]) -> None:
         """Delete days (person, date)."""
-        with self._transaction("day") as execute:
+        with self._transaction() as execute:
             for person, date in days:
                 _delete_day(execute, person, date)
 
     def delete_person(self, person: str) -> None:
         """Delete all rows of a person."""
-        with self._transaction(*checksums.SUMMED) as execute:
+        with self._transaction() as execute:
             for table in (*TABLES, "failure", "recording", "phone", "correction", "guess"):
                 execute(f"DELETE FROM {table} WHERE person = ?", (person,))
 
@@ -329,13 +320,13 @@ class Store:
 
     def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""
-        with self._transaction("setting") as execute:
+        with self._transaction() as execute:
             execute(_insert("setting", 2, " (name, value)"), (name, value))
 
     def lasting_setting(self, name: str, value: str) -> str:
         """The value of a setting, which is `value` for ever if it has none: two processes get the same one."""
         if not self._all("SELECT value FROM setting WHERE name = ?", name):
-            with self._transaction("setting") as execute:
+            with self._transaction() as execute:
                 execute("INSERT OR IGNORE INTO setting (name, value) VALUES (?, ?)", (name, value))
         return self.setting(name)
 
@@ -347,7 +338,7 @@ class Store:
 
     def begin_build(self, obsolete: Iterable[tuple[str, str]]) -> None:
         """Delete the failures of the last build, and days (person, date) whose recordings belong to other days now."""
-        with self._transaction("day") as execute:
+        with self._transaction() as execute:
             execute("DELETE FROM failure", ())
             for person, date in obsolete:
                 _delete_day(execute, person, date)
@@ -355,12 +346,11 @@ class Store:
     def put_day(self, rows: Rows) -> None:
         """Replace the stored rows of a day."""
         [(person, date, *_)] = rows["day"]
-        with self._transaction("day") as execute:
+        with self._transaction() as execute:
             _delete_day(execute, person, date)
             for table, table_rows in rows.items():
-                columns = f" ({', '.join(checksums.DAY)})" if table == "day" else ""
                 for row in table_rows:
-                    execute(_insert(table, len(row), columns), row)
+                    execute(_insert(table, len(row)), row)
 
     def put_failure(self, person: str, date: str, reason: str) -> None:
         """Store why a day failed; its earlier rows are kept."""
@@ -382,25 +372,25 @@ class Store:
             return self._database.execute(statement, values).fetchall()
 
     @contextmanager
-    def _reading(self, place: str) -> Iterator[None]:
-        """Raise InputError instead of the errors that damaged rows cause; place: in the message."""
+    def _reading_day(self, person: str, date: str) -> Iterator[None]:
+        """Raise InputError if the rows of a day are damaged; it is deleted, so that the next build makes it again."""
         try:
             yield
         except InputError:
             raise
         except (ValueError, TypeError, LookupError) as error:
-            raise InputError(
-                self.path, place, f"{error}", "an undamaged lifelog: restore a backup, or build it again"
-            ) from None
+            self.delete_days([(person, date)])
+            self.put_failure(person, date, f"damaged rows ({error})")
+            expected = "those that were written: pdr-graph lifelog build makes the day again"
+            raise InputError(self.path, f"{person}, {date}", f"damaged rows ({error})", expected) from None
 
     @contextmanager
-    def _transaction(self, *summed: str) -> Iterator[Execute]:
-        """A transaction, rolled back on any error. summed: tables that it changes and whose rows have checksums."""
+    def _transaction(self) -> Iterator[Execute]:
+        """A transaction, rolled back on any error."""
         with storage.explained(self.path, LIFELOG):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database.execute
-                checksums.seal(self._database.execute, summed)
                 self._database.execute("COMMIT")
             except BaseException:
                 if self._database.in_transaction:  # a full disk may have ended it
@@ -422,3 +412,17 @@ def _delete_day(execute: Execute, person: str, date: str) -> None:
 def _insert(table: str, columns: int, names: str = "") -> str:
     """The statement that inserts or replaces a row; names: of the columns, as ``(a, b)``, by default all in order."""
     return f"INSERT OR REPLACE INTO {table}{names} VALUES ({', '.join('?' * columns)})"
+
+
+def _rows_kept(read: Callable[..., list[Row]]) -> tuple[dict[str, list[Row]], str]:
+    """The rows of a damaged lifelog that can be read, by the statement that inserts them, and how many they are."""
+    kept, counts = dict[str, list[Row]](), list[str]()
+    with closing(sqlite3.connect(":memory:")) as empty:
+        for statement in SCHEMA:
+            empty.execute(statement)
+        for table, known in KEPT.items():
+            columns = ", ".join(row[1] for row in empty.execute(f"PRAGMA table_info({table})"))
+            if rows := [row for row in read(table, columns) if None not in row[:known]]:
+                kept[_insert(table, len(rows[0]), f" ({columns})")] = rows
+                counts.append(f"{count(len(rows), 'row')} of {table}")
+    return kept, f"recovered: {', '.join(counts)}; a build makes the days again"

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from pdr_graph.errors import InputError, count
+from pdr_graph.lifelog.cache import write
 from pdr_graph.online.interface import Event
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.serve.checked_json import read_checked, write_checked
 from pdr_graph.serve.intake import SENSOR_LOGGER, Intake
 from pdr_graph.serve.message_log import MAGIC, Entry, read_body, read_entries
 from pdr_graph.serve.publishing import path_columns, pose_json
@@ -237,11 +236,11 @@ def read_session(folder: Path) -> Session:
     """What the session of a folder is. Raises InputError if its file is damaged; OSError if it cannot be read."""
     file = folder / SESSION
     try:
-        return msgspec.convert(read_checked(file), Session)
+        return storage.decode_json(file.read_text(encoding="utf-8"), Session)
     except ValueError as error:
         raise InputError(file, "", str(error), "a session: it comes back with the next message of its phone") from None
 
 
 def write_session(folder: Path, session: Session) -> None:
     """Write what a session is. Raises OSError of the disk; an earlier file is then unchanged."""
-    write_checked(folder / SESSION, vars(session))
+    write(folder / SESSION, storage.encode_json(session).encode(), durable=True)

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.lifelog.cache import write
 from pdr_graph.serve import positions, sensor_messages
-from pdr_graph.serve.checked_json import read_checked, write_checked
 from pdr_graph.serve.estimators import Estimators
 from pdr_graph.serve.hub import Hub
 from pdr_graph.serve.intake import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.serve.live_walk import LOG, PUBLISHED, RECORDINGS, SESSION, Session, read_session, write_session
 from pdr_graph.serve.message_log import MessageLog
+from pdr_graph.storage import decode_json, encode_json
 
 PROTOCOLS = (SENSOR_LOGGER, *positions.PARSERS)
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{4,64}")
@@ -121,7 +122,7 @@ class Reception:
 
     def _show_finished(self, session: Session, folder: Path) -> None:
         try:
-            published = read_checked(folder / PUBLISHED)
+            published = decode_json((folder / PUBLISHED).read_text(encoding="utf-8"), dict)
             self.hub.pose(session.user, published["pose"])
             self.hub.path({"id": session.id, "from": 0, **published["path"]})
         except (OSError, ValueError, LookupError, TypeError) as error:
@@ -308,7 +309,8 @@ class Reception:
         walker = self.hub.walkers.get(state.session.id)
         if walker is not None:
             path = {"finalised": walker.finalised, "current": walker.current}
-            write_checked(self.root / state.session.id / PUBLISHED, {"pose": walker.pose, "path": path})
+            published = encode_json({"pose": walker.pose, "path": path}).encode()
+            write(self.root / state.session.id / PUBLISHED, published, durable=True)
         if self._finishing is not None:
             issue = await self._finishing(state.session)
             if issue and walker is not None:

@@ -46,12 +46,11 @@ def built(log, reconstruct=standin.reconstruct, **options):
 
 
 def content(log):
-    """All rows of a lifelog, without the paths of its recordings and the checksums over them."""
+    """All rows of a lifelog, without the paths of its recordings."""
     with closing(sqlite3.connect(log)) as database:
         names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
         rows = {name: sorted(database.execute(f"SELECT * FROM {name}").fetchall(), key=repr) for name in names}
-    rows["recording"] = [(*row[:2], *row[3:-1]) for row in rows["recording"]]
-    rows["total"] = [row for row in rows["total"] if row[0] != "recording"]
+    rows["recording"] = [(*row[:2], *row[3:]) for row in rows["recording"]]
     return rows
 
 
