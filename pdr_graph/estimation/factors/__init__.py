@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -77,7 +77,9 @@ register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
 
-Positions, Directions = FixFactor, HeadingFactor  # what fixes and headings are in a graph, which starts from them
+# What fixes and headings are in a graph, which starts from them
+Positions: TypeAlias = FixFactor
+Directions: TypeAlias = HeadingFactor
 CORRIDORS = {"directions": CorridorFactor, "turns": TurnFactor}  # by `Prior.corridors`
 
 
@@ -121,7 +123,7 @@ def measurements_of(
     kind_of(data)
     number, made, source = np.arange(len(data)) if number is None else number, list[Measurement](), data
     for kind in KINDS[type(data)]:
-        new = kind.of(source, steps, prior, number)
+        new: Measurement = kind.of(source, steps, prior, number)
         if decisions is not None and isinstance(new, Remembered):
             new = new.continued(decisions.get(kind.name, {}))
         made.append(new)
