@@ -54,6 +54,7 @@ ROOMS = {
     "isal": {"source", "report"},
     "numba": {"estimation"},
     "sqlite3": {"storage", "recovery", "online", "lifelog"},
+    "httpx": {"web_request"},
     "starlette": {"serve"},
     "uvicorn": {"serve"},
     "aiomqtt": {"serve"},

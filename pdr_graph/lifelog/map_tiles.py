@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import urlsplit
-from urllib.request import Request
 
 import numpy as np
 from matplotlib.image import imread
@@ -20,7 +19,7 @@ from matplotlib.image import imread
 from pdr_graph import __version__
 from pdr_graph.errors import InputError
 from pdr_graph.types import Array
-from pdr_graph.web_request import FAULTS, answer_to, body_of, same_host
+from pdr_graph.web_request import ask, same_host
 
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 # Chosen by hand
@@ -97,7 +96,7 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
             address = _filled_in(template, zoom, x % number, y)
             try:
                 picture = _fetched(address)
-            except (*FAULTS, ValueError, SyntaxError) as error:  # of the network, or not a picture
+            except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
                 failures += 1
                 if failures >= MAX_FAILURES or time.monotonic() > end:
                     if not made:
@@ -125,12 +124,14 @@ def _zoom(west: float, north: float, east: float, south: float, pixels: float) -
 
 
 def _fetched(address: str) -> Array:
-    """The picture at an address, a PNG. Raises OSError, HTTPException, ValueError or SyntaxError if there is none."""
-    request = Request(address, headers={"User-Agent": f"pdr_graph/{__version__}"})
-    with answer_to(request, TIMEOUT, TIMEOUT, same_host(address)) as answer:
-        if answer.status != 200:
-            raise OSError(f"status {answer.status}")
-        content = body_of(answer, 2_000_000)  # most bytes of a tile
+    """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
+    most = 2_000_000  # bytes of a tile
+    answer = ask(
+        address, TIMEOUT, TIMEOUT, most, same_host(address), headers={"User-Agent": f"pdr_graph/{__version__}"}
+    )
+    if answer.status != 200:
+        raise OSError(f"status {answer.status}")
+    content = answer.body
     if len(content) < PNG_HEAD.size:
         raise ValueError("no picture")
     _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte
