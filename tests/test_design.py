@@ -50,6 +50,7 @@ ROOMS = {
     "isal": {"io", "report"},
     "numba": {"estimation"},
     "sqlite3": {"storage", "recovery", "online", "lifelog"},
+    "httpx": {"web_request"},
     "starlette": {"serve"},
     "uvicorn": {"serve"},
     "aiomqtt": {"serve"},

@@ -22,10 +22,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
-from urllib.request import Request
 
 from pdr_graph.errors import InputError
-from pdr_graph.web_request import FAULTS, REDIRECTS, TooLongError, answer_to, body_of
+from pdr_graph.web_request import REDIRECTS, TooLongError, ask
 from pdr_graph.whole_files import lock
 
 # Status codes of HTTP, as the EvAAL API uses them
@@ -174,8 +173,8 @@ class Api:
                 if code not in RETRIED:
                     return Reply(code, body, time.monotonic() - started, made)
                 found = f"{code} {body[:100]!r}"
-            except FAULTS as error:
-                found = f"no answer ({getattr(error, 'reason', None) or error or type(error).__name__})"
+            except OSError as error:
+                found = f"no answer ({error})"
             if made < tries:
                 self._sleep(FIRST_PAUSE * 2 ** (made - 1))
             if time.monotonic() > started + LONGEST_CALL:
@@ -184,14 +183,12 @@ class Api:
 
     def _once(self, query: str, data: bytes | None, most: int, seconds: float) -> tuple[int, bytes]:
         """Status code and body of one try. Codes 4xx are answers, too: the normal end of a trial is one."""
-        request = Request(self._base + query, data, {"Content-type": CSV} if data else {})
+        method, headers = ("POST", {"Content-Type": CSV}) if data else ("GET", {})
         try:
-            with answer_to(request, SILENCE, seconds) as answer:
-                if answer.status in REDIRECTS:
-                    return answer.status, f"to {answer.headers.get('Location')}".encode()
-                return answer.status, body_of(answer, most if answer.status == GOOD else MAXIMUM_TEXT)
+            answer = ask(self._base + query, SILENCE, seconds, most, method=method, body=data, headers=headers)
         except TooLongError as error:
             raise InputError(self.url, self.trial, str(error), "one of the EvAAL API") from None
+        return answer.status, f"to {answer.location}".encode() if answer.status in REDIRECTS else answer.body
 
 
 OFFLINE = "offline"  # the label of the one request of an offline trial

@@ -16,7 +16,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from urllib.parse import urlsplit
-from urllib.request import Request
 
 import numpy as np
 from matplotlib.image import imread
@@ -36,7 +35,7 @@ from pdr_graph.lifelog.stays import Facing
 from pdr_graph.lifelog.stays_and_legs import on_sphere
 from pdr_graph.lifelog.timeline import PASSING, STAY, duration_text
 from pdr_graph.types import Array, OneLineRepr, Trajectory
-from pdr_graph.web_request import FAULTS, answer_to, body_of, same_host
+from pdr_graph.web_request import ask, same_host
 
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 # Chosen by hand
@@ -123,7 +122,7 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
             address = _filled_in(template, zoom, x % number, y)
             try:
                 picture = _fetched(address)
-            except (*FAULTS, ValueError, SyntaxError) as error:  # of the network, or not a picture
+            except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
                 failures += 1
                 if failures >= MAX_FAILURES or time.monotonic() > end:
                     if not made:
@@ -151,12 +150,14 @@ def _zoom(west: float, north: float, east: float, south: float, pixels: float) -
 
 
 def _fetched(address: str) -> Array:
-    """The picture at an address, a PNG. Raises OSError, HTTPException, ValueError or SyntaxError if there is none."""
-    request = Request(address, headers={"User-Agent": f"pdr_graph/{__version__}"})
-    with answer_to(request, TIMEOUT, TIMEOUT, same_host(address)) as answer:
-        if answer.status != 200:
-            raise OSError(f"status {answer.status}")
-        content = body_of(answer, 2_000_000)  # most bytes of a tile
+    """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
+    most = 2_000_000  # bytes of a tile
+    answer = ask(
+        address, TIMEOUT, TIMEOUT, most, same_host(address), headers={"User-Agent": f"pdr_graph/{__version__}"}
+    )
+    if answer.status != 200:
+        raise OSError(f"status {answer.status}")
+    content = answer.body
     if len(content) < PNG_HEAD.size:
         raise ValueError("no picture")
     _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte

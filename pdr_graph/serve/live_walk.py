@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph import storage
 from pdr_graph.errors import InputError, count
 from pdr_graph.lifelog.cache import write
 from pdr_graph.online.interface import Event

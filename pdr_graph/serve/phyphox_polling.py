@@ -18,7 +18,6 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlsplit
-from urllib.request import Request
 
 import msgspec
 import numpy as np
@@ -27,7 +26,7 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.phyphox import ExperimentClock
 from pdr_graph.serve.daemon_thread import in_daemon_thread
 from pdr_graph.types import Array
-from pdr_graph.web_request import FAULTS, TooLongError, answer_to, body_of
+from pdr_graph.web_request import TooLongError, ask
 
 INTERVAL = 1.0  # [s] between two polls
 PATIENCE, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
@@ -226,23 +225,22 @@ class PhyphoxPhone:
 
     def _json(self, path: str, missing: Any = None) -> Any:
         """The JSON at a path; ``missing`` where there is none. Raises PhoneError."""
-        request = Request(self.url + path, headers={"Connection": "close"})
         try:
-            with answer_to(request, self._timeout, LONGEST_ANSWER, proxies={}) as answer:  # in the same network
-                # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB
-                status, text = answer.status, body_of(answer, 2**26)
+            # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
+            answer = ask(self.url + path, self._timeout, LONGEST_ANSWER, 2**26, proxies=False)
         except TooLongError as error:
             raise PhoneError(f"{self.url}: found {error}, expected less") from None
-        except FAULTS as error:
-            reason = one_line(str(getattr(error, "reason", "")) or repr(error))
-            raise PhoneError(f"{self.url}: no answer ({reason}); is remote access on, in the same Wi-Fi?") from None
-        if missing is not None and status == 404:
+        except OSError as error:
+            raise PhoneError(
+                f"{self.url}: no answer ({one_line(str(error))}); is remote access on, in the same Wi-Fi?"
+            ) from None
+        if missing is not None and answer.status == 404:
             return missing
-        if path == "/time" and status == 404:
+        if path == "/time" and answer.status == 404:
             raise PhoneError(f"{self.url}: found no /time, expected phyphox 1.1.8 or later")
-        if status != 200:
-            raise PhoneError(f"{self.url}{path[:20]}: status {status}")
-        return msgspec.json.decode(text)
+        if answer.status != 200:
+            raise PhoneError(f"{self.url}{path[:20]}: status {answer.status}")
+        return msgspec.json.decode(answer.body)
 
 
 def _run(session: str, begun: float) -> str:

@@ -12,13 +12,11 @@ import hashlib
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from http.client import HTTPResponse
 from pathlib import Path
+from typing import BinaryIO
 from urllib.parse import urlencode
-from urllib.request import Request
 
 import msgspec
 
@@ -26,7 +24,7 @@ from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line
 from pdr_graph.lifelog.cache import write
 from pdr_graph.serve.daemon_thread import in_daemon_thread
 from pdr_graph.serve.study_report import refusal, report
-from pdr_graph.web_request import FAULTS, TooLongError, answer_to, anywhere, nowhere, pieces_of
+from pdr_graph.web_request import TooLongError, anywhere, ask, nowhere
 
 API = "https://sensorlogger.app/api"
 ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
@@ -167,42 +165,39 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
 
 def fetch(api: str, upload: Upload, file: Path) -> None:
     """Download a recording. Raises CloudError."""
-    with _asked(api, "study/file/v1", upload, DOWNLOAD) as answer, file.open("wb") as out:
-        for piece in pieces_of(answer, 2**30):  # largest recording: bytes; an hour at 100 Hz is 100 MB
-            out.write(piece)
+    with file.open("wb") as out:
+        _ask(api, "study/file/v1", upload, DOWNLOAD, out=out)
 
 
 def post(api: str, upload: Upload, text: str) -> None:
     """Post a report. Raises CloudError."""
     try:
-        _post(api, upload, text.encode(), "POST")
+        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "POST")
     except CloudError as error:
         if error.status != 405:
             raise
-        _post(api, upload, text.encode(), "PUT")  # as the demonstration of the app does
+        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "PUT")  # as the demonstration of the app does
 
 
-def _post(api: str, upload: Upload, body: bytes, method: str) -> None:
-    with _asked(api, "study/webhook/v1", upload, POST, body, method):
-        pass
-
-
-@contextmanager
-def _asked(
-    api: str, path: str, upload: Upload, whole: float, body: bytes | None = None, method: str = "GET"
-) -> Iterator[HTTPResponse]:
-    """The answer of the cloud, which may redirect to its storage. Raises CloudError, also where the body ends early."""
+def _ask(
+    api: str,
+    path: str,
+    upload: Upload,
+    whole: float,
+    body: bytes | None = None,
+    method: str = "GET",
+    out: BinaryIO | None = None,
+) -> None:
+    """Ask the cloud, which may redirect to its storage. Raises CloudError, also where the body ends early."""
     address = f"{api}/{path}?{urlencode({'studyId': upload.studyId, 'uploadId': upload.uploadId})}"
     headers = {"Authorization": upload.secretCode} | ({} if body is None else {"Content-Type": "text/markdown"})
-    request = Request(address, body, headers, method=method)
+    follow = anywhere if body is None else nowhere
+    most = 2**30  # bytes of a recording; an hour at 100 Hz is 100 MB
     try:
-        with answer_to(request, PATIENCE, whole, anywhere if body is None else nowhere) as answer:
-            if not 200 <= answer.status < 300:
-                text = f"{upload!r}, {path}: status {answer.status}"
-                raise CloudError(text, again=answer.status >= 500, status=answer.status)
-            yield answer
-    except CloudError:
-        raise
-    except FAULTS as error:
+        answer = ask(address, PATIENCE, whole, most, follow, method=method, body=body, headers=headers, out=out)
+    except OSError as error:
         again = not isinstance(error, TooLongError)
-        raise CloudError(f"{upload!r}, {path}: {one_line(str(error) or repr(error))}", again) from None
+        raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again) from None
+    if not 200 <= answer.status < 300:
+        text = f"{upload!r}, {path}: status {answer.status}"
+        raise CloudError(text, again=answer.status >= 500, status=answer.status)

@@ -247,7 +247,7 @@ def test_a_wrong_url_or_trial_raises_one_line(tmp_path, log):
             run(url, tmp_path / "a", "nobody")
         with pytest.raises(InputError, match="404"):
             run(url.replace("evaalapi/", ""), tmp_path / "b")
-    with pytest.raises(InputError, match=r"Connection refused.*expected a server of the EvAAL API"):
+    with pytest.raises(InputError, match=r"Connect call failed.*expected a server of the EvAAL API"):
         run(url, tmp_path / "c")
     for wrong in ("file:///etc/passwd", "localhost:5000", "http://", "http://[", ""):
         with pytest.raises(InputError, match="expected http"):
