@@ -9,8 +9,8 @@ import numpy as np
 from tables import publish, table
 
 from pdr_graph.inputs import read
-from pdr_graph.lifelog.activities import follow_positions
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.lifelog.stays import follow_positions
 
 ROOT = Path(__file__).resolve().parents[1]
 ON_FOOT = {"walk", "run"}

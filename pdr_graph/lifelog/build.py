@@ -22,8 +22,7 @@ from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
-from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.day_rows import DayRows, Rows, profile_of, profile_row, rows_of
+from pdr_graph.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
 from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
 from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all

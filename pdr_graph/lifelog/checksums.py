@@ -14,7 +14,7 @@ from functools import cache
 from typing import Any
 
 from pdr_graph.errors import count, printable
-from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES
+from pdr_graph.lifelog.day import DAY_SCHEMA, TABLES
 from pdr_graph.recovery import SUM, Row, Rows, row_sum
 
 COLUMNS = {  # of the tables whose rows have a checksum each

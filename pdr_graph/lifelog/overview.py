@@ -28,7 +28,7 @@ from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import Diary, DiaryDay, Totals, totals_of
 from pdr_graph.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.lifelog.places import DAY_LENGTH, EVERY_DAY, Place, UsualHours, is_place, joined_visits, places_of_visits
-from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, duration_text, entry_texts
+from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, duration_text
 
 
 @dataclass(frozen=True)
@@ -260,6 +260,7 @@ def _plain(value: Any, name: str = "") -> Any:
     return value
 
 
+ROW_TITLES = ("from", "to", "for", "what", "distance", "where")
 MOST_ROWS = 25  # of a list that fits a screen
 MERGED_NAMES = {
     STAY: "short stop",
@@ -345,13 +346,23 @@ def _end_text(entry: TimelineEntry, seconds: bool) -> str:
 
 
 def _place(entry: TimelineEntry) -> str:
-    """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number."""
-    facing = max((part.facing for part in (entry, *entry.parts)), key=lambda own: own[0][1] if own else 0.0)
-    on_plan = bool(facing) and entry.place in ("", facing[0][0])
-    shown = replace(entry, corrected=False)
-    _, _, _, floor, where = entry_texts(replace(shown, facing=facing, place="") if on_plan else shown)
-    label = "" if on_plan else one_line(entry.label)
-    return " ".join(filter(None, [floor and f"floor {floor}", label or where]))
+    """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number.
+
+    Coordinates for a place without a name or number.
+    """
+    facing, place = max((part.facing for part in (entry, *entry.parts)), key=lambda own: own[0][1] if own else 0.0), ""
+    if facing and entry.place in ("", facing[0][0]):
+        (name, probability), *others = facing
+        # most other names: alternative names of a place; the CSV has all
+        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:2])
+        place = f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
+    elif entry.label:
+        place = one_line(entry.label)
+    elif np.isfinite(entry.latitude):
+        place = f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
+    elif np.isfinite(entry.x):
+        place = f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m"
+    return " ".join(filter(None, [one_line(f"floor {' > '.join(entry.floor)}") if any(entry.floor) else "", place]))
 
 
 def _merged_text(merged: Counter[str]) -> str:

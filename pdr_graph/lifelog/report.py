@@ -7,7 +7,6 @@ person ``report.html`` has the same maps and rows to play with. Neither has name
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from datetime import datetime, tzinfo
 from html import escape
 from itertools import groupby
@@ -26,11 +25,13 @@ from pdr_graph.lifelog.export import as_geojson
 from pdr_graph.lifelog.local_time import DAY
 from pdr_graph.lifelog.maps import Dot, DrawnPart, Panel, panels
 from pdr_graph.lifelog.overview import (
+    ROW_TITLES,
     Overview,
     distance_text,
     hours_text,
     list_texts,
     period_title,
+    row_texts,
     tables,
     time_text,
     visit_times,
@@ -43,7 +44,6 @@ from pdr_graph.lifelog.timeline import (
     STAY,
     TimelineEntry,
     duration_text,
-    entry_texts,
     timeline,
     timeline_csv,
 )
@@ -137,7 +137,7 @@ def _tables(shown: Overview) -> Iterator[tuple[str, Sequence[str], Rows]]:
         whose = f"{own.person}: " if len(shown.persons) > 1 else ""
         if is_list:
             rows = [texts for day in own.days for texts in list_texts(day.entries)]
-            yield f"{whose}the day", ("from", "to", "for", "what", "distance", "where"), rows
+            yield f"{whose}the day", ROW_TITLES, rows
         else:
             yield f"{whose}days", DAY_HEAD, list(_day_rows(own.days, len(shown.period)))
         if own.places:
@@ -219,7 +219,7 @@ def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Seq
         "marks": [marks for n, panel in enumerate(maps) for marks in _marks(panel, n)],
         "charts": [_hours_chart(entries), *([_sigma_chart(ways[0])] if ways else [])] if entries else [],
         "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
-        "tables": [_timeline_table(entries, zone)],
+        "tables": [_timeline_table(entries)],
     }
 
 
@@ -328,13 +328,8 @@ def _diameter(dot: Dot) -> float:
 
 
 def _entry_label(entry: TimelineEntry) -> str:
-    _, what, _, floor, place = entry_texts(_labelled(entry))
-    return ", ".join(part for part in (what, floor, place) if part)
-
-
-def _labelled(entry: TimelineEntry) -> TimelineEntry:
-    """The entry with the number of its place as its name, if it has none and none on a plan."""
-    return entry if entry.facing else replace(entry, place=entry.label)
+    _, _, _, what, _, where = row_texts(entry)
+    return ", ".join(filter(None, (what, where)))
 
 
 def _hours_chart(entries: Sequence[TimelineEntry]) -> dict[str, Any]:
@@ -358,7 +353,7 @@ def _sigma_chart(way: Trajectory) -> dict[str, Any]:
     return charts_and_tables.sigma({"where": (TRACK, way)})
 
 
-def _timeline_table(entries: Sequence[TimelineEntry], zone: tzinfo) -> Table:
-    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *entry_texts(_labelled(e))] for e in entries]
-    head = ["from", "for", "what", "distance", "floor", "where"]
-    return table("The day", head, rows, [round(e.start, 2) for e in entries])
+def _timeline_table(entries: Sequence[TimelineEntry]) -> Table:
+    return table(
+        "The day", ROW_TITLES, [row_texts(e, seconds=True) for e in entries], [round(e.start, 2) for e in entries]
+    )

@@ -47,10 +47,11 @@ from pdr_graph.lifelog.observation import (
     without_times,
     zone_at_start,
 )
+from pdr_graph.lifelog.overview import row_texts
 from pdr_graph.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.lifelog.past.past_days import PastDays, cut_past
 from pdr_graph.lifelog.store import TOGETHER, Entry, Store
-from pdr_graph.lifelog.timeline import TimelineEntry, entry_texts
+from pdr_graph.lifelog.timeline import TimelineEntry
 
 AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a point on a map, in a building
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
@@ -125,8 +126,7 @@ class OpenDiary:
 
     def text(self, row: TimelineEntry) -> str:
         """A row as a line."""
-        lasted, what, far, floor, place = entry_texts(row)
-        words = (f"{self.hour(row.start)} to {self.hour(row.end)[11:]}", lasted, what, far, floor, place)
+        words = (f"{self.hour(row.start)} to {self.hour(row.end)[11:]}", *row_texts(row)[2:])
         return "  ".join(word for word in words if word)
 
     def hour(self, time: float) -> str:

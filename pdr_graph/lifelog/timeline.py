@@ -227,28 +227,6 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
-def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
-    """Texts of an entry: duration, activity, distance, floors, place."""
-    what, floor = entry.mode or KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
-    far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
-    place = "  ".join(filter(None, [_place_text(entry), "(corrected)" if entry.corrected else ""]))
-    return duration_text(entry.duration), what, far, floor, place
-
-
-def _place_text(entry: TimelineEntry) -> str:
-    """The name, or names with probabilities; coordinates for a place without a name."""
-    if entry.place:
-        return one_line(entry.place)
-    if entry.facing:
-        (name, probability), *others = entry.facing
-        # most other names: alternative names of a place in the printed table; the CSV has all
-        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:2])
-        return f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
-    if np.isfinite(entry.latitude):
-        return f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
-    return f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m" if np.isfinite(entry.x) else ""
-
-
 def duration_text(seconds: float) -> str:
     """A duration as text: "45 s", "12 min", "2 h 05 min"."""
     if seconds < 99.5:
