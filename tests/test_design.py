@@ -79,7 +79,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "gait": (14, 1694),
     "inertial": (6, 604),
     "io": (20, 1737),
-    "lifelog": (29, 6061),
+    "lifelog": (29, 6041),
     "lifelog/past": (9, 1024),
     "online": (12, 1151),
     "papers": (6, 567),
