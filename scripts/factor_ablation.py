@@ -27,7 +27,7 @@ from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
-from pdr_graph.lifelog import sessions
+from pdr_graph.lifelog import reconstruct
 from pdr_graph.priors import FIXES, LOSSES, MOTION, changed
 from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Closures, Trajectory
@@ -196,7 +196,7 @@ def chained(beside):
 
 def closure():
     tied = chained("plan, field")
-    with patch.object(sessions, "_restart_closures", lambda parts, offsets: Closures.of([])):
+    with patch.object(reconstruct, "restart_closures", lambda parts: Closures.of([])):
         free = chained("plan, field")
     return f"twelve mall recordings as three walks, their six ends and the plan given: {free}; with closures {tied}."
 

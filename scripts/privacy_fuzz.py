@@ -32,8 +32,12 @@ import made_tracks  # noqa: E402
 from made_days import STANDING, VEHICLE, WALKING, outing, stay  # noqa: E402
 
 from pdr_graph.frames import Frame, enu  # noqa: E402
-from pdr_graph.lifelog.day import GAP, Day, Outing  # noqa: E402
-from pdr_graph.lifelog.day_rows import rows_of  # noqa: E402
+from pdr_graph.lifelog.day import (  # noqa: E402
+    GAP,
+    Day,
+    Outing,
+    rows_of,
+)
 from pdr_graph.lifelog.export import CSV, GEOJSON, GPX, PARQUET, SECRET, export_days  # noqa: E402
 from pdr_graph.lifelog.privacy import SQUARE_SIDE, PrivatePlace, nested_squares, private_places  # noqa: E402
 from pdr_graph.lifelog.revision import forget, state_not_me  # noqa: E402

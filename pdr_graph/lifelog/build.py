@@ -22,8 +22,7 @@ from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
-from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.day_rows import DayRows, Rows, profile_of, profile_row, rows_of
+from pdr_graph.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
 from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
 from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
@@ -363,14 +362,10 @@ def _is_changed_by(entry: Entry, correction: Correction) -> bool:
     return correction.kind in ESTIMATED and correction.person == entry.person and entry.overlaps(*correction.span)
 
 
-def rebuild(log: Store, person: str, start: float, end: float) -> tuple[list[DayResult], int]:
-    """Reconstruct the stored days of a person that a change from `start` to `end` (Unix times [s]) puts out of date.
-
-    Returns as `rebuild_dates`.
-    """
+def touched_dates(log: Store, person: str, start: float, end: float) -> list[str]:
+    """Dates of the stored days of a person with a recording that touches a time (Unix times [s])."""
     touched = {entry.hash for entry in log.entries() if entry.person == person and entry.overlaps(start, end)}
-    dates = [date for (who, date), day in log.days().items() if who == person and touched & set(day.recordings)]
-    return rebuild_dates(log, person, dates)
+    return [date for (who, date), day in log.days().items() if who == person and touched & set(day.recordings)]
 
 
 def rebuild_dates(log: Store, person: str, dates: Collection[str]) -> tuple[list[DayResult], int]:

@@ -12,13 +12,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pdr_graph.errors import count
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.corrections import apply_to_entries, place_names
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, split_at_gaps
+from pdr_graph.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
 from pdr_graph.lifelog.facts import Correction
 from pdr_graph.lifelog.local_time import LocalClock
 from pdr_graph.lifelog.places import DAY_LENGTH, NamedArea, Place, places_of, plan_name
@@ -26,7 +27,7 @@ from pdr_graph.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.storage import compress, decompress
-from pdr_graph.types import OneLineRepr
+from pdr_graph.types import INSTANT, Index, OneLineRepr
 
 
 @dataclass(frozen=True)
@@ -260,18 +261,20 @@ def _simplified(day: DiaryDay, tolerance: float) -> DiaryDay:
 
 
 def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
-    """The outing with the rows that a line through its track needs, without covariances."""
+    """The outing with the rows that lines through its segments need, without covariances."""
     import shapely
 
-    kept = np.zeros(len(outing.trajectory), dtype=bool)
-    for track, _ in split_at_gaps(outing):
-        first = int(np.searchsorted(outing.trajectory.time, track.time[0]))
-        kept[[first, first + len(track) - 1]] = True
-        if len(track) > 2:
-            line = shapely.linestrings(np.column_stack([track.position, np.arange(len(track))]))
+    time, kept = outing.trajectory.time, list[Index]()
+    for segment in (segment for segment in outing.segments if segment.kind not in KINDS_WITHOUT_DATA):
+        first = max(int(np.searchsorted(time, segment.start + INSTANT)) - 1, 0)
+        rows = np.arange(first, min(int(np.searchsorted(time, segment.end - INSTANT)) + 1, len(time)))
+        if len(rows) > 2:
+            line = shapely.linestrings(np.column_stack([outing.trajectory.position[rows], rows]))
             line = shapely.simplify(line, tolerance, preserve_topology=False)
-            kept[first + shapely.get_coordinates(line, include_z=True)[:, 2].astype(np.intp)] = True
-    return replace(outing, trajectory=replace(outing.trajectory, covariance=None)[np.flatnonzero(kept)])
+            rows = shapely.get_coordinates(line, include_z=True)[:, 2].astype(np.intp)
+        kept.append(rows)
+    chosen = np.unique(np.concatenate([np.empty(0, np.intp), *kept]))
+    return replace(outing, trajectory=replace(outing.trajectory, covariance=None)[chosen])
 
 
 def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
@@ -303,7 +306,7 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
 def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
     """Sums over days of one person. length: number of days of the period."""
     every = [day.totals for day in days]
-    sums = {name: sum(getattr(own, name) for own in every) for name in SUMMED}
+    sums: dict[str, Any] = {name: sum(getattr(own, name) for own in every) for name in SUMMED}
     sums["unknown"] += (length - len(days)) * DAY_LENGTH
     return Totals(days=length, **sums)
 

@@ -24,8 +24,7 @@ from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.corrections import apply_to_observations
-from pdr_graph.lifelog.day import Day, Outing
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import Day, Outing, rows_of
 from pdr_graph.lifelog.facts import Correction
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstruct_outings

@@ -16,7 +16,8 @@ import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.step_chunks import gap, shifted
+from pdr_graph.gait.step_chunks import gap
+from pdr_graph.gait.step_chunks import shifted as shifted_steps
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
@@ -108,6 +109,12 @@ class Observation(OneLineRepr):
     stated: tuple[StatedActivity, ...] = ()
 
     added: ClassVar[tuple[str, ...]] = ("measurements", "stated")  # older files have none
+
+    @property
+    def walked(self) -> Steps:
+        """The steps of a recording that has some."""
+        assert self.steps is not None, "a recording with steps"
+        return self.steps
 
     def _summary(self) -> list[str]:
         steps = "no steps" if self.steps is None else repr(self.steps)
@@ -409,7 +416,7 @@ def without_times(observation: Observation, spans: Sequence[Span], note: str) ->
     cut = _without_rows(observation, inside)
     if cut.steps is None and not len(cut.fixes):
         return None
-    return replace(_shifted(_reframed(cut, observation), -begins), duration=ends - begins, notes=(note,))
+    return replace(shifted(_reframed(cut, observation), -begins), duration=ends - begins, notes=(note,))
 
 
 def _merged(spans: Sequence[Span]) -> list[Span]:
@@ -498,22 +505,37 @@ def _reframed(part: Observation, whole: Observation) -> Observation:
     if first is None:
         return replace(part, frame=Frame())
     lon, lat = part.frame.to_lonlat(first)[0].tolist()
-    frame = enu(lat, lon)
-    fixes, beacons, *measured = (
-        replace(table, position=frame.from_frame(part.frame, table.position)) if hasattr(table, "position") else table
-        for table in tables
+    return in_frame(part, enu(lat, lon))
+
+
+def in_frame(part: Observation, frame: Frame) -> Observation:
+    """The observation with its positions converted to a frame; without beacons if they cannot be converted.
+
+    Both frames must be georeferenced, unless they are equal or there are no positions.
+    """
+    if part.frame == frame:
+        return part
+
+    def converted(table: Any) -> Any:
+        if not hasattr(table, "position") or not len(table.position):
+            return table
+        return replace(table, position=frame.from_frame(part.frame, table.position))
+
+    return replace(
+        part,
+        frame=frame,
+        fixes=converted(part.fixes),
+        beacons=converted(part.beacons) if part.frame.georeferenced else None,
+        measurements=tuple(map(converted, part.measurements)),
     )
-    return replace(part, frame=frame, fixes=fixes, beacons=beacons, measurements=tuple(measured))
 
 
-def _shifted(part: Observation, by: float) -> Observation:
+def shifted(part: Observation, by: float) -> Observation:
     """The observation with `by` seconds added to all times, beginning as much earlier."""
     if not by:
         return part
     tables = {name: getattr(part, name) for name in TABLES}
     moved = {name: table if table is None else replace(table, time=table.time + by) for name, table in tables.items()}
-    steps = part.steps
-    if steps is not None:
-        steps = shifted(steps, by)
+    steps = None if part.steps is None else shifted_steps(part.steps, by)
     measured = tuple(with_offset(table, by) for table in part.measurements)
     return replace(part, epoch=part.epoch - by, **moved, steps=steps, measurements=measured)

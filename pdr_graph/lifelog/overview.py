@@ -22,12 +22,11 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import count, one_line
-from pdr_graph.io.writers import cell
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import Diary, DiaryDay, Totals, totals_of
 from pdr_graph.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.lifelog.places import DAY_LENGTH, EVERY_DAY, Place, UsualHours, is_place, joined_visits, places_of_visits
-from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, duration_text, entry_texts
+from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, csv_table, duration_text
 from pdr_graph.types import OneLineRepr
 
 
@@ -79,8 +78,7 @@ def overview(diaries: Iterable[Diary], period: Period, place: str = "") -> Overv
 
 
 FORMAT, FORMAT_VERSION = "pdr_graph lifelog overview", 1  # raise the number when a key changes its meaning
-METRE_DIGITS, DEGREE_DIGITS = 1, 7
-DIGITS = {"latitude": DEGREE_DIGITS, "longitude": DEGREE_DIGITS}  # of columns; METRE_DIGITS for the others
+DIGITS = {"latitude": 7, "longitude": 7}  # of columns
 Record = dict[str, Any]
 
 
@@ -182,12 +180,13 @@ def tables(shown: Overview) -> dict[str, bytes]:
         for person, place in shown.places
         for usual in place.hours
     ]
-    return {
-        "days.csv": _csv([day_record(day) for day in shown.days], DAY_COLUMNS),
-        "places.csv": _csv([place_record(*placed) for placed in shown.places], PLACE_COLUMNS),
-        "visits.csv": _csv([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
-        "hours.csv": _csv(hours, HOURS_COLUMNS),
+    records = {
+        "days.csv": ([day_record(day) for day in shown.days], DAY_COLUMNS),
+        "places.csv": ([place_record(*placed) for placed in shown.places], PLACE_COLUMNS),
+        "visits.csv": ([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
+        "hours.csv": (hours, HOURS_COLUMNS),
     }
+    return {name: csv_table(rows, columns.split(), DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
 DAY_COLUMNS = "person date start end walking riding staying no_data observed walked ridden steps"
@@ -197,19 +196,6 @@ HOURS_COLUMNS = (
     "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
     "departures departure_25 departure_50 departure_75"
 )
-
-
-def _csv(records: Iterable[Record], columns: str) -> bytes:
-    """A CSV table with these columns, separated by spaces here; unknown numbers are empty."""
-    names = columns.split()
-    rows = [",".join(_cell(name, record[name]) for name in names) for record in records]
-    return ("\n".join([",".join(names), *rows]) + "\n").encode()
-
-
-def _cell(name: str, value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.{DIGITS.get(name, METRE_DIGITS)}f}" if np.isfinite(value) else ""
-    return str(value).lower() if isinstance(value, bool) else cell(one_line(str(value)))
 
 
 def as_json(shown: Overview) -> str:
@@ -260,6 +246,7 @@ def _plain(value: Any, name: str = "") -> Any:
     return value
 
 
+ROW_TITLES = ("from", "to", "for", "what", "distance", "where")
 MOST_ROWS = 25  # of a list that fits a screen
 MERGED_NAMES = {
     STAY: "short stop",
@@ -345,13 +332,23 @@ def _end_text(entry: TimelineEntry, seconds: bool) -> str:
 
 
 def _place(entry: TimelineEntry) -> str:
-    """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number."""
-    facing = max((part.facing for part in (entry, *entry.parts)), key=lambda own: own[0][1] if own else 0.0)
-    on_plan = bool(facing) and entry.place in ("", facing[0][0])
-    shown = replace(entry, corrected=False)
-    _, _, _, floor, where = entry_texts(replace(shown, facing=facing, place="") if on_plan else shown)
-    label = "" if on_plan else one_line(entry.label)
-    return " ".join(filter(None, [floor and f"floor {floor}", label or where]))
+    """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number.
+
+    Coordinates for a place without a name or number.
+    """
+    facing, place = max((part.facing for part in (entry, *entry.parts)), key=lambda own: own[0][1] if own else 0.0), ""
+    if facing and entry.place in ("", facing[0][0]):
+        (name, probability), *others = facing
+        # most other names: alternative names of a place; the CSV has all
+        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:2])
+        place = f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
+    elif entry.label:
+        place = one_line(entry.label)
+    elif np.isfinite(entry.latitude):
+        place = f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
+    elif np.isfinite(entry.x):
+        place = f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m"
+    return " ".join(filter(None, [one_line(f"floor {' > '.join(entry.floor)}") if any(entry.floor) else "", place]))
 
 
 def _merged_text(merged: Counter[str]) -> str:
@@ -455,10 +452,15 @@ WIDTHS = (16, 13, 13, 13, 14, 10, 10, 11)
 
 
 def _period_lines(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
-    """A line per day of a week or a month, else per month or year, and the totals."""
+    """A line per day of a week or a month, where days without data are counted, else per month or year; the totals."""
     yield _line(PERIOD_TITLES, WIDTHS)
-    yield from _lines_per_day(days, period) if period.kind in (WEEK, MONTH) else _lines_per_month(days)
-    yield _totals_line("total", totals_of(days, len(period)))
+    if period.kind in (WEEK, MONTH):
+        yield from _lines_per_day(days, period)
+    else:
+        letters = 7 if len({day.date[:7] for day in days}) <= MOST_MONTHS else 4
+        for name, own in days_by(days, letters):
+            yield _line(totals_texts(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own))), WIDTHS)
+    yield _line(totals_texts("total", totals_of(days, len(period))), WIDTHS)
 
 
 def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
@@ -466,24 +468,22 @@ def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
     by_date = {day.date: day for day in days}
     for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
         if present:
-            yield from (_totals_line(f"{on:%a} {on}", by_date[on.isoformat()].totals) for on in dates)
+            yield from (_line(totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals), WIDTHS) for on in dates)
         else:
             yield f"{count(len(list(dates)), 'day')} without data"
 
 
-def _lines_per_month(days: Sequence[DiaryDay]) -> Iterator[str]:
-    """A line per month with data, or per year if there are many."""
-    letters = 7 if len({day.date[:7] for day in days}) <= MOST_MONTHS else 4
-    for name, same in groupby(days, key=lambda day: day.date[:letters]):
-        own = list(same)
-        yield _totals_line(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own)))
+def days_by(days: Sequence[DiaryDay], letters: int) -> Iterator[tuple[str, list[DiaryDay]]]:
+    """The days in order with the same first letters of the date, and these letters."""
+    return ((name, list(same)) for name, same in groupby(days, key=lambda day: day.date[:letters]))
 
 
-def _totals_line(title: str, totals: Totals) -> str:
+def totals_texts(title: str, totals: Totals) -> list[str]:
+    """A title and the totals, as of PERIOD_TITLES."""
     times = [totals.walking, totals.riding, totals.staying, totals.unknown]
     texts = [time_text(time) if time >= 0.5 else NOTHING for time in times]
     texts += [distance_text(far) if far >= 0.5 else NOTHING for far in (totals.walked, totals.ridden)]
-    return _line([title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING], WIDTHS)
+    return [title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING]
 
 
 PLACE_TITLES, PLACE_WIDTHS = (
@@ -512,8 +512,13 @@ def _hours_lines(hours: Sequence[UsualHours]) -> Iterator[str]:
     """The usual hours of each weekday at one place."""
     yield _line(HOURS_TITLES, HOURS_WIDTHS)
     for usual in sorted(hours, key=lambda own: own.weekday == EVERY_DAY):
-        come, go = hours_text(usual.arrival), hours_text(usual.departure)
-        yield _line([usual.weekday, str(usual.arrivals), come, str(usual.departures), go], HOURS_WIDTHS)
+        yield _line(usual_texts(usual), HOURS_WIDTHS)
+
+
+def usual_texts(usual: UsualHours) -> list[str]:
+    """Usual hours as texts: weekday, and number and quartiles of arrivals and of departures."""
+    come, go = hours_text(usual.arrival), hours_text(usual.departure)
+    return [usual.weekday, str(usual.arrivals), come, str(usual.departures), go]
 
 
 def hours_text(quartiles: tuple[float, float, float]) -> str:

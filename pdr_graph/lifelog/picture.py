@@ -323,8 +323,8 @@ def picture(shown: Overview, template: str = "") -> tuple[Figure, list[str]]:
 
     Does not use pyplot, which is slow to load and keeps every figure alive.
     """
-    names = {"font.family": font_families(), "svg.fonttype": "none", "text.parse_math": False}  # a name may have "$"
-    with rc_context(names):
+    # a name may have dollar signs
+    with rc_context({"font.family": font_families(), "svg.fonttype": "none", "text.parse_math": False}):
         server = TileServer(template)
         parts = list(_parts(shown, server))
         total = HEAD + 0.25 * max(len(shown.persons) - 1, 0) + sum(part.height for part in parts)

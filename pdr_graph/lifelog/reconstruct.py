@@ -15,20 +15,27 @@ from pdr_graph.estimation.results import ROUTE, teaches_profile, verdict
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile, Walker
-from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, with_stated_rides, without_rides
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.sessions import (
     LONGEST_GAP,
-    JoinedRecordings,
     Session,
     is_located,
     join,
     join_fixes,
     join_stated,
+    restart_closures,
     sessions_of,
 )
-from pdr_graph.lifelog.stays import stays_of, stays_of_positions
+from pdr_graph.lifelog.stays import (
+    detect_rides,
+    follow_positions,
+    segments_of,
+    stays_of,
+    stays_of_positions,
+    with_stated_rides,
+    without_rides,
+)
 from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording
 from pdr_graph.walk import Evidence, Options, estimate, with_tables
@@ -44,7 +51,7 @@ class EstimatedWalk(OneLineRepr):
 
     session: Session
     profile: Profile | None
-    joined: JoinedRecordings
+    joined: Observation
     building: Building | None
     rides: Array
     graph: WalkGraph
@@ -54,7 +61,7 @@ class EstimatedWalk(OneLineRepr):
     @property
     def looks(self) -> Array:
         """As of `Observation`, for the rows of the graph's steps; 0 for rides."""
-        old, new = self.joined.steps, self.graph.steps
+        old, new = self.joined.walked, self.graph.steps
         row = np.searchsorted(old.time, new.time - INSTANT)
         walked = ~new.is_gap & (np.abs(old.time[row] - new.time) <= INSTANT)
         return np.append(np.where(walked, self.joined.looks[row], 0.0), self.joined.looks[-1])
@@ -117,12 +124,12 @@ def estimate_walk(
         joined.epoch,
         barometer=joined.barometer,
         bluetooth=joined.bluetooth,
-        measurements=(joined.closures, *joined.measurements),
+        measurements=(restart_closures(session.observations), *joined.measurements),
     )
 
     # The steps of this walker, without rides, on their floors
-    steps = profile.corrected(joined.steps) if profile else joined.steps
-    rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.stated)
+    steps = profile.corrected(joined.walked) if profile else joined.walked
+    rides = with_stated_rides(detect_rides(steps, fixes), steps, join_stated(session.observations))
     evidence = Evidence(
         walk,
         Walker(profile=profile),
@@ -151,7 +158,7 @@ def _read(plan: str, content: str) -> Building:
     return Building.load(plan)
 
 
-def _with_start_after(last: EstimatedWalk | Outing | None, joined: JoinedRecordings) -> JoinedRecordings:
+def _with_start_after(last: EstimatedWalk | Outing | None, joined: Observation) -> Observation:
     """Add a fix at the start of a walk without any position: the end of the previous outing, if it was shortly before.
 
     Its variance grows with the gap, in which the walker goes at GAP_SPEED.

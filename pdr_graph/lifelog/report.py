@@ -7,7 +7,6 @@ person ``report.html`` has the same maps and rows to play with. Neither has name
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from datetime import datetime, tzinfo
 from html import escape
 from itertools import groupby
@@ -26,13 +25,18 @@ from pdr_graph.lifelog.export import as_geojson
 from pdr_graph.lifelog.local_time import DAY
 from pdr_graph.lifelog.maps import Dot, DrawnPart, Panel, panels
 from pdr_graph.lifelog.overview import (
+    PERIOD_TITLES,
+    ROW_TITLES,
     Overview,
+    days_by,
     distance_text,
-    hours_text,
     list_texts,
     period_title,
+    row_texts,
     tables,
     time_text,
+    totals_texts,
+    usual_texts,
     visit_times,
 )
 from pdr_graph.lifelog.picture import COLOURS, picture
@@ -43,7 +47,6 @@ from pdr_graph.lifelog.timeline import (
     STAY,
     TimelineEntry,
     duration_text,
-    entry_texts,
     timeline,
     timeline_csv,
 )
@@ -137,9 +140,9 @@ def _tables(shown: Overview) -> Iterator[tuple[str, Sequence[str], Rows]]:
         whose = f"{own.person}: " if len(shown.persons) > 1 else ""
         if is_list:
             rows = [texts for day in own.days for texts in list_texts(day.entries)]
-            yield f"{whose}the day", ("from", "to", "for", "what", "distance", "where"), rows
+            yield f"{whose}the day", ROW_TITLES, rows
         else:
-            yield f"{whose}days", DAY_HEAD, list(_day_rows(own.days, len(shown.period)))
+            yield f"{whose}days", PERIOD_TITLES, list(_day_rows(own.days, len(shown.period)))
         if own.places:
             yield f"{whose}places", PLACE_HEAD, [_place_row(place) for place in own.places[:MOST_PLACES]]
             yield f"{whose}usual hours", HOURS_HEAD, list(_hours_rows(own.places[:MOST_PLACES]))
@@ -149,7 +152,6 @@ def _tables(shown: Overview) -> Iterator[tuple[str, Sequence[str], Rows]]:
             yield f"{whose}visits{earlier}", VISIT_HEAD, [_visit_row(visit) for visit in own.visits[-MOST_VISITS:]]
 
 
-DAY_HEAD = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
 PLACE_HEAD = ("place", "visits", "time", "first", "last", "latitude, longitude")
 HOURS_HEAD = ("place", "weekday", "arrivals", "comes (quartiles)", "departures", "leaves (quartiles)")
 VISIT_HEAD = ("place", "from", "to", "for", "with data")
@@ -157,16 +159,9 @@ VISIT_HEAD = ("place", "from", "to", "for", "with data")
 
 def _day_rows(days: Sequence[DiaryDay], length: int) -> Iterator[Sequence[str]]:
     """A row per day with data, or per month if there are many; then the totals. length: of the period, in days."""
-    letters = 10 if len(days) <= 400 else 7  # most days
-    for name, same in groupby(days, key=lambda day: day.date[:letters]):
-        own = list(same)
-        yield _totals_row(name, totals_of(own, len(own)))
-    yield _totals_row("total", totals_of(days, length))
-
-
-def _totals_row(name: str, totals: Totals) -> Sequence[str]:
-    times = [time_text(time) for time in (totals.walking, totals.riding, totals.staying, totals.unknown)]
-    return [name, *times, distance_text(totals.walked), distance_text(totals.ridden), f"{totals.steps:,}"]
+    for name, own in days_by(days, 10 if len(days) <= 400 else 7):  # most days
+        yield totals_texts(name, totals_of(own, len(own)))
+    yield totals_texts("total", totals_of(days, length))
 
 
 def _place_row(place: Place) -> Sequence[str]:
@@ -179,8 +174,7 @@ def _hours_rows(places: Sequence[Place]) -> Iterator[Sequence[str]]:
     for place in places:
         for usual in place.hours:
             if max(usual.arrivals, usual.departures) >= 2:
-                come, go = hours_text(usual.arrival), hours_text(usual.departure)
-                yield [place.label, usual.weekday, str(usual.arrivals), come, str(usual.departures), go]
+                yield [place.label, *usual_texts(usual)]
 
 
 def _visit_row(visit: TimelineEntry) -> Sequence[str]:
@@ -202,7 +196,7 @@ def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Seq
     [day], maps = shown.days, panels(shown)
     entries = day.known
     start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
-    ways = [_joined_track(panel) for panel in maps]
+    ways = {n: _joined_track(panel) for n, panel in enumerate(maps) if panel.ways}
     return {
         "title": f"{day.person}   {day.date}",
         "subtitle": f"times of {zone}",
@@ -215,11 +209,11 @@ def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Seq
         "start": start,
         "end": end,
         "maps": [_map(panel, n) for n, panel in enumerate(maps)],
-        "tracks": [line for n, panel in enumerate(maps) for line in _tracks(panel, ways[n], n, len(maps))],
+        "tracks": [line for n, way in ways.items() for line in _tracks(maps[n], way, n, len(maps))],
         "marks": [marks for n, panel in enumerate(maps) for marks in _marks(panel, n)],
-        "charts": [_hours_chart(entries), *([_sigma_chart(ways[0])] if ways else [])] if entries else [],
+        "charts": [_hours_chart(entries), *(_sigma_chart(way) for way in list(ways.values())[:1])] if entries else [],
         "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
-        "tables": [_timeline_table(entries, zone)],
+        "tables": [_timeline_table(entries)],
     }
 
 
@@ -328,13 +322,8 @@ def _diameter(dot: Dot) -> float:
 
 
 def _entry_label(entry: TimelineEntry) -> str:
-    _, what, _, floor, place = entry_texts(_labelled(entry))
-    return ", ".join(part for part in (what, floor, place) if part)
-
-
-def _labelled(entry: TimelineEntry) -> TimelineEntry:
-    """The entry with the number of its place as its name, if it has none and none on a plan."""
-    return entry if entry.facing else replace(entry, place=entry.label)
+    _, _, _, what, _, where = row_texts(entry)
+    return ", ".join(filter(None, (what, where)))
 
 
 def _hours_chart(entries: Sequence[TimelineEntry]) -> dict[str, Any]:
@@ -358,7 +347,7 @@ def _sigma_chart(way: Trajectory) -> dict[str, Any]:
     return charts_and_tables.sigma({"where": (TRACK, way)})
 
 
-def _timeline_table(entries: Sequence[TimelineEntry], zone: tzinfo) -> Table:
-    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *entry_texts(_labelled(e))] for e in entries]
-    head = ["from", "for", "what", "distance", "floor", "where"]
-    return table("The day", head, rows, [round(e.start, 2) for e in entries])
+def _timeline_table(entries: Sequence[TimelineEntry]) -> Table:
+    return table(
+        "The day", ROW_TITLES, [row_texts(e, seconds=True) for e in entries], [round(e.start, 2) for e in entries]
+    )

@@ -47,10 +47,11 @@ from pdr_graph.lifelog.observation import (
     without_times,
     zone_at_start,
 )
+from pdr_graph.lifelog.overview import row_texts
 from pdr_graph.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.lifelog.past.past_days import PastDays, cut_past
 from pdr_graph.lifelog.store import TOGETHER, Entry, Store
-from pdr_graph.lifelog.timeline import TimelineEntry, entry_texts
+from pdr_graph.lifelog.timeline import TimelineEntry
 
 AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a point on a map, in a building
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
@@ -125,8 +126,7 @@ class OpenDiary:
 
     def text(self, row: TimelineEntry) -> str:
         """A row as a line."""
-        lasted, what, far, floor, place = entry_texts(row)
-        words = (f"{self.hour(row.start)} to {self.hour(row.end)[11:]}", lasted, what, far, floor, place)
+        words = (f"{self.hour(row.start)} to {self.hour(row.end)[11:]}", *row_texts(row)[2:])
         return "  ".join(word for word in words if word)
 
     def hour(self, time: float) -> str:
@@ -137,7 +137,7 @@ class OpenDiary:
         """Store a correction and rebuild its day; returns the lines to print."""
         correction = Correction(0, self.person, clock.time(), kind, *span, value or {})
         correction = replace(correction, number=self.log.put_correction(correction))
-        return [self.line(correction), *_rebuilt(self.log, correction)]
+        return [self.line(correction), *_effect(self.log, correction)]
 
     def line(self, correction: Correction) -> str:
         """A correction as a line: number, person, what it states, and when it was made."""
@@ -248,7 +248,7 @@ def undo(store: Path, number: int) -> list[str]:
             raise InputError("N", "", f"{number}", "the number of a correction: pdr-graph lifelog correct list")
         line = f"undone: {OpenDiary.of(log, found[0].person).line(found[0])}"
         log.delete_correction(number)
-        return [line, *(_read_again if found[0].kind == FORGOTTEN else _rebuilt)(log, found[0])]
+        return [line, *(_read_again if found[0].kind == FORGOTTEN else _effect)(log, found[0])]
 
 
 def person_of(log: Store, person: str | None) -> str:
@@ -300,15 +300,19 @@ def _radius(radius: float | None, default: float) -> float:
     return radius
 
 
-def _rebuilt(log: Store, correction: Correction) -> list[str]:
+def _rebuilt(log: Store, person: str, dates: Collection[str]) -> list[str]:
+    """Rebuild days; returns a line per day, and one for the days that are left to the next build."""
+    begun = clock.perf_counter()
+    results, later = build.rebuild_dates(log, person, dates)
+    done = f"rebuilt in {clock.perf_counter() - begun:.1f} s"
+    lines = [f"{one_line(r.person)}, {r.date}: {r.failure or done}" for r in results]
+    return lines + ([f"{count(later, 'day')} to build: pdr-graph lifelog build {log.path}"] if later else [])
+
+
+def _effect(log: Store, correction: Correction) -> list[str]:
     """Rebuild the days of a correction if it changes their estimate; lines of what the timeline shows then."""
-    lines = list[str]()
-    if correction.kind in ESTIMATED:
-        begun = clock.perf_counter()
-        results, later = build.rebuild(log, correction.person, *correction.span)
-        took = clock.perf_counter() - begun
-        lines += [f"{one_line(r.person)}, {r.date}: {r.failure or f'rebuilt in {took:.1f} s'}" for r in results]
-        lines += [f"{count(later, 'day')} to build: pdr-graph lifelog build {log.path}"] if later else []
+    dates = build.touched_dates(log, correction.person, *correction.span)
+    lines = _rebuilt(log, correction.person, dates) if correction.kind in ESTIMATED else []
     if correction.span == ALWAYS:
         return lines
     start, end = correction.span
@@ -342,7 +346,7 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
         fact = Correction(0, who, clock.time(), FORGOTTEN, *span)
         if fact.span not in forgotten_times(log.corrections(who)):  # else it was interrupted, and goes on
             log.put_correction(fact)
-        dates = _dates(log, who, *fact.span)
+        dates = build.touched_dates(log, who, *fact.span)
         cut_past(log, who, *fact.span)
         touched = [entry for entry in log.entries() if entry.person == who and entry.overlaps(*fact.span)]
         removed = [entry for entry in touched if not _cut(log, entry, forgotten_times(log.corrections(who)))]
@@ -356,7 +360,7 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
         lines.append(f"{count(len(touched), 'recording')} had data then, {len(removed)} of them nothing else")
         kept = {entry.hash for entry in touched} - {entry.hash for entry in removed}
         now = [date for (name, date), own in build.recordings_by_day(log).items() if name == who and kept & own.keys()]
-        lines += _rebuilt_days(log, who, {*dates, *now})
+        lines += _rebuilt(log, who, {*dates, *now})
         log.compact()
         return lines + _still_there(log, touched) + _named_places(log, who)
 
@@ -376,7 +380,7 @@ def forget_recording(store: Path, recording: str) -> list[str]:
         _remove(log, found)
         log.delete_days((entry.person, date) for date in dates)
         _clean(log)
-        lines = ["deleted: one recording", *_rebuilt_days(log, entry.person, dates)]
+        lines = ["deleted: one recording", *_rebuilt(log, entry.person, dates)]
         log.compact()
         return lines + _still_there(log, found)
 
@@ -392,12 +396,6 @@ def forget_person(store: Path, person: str) -> list[str]:
         _clean(log)
         log.compact()
         return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", *_still_there(log, found)]
-
-
-def _dates(log: Store, person: str, start: float, end: float) -> list[str]:
-    """Dates of the stored days of a person with a recording that touches a time (Unix times [s])."""
-    own = {entry.hash for entry in log.entries() if entry.person == person and entry.overlaps(start, end)}
-    return [date for (who, date), day in log.days().items() if who == person and own & set(day.recordings)]
 
 
 def _cut(log: Store, entry: Entry, spans: Sequence[tuple[float, float]]) -> bool:
@@ -456,13 +454,6 @@ def _clean(log: Store) -> None:
     for folder in (cache.COPIES, PAST):
         cache.remove_partial_copies(log.folder / folder)
     log.compact()
-
-
-def _rebuilt_days(log: Store, person: str, dates: Collection[str]) -> list[str]:
-    """Rebuild deleted days from what remains; returns a line per day."""
-    results, later = build.rebuild_dates(log, person, dates)
-    lines = [f"{one_line(r.person)}, {r.date}: {r.failure or 'rebuilt'}" for r in results]
-    return lines + ([f"{count(later, 'day')} to build: pdr-graph lifelog build {log.path}"] if later else [])
 
 
 def _still_there(log: Store, entries: Iterable[Entry]) -> list[str]:

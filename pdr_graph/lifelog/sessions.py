@@ -11,18 +11,17 @@ from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
-from pdr_graph.gait.step_chunks import append_steps, gap, shifted
-from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity
+from pdr_graph.gait.step_chunks import append_steps, gap
+from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity, in_frame, shifted
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     Array,
-    Beacons,
     Closures,
     Fixes,
     Headings,
@@ -34,14 +33,12 @@ from pdr_graph.types import (
     by_type,
     last_time,
     take,
-    with_offset,
 )
 
 # Chosen by hand
 LONGEST_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere
 
 Hashed = tuple[str, Observation]  # an observation with the content hash of its recording
-Located = TypeVar("Located", bound=Any)  # a table with positions
 
 
 @dataclass(frozen=True)
@@ -163,72 +160,49 @@ STANDING_SIGMA = 0.5  # [m] per axis by which a person moves on one spot; chosen
 TURN_SIGMA = 0.2  # [rad] of a turn by the field: 9° rms over 9 restarts in malls, and one in ten may have walked on
 
 
-@dataclass(frozen=True)
-class JoinedRecordings(OneLineRepr):
-    """The recordings of a session as one walk, times from the start of the first; fields as of `Observation`.
-
-    closures: between recordings of a recorder that was restarted on the spot.
-    """
-
-    epoch: float
-    duration: float
-    frame: Frame
-    steps: Steps
-    looks: Array
-    headings: Headings
-    fixes: Fixes
-    closures: Closures
-    barometer: Signal | None
-    bluetooth: Sightings | None
-    wifi: Sightings | None
-    beacons: Beacons | None
-    measurements: tuple[Any, ...] = ()
-    stated: tuple[StatedActivity, ...] = ()
-
-    def _summary(self) -> list[str]:
-        others = [f"{len(table)} {type(table).__name__.lower()}" for table in self.measurements]
-        return [f"{self.duration:.1f} s", repr(self.steps), repr(self.fixes), *others]
-
-
-def join(
-    parts: Sequence[Observation], beside: Sequence[Observation] = (), frame: Frame | None = None
-) -> JoinedRecordings:
-    """Join recordings with steps, one after the other, and recordings of positions alone from the same time.
+def join(parts: Sequence[Observation], beside: Sequence[Observation] = (), frame: Frame | None = None) -> Observation:
+    """Join recordings with steps, one after the other, and recordings of positions alone from the same time, to one.
 
     parts: at least one, in order of time, without overlap, in frames that can be converted to one; frame: of the
-    result, by default as of `frame_of`.
+    result, by default as of `frame_of`. Without profile, notes and magnetic field.
     """
-    first, frame = parts[0], frame or frame_of([*parts, *beside])
-    offsets = [part.epoch - first.epoch for part in parts]
-    steps = shifted(_steps(first), 0.0)
-    for (before, after), offset in zip(pairwise(parts), offsets[1:], strict=True):
-        later = shifted(_steps(after), offset)
+    frame = frame or frame_of([*parts, *beside])
+    moved = [_moved(part, frame, parts[0].epoch) for part in parts]
+    others = [_moved(part, frame, parts[0].epoch) for part in beside]
+    steps = moved[0].walked
+    for (before, after), later in zip(pairwise(parts), (part.walked for part in moved[1:]), strict=True):
         steps = append_steps(append_steps(steps, _gap_between(before, after, steps.end, later.start)), later)
-    return JoinedRecordings(
-        epoch=first.epoch,
-        duration=max(part.epoch - first.epoch + part.duration for part in parts),
-        frame=frame,
+    return replace(
+        moved[0],
+        duration=max(part.epoch - parts[0].epoch + part.duration for part in parts),
         steps=steps,
         looks=np.concatenate([part.looks for part in parts]),  # the last value of a part is that before the gap
-        headings=_headings([(part.headings, by) for part, by in zip(parts, offsets, strict=True)]),
-        fixes=_fixes([*parts, *beside], frame),
-        closures=_restart_closures(parts, offsets),
-        barometer=_signal([(part.barometer, by) for part, by in zip(parts, offsets, strict=True)]),
-        bluetooth=_sightings([(part.bluetooth, by) for part, by in zip(parts, offsets, strict=True)]),
-        wifi=_sightings([(part.wifi, by) for part, by in zip(parts, offsets, strict=True)]),
-        beacons=_beacons(parts, frame),
-        measurements=_measurements([*parts, *beside], frame),
-        stated=join_stated(parts),
+        headings=_headings([part.headings for part in moved]),
+        fixes=Fixes.concatenate([part.fixes for part in (*moved, *others)]),
+        barometer=_signal([part.barometer for part in moved]),
+        bluetooth=_sightings([part.bluetooth for part in moved]),
+        wifi=_sightings([part.wifi for part in moved]),
+        beacons=next((part.beacons for part in moved if part.beacons is not None), None),
+        ends=None,
+        profile=None,
+        notes=(),
+        measurements=_measurements([table for part in (*moved, *others) for table in part.measurements]),
+        stated=tuple(dict.fromkeys(activity for part in parts for activity in part.stated)),
     )
+
+
+def _moved(part: Observation, frame: Frame, epoch: float) -> Observation:
+    """The observation in a frame, with times from a Unix time `epoch` [s]."""
+    return shifted(in_frame(part, frame), part.epoch - epoch)
 
 
 def join_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:
     """Fixes of recordings one after the other in one frame, times from the start of the first; and that frame."""
     frame = frame_of(parts)
-    return frame, _fixes(parts, frame)
+    return frame, Fixes.concatenate([_moved(part, frame, parts[0].epoch).fixes for part in parts])
 
 
-def is_located(part: Observation | JoinedRecordings) -> bool:
+def is_located(part: Observation) -> bool:
     """True if there are fixes, or measurements of positions in the frame, as ranges to anchors are."""
     return len(part.fixes) > 0 or any(hasattr(table, "position") for table in part.measurements)
 
@@ -245,38 +219,9 @@ def frame_of(parts: Sequence[Observation]) -> Frame:
     return next(georeferenced, next((part.frame for part in parts if is_located(part)), parts[0].frame))
 
 
-def converted(table: Located, source: Frame, target: Frame) -> Located:
-    """The table with its positions converted from one frame to another; both must be georeferenced unless equal."""
-    if not hasattr(table, "position") or not len(table.position):
-        return table
-    return replace(table, position=target.from_frame(source, table.position))
-
-
-def _fixes(parts: Sequence[Observation], frame: Frame) -> Fixes:
-    """The fixes of all recordings in one frame, times from the start of the first recording."""
-    begin = parts[0].epoch
-    return Fixes.concatenate([converted(part.fixes, part.frame, frame).shifted(part.epoch - begin) for part in parts])
-
-
-def _beacons(parts: Sequence[Observation], frame: Frame) -> Beacons | None:
-    """The beacons of the first recording that has some, in one frame."""
-    convertible = (part for part in parts if part.frame == frame or part.frame.georeferenced)
-    return next((converted(p.beacons, p.frame, frame) for p in convertible if p.beacons is not None), None)
-
-
-def _measurements(parts: Sequence[Observation], frame: Frame) -> tuple[Any, ...]:
-    """The tables of all recordings, one per type, in one frame, in order of time from the start of the first."""
-    tables = [
-        with_offset(converted(table, part.frame, frame), part.epoch - parts[0].epoch)
-        for part in parts
-        for table in part.measurements
-    ]
+def _measurements(tables: Sequence[Any]) -> tuple[Any, ...]:
+    """The tables of all recordings, one per type, in order of time."""
     return tuple(take(table, np.argsort(last_time(table), kind="stable")) for table in by_type(tables))
-
-
-def _steps(part: Observation) -> Steps:
-    assert part.steps is not None, "a recording with steps"
-    return part.steps
 
 
 def _gap_between(before: Observation, after: Observation, start: float, end: float) -> Steps:
@@ -309,43 +254,46 @@ def _field_at(part: Observation, end: int) -> Array:
     return np.append(part.ends.field[end], part.ends.vertical[end])
 
 
-def _restart_closures(parts: Sequence[Observation], offsets: Sequence[float]) -> Closures:
-    """Loop closures between recordings of a recorder that was restarted within LONGEST_RESTART."""
+def restart_closures(parts: Sequence[Observation]) -> Closures:
+    """Loop closures between recordings of a recorder that was restarted within LONGEST_RESTART.
+
+    Times are from the start of the first recording.
+    """
     rows = []
-    for (before, after), begin, end in zip(pairwise(parts), offsets, offsets[1:], strict=False):
-        stopped, started = begin + _steps(before).end, end + _steps(after).start
+    for before, after in pairwise(parts):
+        stopped = before.epoch - parts[0].epoch + before.walked.end
+        started = after.epoch - parts[0].epoch + after.walked.start
         if started - stopped <= LONGEST_RESTART:
             rows.append((stopped, started, STANDING_SIGMA))
     return Closures.of(rows)
 
 
-def _headings(parts: Sequence[tuple[Headings, float]]) -> Headings:
-    """Headings of all recordings, with offsets [s].
+def _headings(parts: Sequence[Headings]) -> Headings:
+    """Headings of all recordings.
 
     Headings of different recordings share most of their error, so those of n recordings get √n times the sigma.
     """
-    some = [headings.shifted(by) for headings, by in parts if len(headings)]
+    some = [headings for headings in parts if len(headings)]
     return Headings.concatenate([replace(headings, sigma=headings.sigma * np.sqrt(len(some))) for headings in some])
 
 
-def _signal(parts: Sequence[tuple[Signal | None, float]]) -> Signal | None:
-    """Signals of all recordings, with offsets [s], as one; None without any."""
-    some = [(signal, by) for signal, by in parts if signal is not None]
+def _signal(parts: Sequence[Signal | None]) -> Signal | None:
+    """Signals of all recordings as one; None without any."""
+    some = [signal for signal in parts if signal is not None]
     if not some:
         return None
-    time = np.concatenate([signal.time + by for signal, by in some])
-    return Signal(time, np.concatenate([signal.values for signal, _ in some]))
+    return Signal(np.concatenate([signal.time for signal in some]), np.concatenate([signal.values for signal in some]))
 
 
-def _sightings(parts: Sequence[tuple[Sightings | None, float]]) -> Sightings | None:
-    """Sightings of all recordings, with offsets [s], as one; None without any."""
-    some = [(sightings, by) for sightings, by in parts if sightings is not None]
+def _sightings(parts: Sequence[Sightings | None]) -> Sightings | None:
+    """Sightings of all recordings as one; None without any."""
+    some = [sightings for sightings in parts if sightings is not None]
     if not some:
         return None
-    minor = tuple(m for sightings, _ in some for m in (sightings.minor or ("",) * len(sightings)))
+    minor = tuple(m for sightings in some for m in (sightings.minor or ("",) * len(sightings)))
     return Sightings(
-        np.concatenate([sightings.time + by for sightings, by in some]),
-        tuple(name for sightings, _ in some for name in sightings.transmitter),
-        np.concatenate([sightings.rssi for sightings, _ in some]),
+        np.concatenate([sightings.time for sightings in some]),
+        tuple(name for sightings in some for name in sightings.transmitter),
+        np.concatenate([sightings.rssi for sightings in some]),
         minor if any(minor) else (),
     )

@@ -21,8 +21,7 @@ from typing import Any
 from pdr_graph import storage
 from pdr_graph.errors import InputError, count
 from pdr_graph.gait.walker import Profile
-from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES, Rows, day_of, profile_of
+from pdr_graph.lifelog.day import DAY_SCHEMA, TABLES, Day, Rows, day_of, profile_of
 from pdr_graph.lifelog.facts import Correction, Guess
 from pdr_graph.recovery import DataLossWarning, Row, checked
 from pdr_graph.storage import Kind

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, tzinfo
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from pdr_graph.types import OneLineRepr
 
 STAY, PASSING = "stay", "passing"
 KIND_NAMES = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
+DIGITS = {"latitude": 7, "longitude": 7, "probability": 3, "x": 2, "y": 2, "sigma": 2}  # of its table
 HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
 # Chosen by hand
 SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
@@ -208,45 +210,34 @@ def _with_position(entry: TimelineEntry, outing: Outing, position: np.ndarray, c
 
 def timeline_csv(entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
     """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where a value is unknown."""
-    return "\n".join([HEADER, *(_row(entry, zone) for entry in entries)]) + "\n"
+    return csv_table([_record(entry, zone) for entry in entries], HEADER.split(","), DIGITS)
 
 
-def _row(entry: TimelineEntry, zone: tzinfo) -> str:
+def _record(entry: TimelineEntry, zone: tzinfo) -> dict[str, Any]:
+    """An entry by the columns of its table."""
     name, probability = entry.facing[0] if entry.facing else ("", np.nan)
-    others = "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:])
-    moment = [datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end)]
-    words = (" > ".join(entry.floor), name, others)
-    floor, place, others = (cell(one_line(word)) for word in words)
-    distance = "" if entry.kind in KINDS_WITHOUT_DATA else f"{entry.distance:.1f}"
-    numbers = [_number(entry.latitude, 7), _number(entry.longitude, 7), *(_number(n, 2) for n in (entry.x, entry.y))]
-    cells = [*moment, entry.kind, distance, floor, place, _number(probability, 3), others, *numbers]
-    return ",".join([*cells, _number(entry.sigma, 2)])
+    start, end = (datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end))
+    return vars(entry) | {
+        "start": start,
+        "end": end,
+        "distance": entry.distance if entry.is_known else np.nan,
+        "floor": " > ".join(entry.floor),
+        "place": name,
+        "probability": probability,
+        "others": "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:]),
+    }
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+def csv_table(records: Iterable[Mapping[str, Any]], names: Sequence[str], digits: Mapping[str, int]) -> str:
+    """A CSV table with columns of some names; unknown numbers are empty. digits: of numbers, one by default."""
 
+    def text(name: str, value: Any) -> str:
+        if isinstance(value, float):
+            return f"{value:.{digits.get(name, 1)}f}" if np.isfinite(value) else ""
+        return str(value).lower() if isinstance(value, bool) else cell(one_line(str(value)))
 
-def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
-    """Texts of an entry: duration, activity, distance, floors, place."""
-    what, floor = entry.mode or KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
-    far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
-    place = "  ".join(filter(None, [_place_text(entry), "(corrected)" if entry.corrected else ""]))
-    return duration_text(entry.duration), what, far, floor, place
-
-
-def _place_text(entry: TimelineEntry) -> str:
-    """The name, or names with probabilities; coordinates for a place without a name."""
-    if entry.place:
-        return one_line(entry.place)
-    if entry.facing:
-        (name, probability), *others = entry.facing
-        # most other names: alternative names of a place in the printed table; the CSV has all
-        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:2])
-        return f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
-    if np.isfinite(entry.latitude):
-        return f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
-    return f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m" if np.isfinite(entry.x) else ""
+    rows = [",".join(text(name, record[name]) for name in names) for record in records]
+    return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def duration_text(seconds: float) -> str:

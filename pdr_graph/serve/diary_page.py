@@ -138,8 +138,8 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
         if wanted is None:
             raise InputError(store, "", "no day", "lifelog build, and more than one position a day")
         middle, most = wanted.first.toordinal(), date.max.toordinal()
-        around = [date.fromordinal(min(max(middle + n, 1), most)).isoformat() for n in (-DAYS_AROUND, DAYS_AROUND)]
-        days = {day.date: day for day in diary(log, person, *around).days}
+        first, last = (date.fromordinal(min(max(middle + n, 1), most)).isoformat() for n in (-DAYS_AROUND, DAYS_AROUND))
+        days = {day.date: day for day in diary(log, person, first, last).days}
     if on not in days:
         raise InputError("date", "", on, "a recorded day")
     return days[on], sorted(days), people

@@ -11,8 +11,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from pdr_graph.frames import enu
-from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay, rows_of
 from pdr_graph.lifelog.store import Store
 from pdr_graph.types import Trajectory
 

@@ -1,5 +1,6 @@
 """The report of a day, in a browser without network."""
 
+from dataclasses import replace
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -9,6 +10,7 @@ from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.report import content
+from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.report.page import page
 
 ZONE = ZoneInfo("America/Santiago")
@@ -85,6 +87,18 @@ def test_a_change_of_daylight_saving_time_is_in_the_offsets():
     offsets = content(overview_of(day(late)), ZONE, [], [])["offsets"]
     assert [by for _, by in offsets] == [-3 * HOUR, -4 * HOUR]
     assert offsets[1][0] == change
+
+
+def test_a_place_without_a_track_has_a_map_of_its_own():
+    """A stay that the person states, far from all recordings."""
+    shown = overview_of(made())
+    [own] = shown.diaries
+    there = TimelineEntry(STAY, LATE + 2 * HOUR, LATE + 3 * HOUR, latitude=-25.0, longitude=-71.0, sigma=15.0)
+    shown = replace(shown, diaries=(replace(own, visits=(*own.visits, there)),))
+    made_content = content(shown, ZONE, [], [])
+    on = [{number for number, _ in part["on"]} for part in made_content["marks"]]
+    assert {0} in on, "the map with the most time"
+    assert all(0 not in {number for number, _ in line["on"]} for line in made_content["tracks"])
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from made_days import outing
 
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
 from pdr_graph.lifelog.diary import diary
 from pdr_graph.lifelog.facts import ALWAYS, NAME, Correction
 from pdr_graph.lifelog.ingest import add

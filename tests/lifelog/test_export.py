@@ -20,8 +20,7 @@ from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store

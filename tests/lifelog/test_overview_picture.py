@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 from pdr_graph.cli import app
 from pdr_graph.errors import InputError
+from pdr_graph.geometry import length_along
 from pdr_graph.lifelog import maps
-from pdr_graph.lifelog.day import STANDING, WALKING
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.lifelog.local_time import period_of
 from pdr_graph.lifelog.maps import MercatorFrame, check_template, panels, tiles
 from pdr_graph.lifelog.picture import offset_text, picture
@@ -93,6 +93,18 @@ def test_all_places_are_on_their_map(log):
     for region in panels(chosen_from(log, "Ada", month="2024-05")):
         at = np.array([dot.position for dot in region.dots])
         assert ((at > region.corners[0]) & (at < region.corners[1])).all()
+
+
+def test_the_tracks_of_a_month_are_as_long_as_its_rides_and_walks(log):
+    """Simplified to 10 m, by kind."""
+    month = chosen_from(log, "Ada", month="2024-05")
+    drawn = [part for panel in panels(month) for part in panel.drawn]
+    for kind, far in (
+        (VEHICLE, sum(day.totals.ridden for day in month.days)),
+        (WALKING, sum(day.totals.walked for day in month.days)),
+    ):
+        lengths = [length_along(part.track.position)[-1] for part in drawn if part.kind == kind]
+        assert sum(lengths) == pytest.approx(far, rel=0.02)
 
 
 def test_a_map_has_a_scale_bar_of_its_label_and_an_arrow_to_the_north(log):

@@ -8,14 +8,16 @@ from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, turn_by_field
+from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, restart_closures, turn_by_field
 from pdr_graph.priors import MOTION
 from pdr_graph.types import Beacons
 
 
 def smoothed(parts, fixes=None):
     one = join(parts)
-    return smooth(WalkGraph(one.steps, one.fixes if fixes is None else fixes, closures=one.closures)).trajectory
+    return smooth(
+        WalkGraph(one.steps, one.fixes if fixes is None else fixes, closures=restart_closures(parts))
+    ).trajectory
 
 
 def errors_of_the_second(parts, track):
@@ -83,7 +85,7 @@ def test_the_closure_is_rejected_if_the_walker_walked_on(seed):
 def test_a_long_gap_is_no_closure():
     (one, _), (two, _) = cut_in_two(60, 1, LONGEST_RESTART + 1)
     both = join([one, two])
-    assert len(both.closures) == 0
+    assert len(restart_closures([one, two])) == 0
     gap = both.steps.is_gap
     assert both.steps.sigma_length[gap] == pytest.approx([LONGEST_RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
 

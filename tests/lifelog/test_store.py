@@ -19,8 +19,7 @@ from pdr_graph import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.day import Day, rows_of
 from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.recovery import DataLossWarning
