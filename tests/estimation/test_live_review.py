@@ -11,8 +11,9 @@ from walks import drawn_beside_beacons, drawn_with_a_receiver
 from pdr_graph import smooth
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
-from pdr_graph.estimation.ambiguity.review import Excess, Findings, Question
+from pdr_graph.estimation.ambiguity.review import Findings, Question
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.finalization import Excess
 from pdr_graph.priors import DOUBTS
 from pdr_graph.storage import decode, encode
 

@@ -8,9 +8,9 @@ import shapely
 from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan
+from pdr_graph.estimation.live.live_ambiguity import move_to, try_path
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.particles import AlternativePath
-from pdr_graph.estimation.live.path_trial import TrialQuestion, move_to
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
@@ -51,7 +51,7 @@ def along(graph, y):
 def trial(live, graph, y, decisions=None):
     """The trial of a path along an aisle, beside a graph."""
     alternative = along(graph, y)
-    return TrialQuestion(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds).answer()
+    return try_path(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds)
 
 
 def test_the_other_aisle_costs_more(walking):
@@ -66,8 +66,7 @@ def test_a_path_that_has_left_the_window_is_no_alternative(walking):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(walking.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    question = TrialQuestion(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds)
-    assert not question.answer().accepted
+    assert not try_path(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds).accepted
 
 
 def test_out_of_the_shops_the_aisle_is_found(walking):

@@ -24,9 +24,10 @@ from pdr_graph.estimation.factors.protocols import decisions_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.batch_start import modes_at_end
+from pdr_graph.estimation.live.finalization import Excess
+from pdr_graph.estimation.live.live_output import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
-from pdr_graph.estimation.live.step_buffer import later_steps
+from pdr_graph.estimation.live.window import later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
@@ -34,7 +35,6 @@ from pdr_graph.geometry import (
     ANY_HEADING,
     differences,
     horizontal_sigma,
-    interpolate,
     nearest,
     pose_rotation,
     rotation,
@@ -44,23 +44,6 @@ from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
 LEAST = 1e-9  # probability of the solutions together
-
-
-@dataclass(frozen=True)
-class Excess:
-    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes."""
-
-    time: Array
-    covariance: Array
-
-    @classmethod
-    def none(cls) -> Excess:
-        """Nothing to add."""
-        return cls(np.zeros(1), np.zeros((1, 3, 3)))
-
-    def at(self, time: Array) -> Array:
-        """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
-        return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -237,21 +220,15 @@ class Places:
         return Headings(np.array([self.time]), self.ways.mean[:1, 2], np.array([sigma]), (SOURCE,))
 
 
-@dataclass(frozen=True)
-class PlacesQuestion:
-    """A search that is due. graph: builds that of the walk so far."""
-
-    graph: Callable[[], WalkGraph]
-
-    def answer(self) -> Places:
-        """The places where the walk can be now."""
-        graph = self.graph()
-        found = localized(graph)
-        path = paths(found.optima)
-        share = probabilities(found.optima, path)
-        there = 1.0 - found.elsewhere
-        ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
-        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
+def places_on_plan(build: Callable[[], WalkGraph]) -> Places:
+    """The places where a walk can be now. build: makes the graph of the walk so far."""
+    graph = build()
+    found = localized(graph)
+    path = paths(found.optima)
+    share = probabilities(found.optima, path)
+    there = 1.0 - found.elsewhere
+    ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
+    return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
 
 
 def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.review import Excess
 from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
@@ -21,8 +20,7 @@ from pdr_graph.estimation.factors.protocols import Itemized, decisions_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.finalization import FinalizedTrajectory
-from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
+from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
     Collector,
@@ -31,8 +29,7 @@ from pdr_graph.estimation.live.measurement_log import (
     merged_decisions,
     same_decisions,
 )
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import Part, Window
+from pdr_graph.estimation.live.window import CLOSE, Interval, Part, Window
 from pdr_graph.estimation.normal_equations import NormalEquations, Solution
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence

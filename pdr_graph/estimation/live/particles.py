@@ -16,7 +16,7 @@ from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
+from pdr_graph.estimation.live.window import CLOSE, Interval
 from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasurements, ParticleFilter, Paths
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
