@@ -205,7 +205,9 @@ def lost_changes(path: Path) -> str:
     if commits:
         return f"{log}: damaged at byte {begin}: {count(commits, 'change')} after that lost"
     torn = (len(content) - WAL_HEADER.size) % frame
-    if torn not in (0, FRAME_HEADER.size) or (rest and not any(content[begin:])):  # SQLite writes a frame in two pieces
+    if torn not in (0, FRAME_HEADER.size) or (
+        rest and not any(content[-FRAME_HEADER.size :])
+    ):  # SQLite writes a frame in two pieces
         return f"{log}: cut within a change, which is lost with all after it"
     return ""
 

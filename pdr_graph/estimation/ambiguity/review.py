@@ -27,7 +27,7 @@ from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import Excess
 from pdr_graph.estimation.live.live_output import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
-from pdr_graph.estimation.live.window import later_steps
+from pdr_graph.estimation.live.window import Path, later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
@@ -68,17 +68,13 @@ class Findings:
 class Review:
     """What the bank says of the recent past of a walk.
 
-    findings, decisions: to adopt, of the best walk; time: ``(k,)`` of its keyframes [s], pose: ``(k, 3)``; begins:
-    ``(s,)`` of its calibrations [s], c: ``(s, 3)``; excess: for the covariance that is stated, by the other walks that
-    remain, none under a plan; None if that of the review before holds.
+    findings, decisions: to adopt, of the best walk; path: its keyframes; excess: for the covariance that is stated, by
+    the other walks that remain, none under a plan; None if that of the review before holds.
     """
 
     findings: Findings
     decisions: Decisions
-    time: Array
-    pose: Array
-    begins: Array
-    c: Array
+    path: Path
     excess: Excess | None
 
     def poses(self, time: Array, pose: Array) -> Array:
@@ -87,18 +83,14 @@ class Review:
         Those from before the recent past are ``pose (n, 3)``, moved rigidly with its beginning; those after its end
         with its end.
         """
-        there = poses_at(time, self.time, self.pose)
-        for beyond, edge in ((time < self.time[0], 0), (time > self.time[-1], -1)):
+        path, there = self.path, self.path.poses(time)
+        for beyond, edge in ((time < path.time[0], 0), (time > path.time[-1], -1)):
             if beyond.any():
-                (old,), new = poses_at(self.time[[edge]], time, pose), self.pose[edge]
+                (old,), new = poses_at(path.time[[edge]], time, pose), path.pose[edge]
                 turn = new[2] - old[2]
                 there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
                 there[beyond, 2] = pose[beyond, 2] + turn
         return there
-
-    def calibration(self, time: float) -> Array:
-        """(R_s, R_d, b) ``(3,)`` of the best walk at a time [s]."""
-        return self.c[max(int(np.searchsorted(self.begins, time)) - 1, 0)]
 
 
 @dataclass(frozen=True)
@@ -131,10 +123,7 @@ class Question:
         return Review(
             findings=found,
             decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
-            time=chain.time,
-            pose=best.state.poses,
-            begins=chain.time[chain.segment_first],
-            c=best.state.c,
+            path=Path(chain.time, best.state.poses, chain.time[chain.segment_first], best.state.c),
             excess=excess,
         )
 

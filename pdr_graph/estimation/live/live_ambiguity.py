@@ -42,8 +42,8 @@ from pdr_graph.estimation.live.live_output import (
     predict,
 )
 from pdr_graph.estimation.live.measurement_log import Decisions, numbered
-from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
-from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Window
+from pdr_graph.estimation.live.particles import ParallelParticleFilter
+from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Path
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
@@ -108,15 +108,12 @@ class Deferred(Generic[Result]):
 class BatchSolution:
     """The most probable walk so far.
 
-    time: ``(m + 1,)`` start and ends of the pieces [s]; pose: ``(m + 1, 3)`` there; segment_start: ``(s,)`` [s]; c:
-    ``(s, 3)``; decisions: about measurements, by kind; sure: no other path is likely, and the direction is certain;
-    modes: all paths that remain, at the end; directed: each has a direction; headings: numbers of those that it used.
+    path: at its start and the ends of its pieces; decisions: about measurements, by kind; sure: no other path is
+    likely, and the direction is certain; modes: all paths that remain, at the end; directed: each has a direction;
+    headings: numbers of those that it used.
     """
 
-    time: Array
-    pose: Array
-    segment_start: Array
-    c: Array
+    path: Path
     decisions: Decisions
     sure: bool
     modes: GaussianMixture
@@ -129,21 +126,7 @@ class BatchSolution:
         if self.directed:
             return self.modes
         sigma = float(horizontal_sigma(self.modes.covariance[0]))
-        return in_any_direction(self.modes, Position(float(self.time[-1]), self.pose[-1, :2], sigma, 1.0))
-
-    @property
-    def alternative(self) -> tuple[AlternativePath, Decisions]:
-        """The walk as a path to try, with the last calibration, and the decisions on it."""
-        c = np.tile(self.c[-1], (len(self.time), 1))
-        return AlternativePath(self.time, np.column_stack([self.pose, c])), self.decisions
-
-    def poses(self, time: Array) -> Array:
-        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
-        return poses_at(time, self.time, self.pose)
-
-    def calibration(self, time: float) -> Array:
-        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
-        return self.c[max(int(np.searchsorted(self.segment_start, time)) - 1, 0)]
+        return in_any_direction(self.modes, Position(float(self.path.time[-1]), self.path.pose[-1, :2], sigma, 1.0))
 
 
 def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> BatchSolution:
@@ -163,11 +146,9 @@ def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> Ba
     determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
     narrow = variance[0] < (SCHEDULE.most_sigma_on_plan if walled else SCHEDULE.most_sigma) ** 2
     decided = {} if best.graph.positions.approximate else {k.name: decisions_of(k) for k in best.graph.measurements}
+    time = np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1])
     return BatchSolution(
-        time=np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1]),
-        pose=np.vstack([at.pose_i[:1], at.ends]),
-        segment_start=chain.time[chain.segment_first],
-        c=best.state.c,
+        path=Path(time, np.vstack([at.pose_i[:1], at.ends]), chain.time[chain.segment_first], best.state.c),
         decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items() if rows},
         sure=bool(certain and determined and narrow),
         modes=modes,
@@ -185,11 +166,11 @@ class Trial:
     """
 
     accepted: bool
-    path: AlternativePath
+    path: Path
     decisions: Decisions
 
 
-def try_path(graph: LiveGraph, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> Trial:
+def try_path(graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> Trial:
     """The alternative at its optimum, and whether it costs less than the present path.
 
     graph: a copy of the walk's, which is changed; alternative: returns the path, and decisions about measurements on
@@ -200,8 +181,8 @@ def try_path(graph: LiveGraph, alternative: Callable[[], tuple[AlternativePath, 
         return Trial(False, path, {})  # it has left the window: the particles are behind
     before = _optimized(graph, rounds)
     graph.decide(graph.decisions | decisions)
-    place_on(graph, path)
-    return Trial(_optimized(graph, rounds) < before - LIVE_PATHS.least_gain, _path_of(graph.window), decisions)
+    graph.place_on(path)
+    return Trial(_optimized(graph, rounds) < before - LIVE_PATHS.least_gain, graph.window.path, decisions)
 
 
 def _optimized(graph: LiveGraph, rounds: int) -> float:
@@ -209,31 +190,6 @@ def _optimized(graph: LiveGraph, rounds: int) -> float:
     price = graph.associate_walls(ALL)
     graph.solve(rounds)
     return graph.total_cost + price
-
-
-def move_to(graph: LiveGraph, path: AlternativePath) -> None:
-    """Move the window to a path, with the walls there."""
-    place_on(graph, path)
-    graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
-    graph.solve()
-
-
-def place_on(graph: LiveGraph, path: AlternativePath) -> None:
-    """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
-    window = graph.window
-    within = path.within(window.times)
-    window.pose[within] = path.poses(np.array(window.times)[within])
-    window.dead_reckon(int(within[-1]), path.state[-1, 3:])
-    for interval in window.intervals:
-        if interval.begin >= path.time[0] - CLOSE:
-            window.c[interval.segment] = path.calibration(interval.end)
-    graph.moved()
-
-
-def _path_of(window: Window) -> AlternativePath:
-    """The estimate of a window, with the calibration of the interval before each keyframe."""
-    c = np.array([window.c[interval.segment] for interval in (window.intervals[0], *window.intervals)])
-    return AlternativePath(np.array(window.times), np.column_stack([window.pose, c]))
 
 
 class LiveAmbiguity:
@@ -311,22 +267,17 @@ class LiveAmbiguity:
         if self._restarting:
             graph.c_prior, self._restarting = self._first_calibration(self._carried), False
         graph.decisions = graph.decisions | solution.decisions
-        times = np.array(window.times)
-        window.pose = solution.poses(times)
-        window.dead_reckon(int(np.searchsorted(times, solution.time[-1] + CLOSE)) - 1, solution.c[-1])
-        for interval in window.intervals:
-            window.c[interval.segment] = solution.calibration(interval.end)
+        graph.place_on(solution.path)
         long = window.duration > SCHEDULE.longest_ambiguous
         output.sure, self.solved = solution.sure or (long and len(graph.log.position_times()) > 2), True
         if output.sure:
             output.modes.mixture = None
         elif solution.directed or output.modes.mixture is None:
-            output.modes.adopt(solution.ways, float(solution.time[-1]), solution.headings)
+            output.modes.adopt(solution.ways, float(solution.path.time[-1]), solution.headings)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
         self.next_comparison = -np.inf if output.sure else self.next_comparison
-        graph.moved()
         graph.associate_walls(ALL)  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
         graph.solve(SCHEDULE.rounds)
@@ -487,9 +438,14 @@ class LiveAmbiguity:
     def ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""
         question = self.batch_question()
-        self._try(lambda: question().alternative, SCHEDULE.batch_rounds)
 
-    def _try(self, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> None:
+        def alternative() -> tuple[Path, Decisions]:
+            solution = question()
+            return solution.path.uniform, solution.decisions
+
+        self._try(alternative, SCHEDULE.batch_rounds)
+
+    def _try(self, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> None:
         """Compare an alternative with the present path on a copy, and adopt the better one later."""
         if not self.graph.window.intervals:
             return  # a single keyframe has no other path: the lag is shorter than the time between fixes
@@ -506,7 +462,7 @@ class LiveAmbiguity:
         if trial.accepted and len(trial.path.within(graph.window.times)):
             self.alternatives_accepted += 1
             graph.decide(graph.decisions | trial.decisions)
-            move_to(graph, trial.path)
+            graph.move_to(trial.path)
 
     # The modes that remain, and the place on a plan
 
@@ -589,7 +545,7 @@ class LiveAmbiguity:
         graph.c_prior = self._first_calibration(carried=True)
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
-            window.c[interval.segment] = review.calibration(interval.end)
+            window.c[interval.segment] = review.path.calibration(interval.end)
         graph.restart(graph.lag)
         graph.solve(SCHEDULE.rounds)
 

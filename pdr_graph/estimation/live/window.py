@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State, poses_at
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.preintegration import (
     DECIMALS,
@@ -62,6 +62,34 @@ class Interval:
     def end(self) -> float:
         """Time of the last keyframe. [s]"""
         return float(self.pieces.keyframe_time[1])
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path of the walk: pose ``(k, 3)`` at time ``(k,)`` [s]; c ``(s, 3)``: calibrations from ``begin (s,)`` on."""
+
+    time: Array
+    pose: Array
+    begin: Array
+    c: Array
+
+    def within(self, time: Sequence[float]) -> Index:
+        """Indices of the times [s], ascending, that it covers."""
+        begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
+        return np.arange(begin, end)
+
+    def poses(self, time: Array) -> Array:
+        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
+        return poses_at(time, self.time, self.pose)
+
+    def calibration(self, time: float) -> Array:
+        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
+        return self.c[max(int(np.searchsorted(self.begin, time)) - 1, 0)]
+
+    @property
+    def uniform(self) -> Path:
+        """The path with its last calibration everywhere, which is the best informed."""
+        return replace(self, begin=self.time[:1], c=self.c[-1:])
 
 
 class StepBuffer:
@@ -310,10 +338,24 @@ class Window:
             changed |= any(a is not b for a, b in zip(before, interval.fields, strict=True))
         return walls.price, changed
 
-    def dead_reckon(self, after: int, c: Array) -> None:
-        """Dead-reckon the keyframes after the n-th, ``after``, with calibration ``c (3,)``."""
-        for n in range(after + 1, len(self.times)):
-            self.pose[n] = self._pose_after(self.pose[n - 1], self.intervals[n - 1], c)
+    @property
+    def path(self) -> Path:
+        """The estimate as a path."""
+        segment = np.array([interval.segment for interval in self.intervals])
+        first = np.flatnonzero(np.diff(segment, prepend=-1))
+        time = np.array(self.times)
+        return Path(time, self.pose.copy(), time[first], np.array([self.c[n] for n in segment[first].tolist()]))
+
+    def place_on(self, path: Path) -> None:
+        """Move the estimate to a path; keyframes after its end are dead-reckoned."""
+        within = path.within(self.times)
+        self.pose = self.pose.copy()
+        self.pose[within] = path.poses(np.array(self.times)[within])
+        for n in range(int(within[-1]) + 1, len(self.times)):
+            self.pose[n] = self._pose_after(self.pose[n - 1], self.intervals[n - 1], path.c[-1])
+        for interval in self.intervals:
+            if interval.begin >= path.time[0] - CLOSE:
+                self.c[interval.segment] = path.calibration(interval.end)
 
     def read(self, state: State) -> None:
         """Copy poses and calibrations from a state of all keyframes."""
