@@ -29,8 +29,8 @@ from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.start import first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.live.finalization import MarginalFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.marginal import MarginalFactor
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle

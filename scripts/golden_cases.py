@@ -160,8 +160,6 @@ def _replays(simulated: list[Recording], real: list[Recording]) -> Iterator[Case
 
 
 def _journals(simulated: list[Recording], real: list[Recording]) -> Iterator[Case]:
-    # No campus: resumed after half of the walk it differs by 2.4 m. `DistanceField.approximate` takes places for open
-    # that the process has not computed yet, and the journal does not keep which these are
     for walk in (*simulated, *real):
         if walk.name in ("arcade", "two_floors", "ipin2023-Trial24_repetition03"):
             yield Case(f"journal/{walk.name}", killed_and_resumed(f"replay {walk.inputs}"))

@@ -25,7 +25,7 @@ LIMITS = {"timeout", "timeout_seconds"}
 # File and call: what limits it
 LIMITED = {
     (
-        "estimation/live/deferred.py",
+        "estimation/live/live_ambiguity.py",
         "self._future.result()",
     ): "a computation of this process; serve replaces an estimating process after LONGEST_SILENCE",
     ("cli/terminal.py", "SILENT.get()"): "no wait: a variable of this context",

@@ -20,8 +20,8 @@ from pdr_graph.estimation.factors import kind_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_floors import LiveFloors
+from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.estimation.results import verdict
@@ -109,7 +109,7 @@ class Navigator:
             common_frame = common_frame or Frame.from_description(radio_map.frame)
             if (expected := common_frame.describe()) != radio_map.frame:
                 raise ValueError(f"Navigator, radio_map: found the frame {radio_map.frame}, expected {expected}")
-            from pdr_graph.estimation.live.scan_collector import ScanCollector  # imports scipy.optimize, slowly
+            from pdr_graph.estimation.fingerprinting import ScanCollector  # imports scipy.optimize, slowly
 
             self._graph.graph.collectors.append(ScanCollector(radio_map, self._use_radio_fixes))
         if common_frame is not None:

@@ -25,7 +25,7 @@ PLATFORMS = ("ios", "android")
 
 @dataclass
 class Intake:
-    """What is known of a session after some messages; encodable.
+    """What is known of a session after some messages.
 
     protocol; platform: "ios" or "android" if the user stated it; origin: Unix time of time 0 of the events [s], NaN
     before the first; latest: time of the last inertial sample [s]; held: rows that wait, by sensor, times in seconds

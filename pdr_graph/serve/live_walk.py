@@ -113,7 +113,7 @@ class LiveWalk:
         self._queue = Queue(session.protocol == SENSOR_LOGGER)
         self._read_until, self._used, self._opened = len(MAGIC), 0, time.time()
         self._last_received, self._clock_error = -np.inf, 0.0  # [s]
-        self._refused, self._damaged = 0, 0
+        self._refused, self._damaged, self._unfinished = 0, 0, 0
         self._navigator: Navigator | None = None  # from the first event on
         self._finalised = list[Trajectory]()
         self.look()
@@ -124,6 +124,7 @@ class LiveWalk:
             self._read_until = entry.end
             self._damaged += entry.skipped
             self._queue.add(entry)
+        self._unfinished = (self.folder / LOG).stat().st_size - self._read_until
 
     @property
     def due(self) -> float:
@@ -189,8 +190,8 @@ class LiveWalk:
             yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"
         if self._refused:
             yield f"{count(self._refused, 'message')} could not be used"
-        if self._damaged:
-            yield f"{count(self._damaged, 'byte')} of {LOG} are damaged: the messages in them are lost"
+        if damaged := self._damaged + self._unfinished:
+            yield f"{count(damaged, 'byte')} of {LOG} are damaged: the messages in them are lost"
 
     @property
     def _epoch(self) -> float:

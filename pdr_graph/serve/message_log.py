@@ -52,9 +52,7 @@ class MessageLog:
             if os.fstat(self._file).st_size < len(MAGIC):
                 os.ftruncate(self._file, 0)
                 _write(self._file, MAGIC)
-            entries = list(read_entries(path))
-            self.identities = {entry.identity for entry in entries}
-            self.last_received = entries[-1].received if entries else 0.0
+            self.identities = {entry.identity for entry in read_entries(path)}
             self._end = os.lseek(self._file, 0, os.SEEK_END)
         except BaseException:
             os.close(self._file)
@@ -73,7 +71,6 @@ class MessageLog:
             raise
         self._end += len(record)
         self.identities.add(identity)
-        self.last_received = received
         return True
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.marginal import marginalized
+from pdr_graph.estimation.live.finalization import marginalized
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan

@@ -11,10 +11,10 @@ from walks import drawn_beside_beacons, drawn_with_a_receiver
 from pdr_graph import smooth
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
-from pdr_graph.estimation.ambiguity.review import Excess, Findings, Question
+from pdr_graph.estimation.ambiguity.review import Findings, Question
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.finalization import Excess
 from pdr_graph.priors import DOUBTS
-from pdr_graph.storage import decode, encode
 
 STEPS = 160
 
@@ -175,15 +175,6 @@ def test_what_competes_with_an_adopted_hypothesis_stays_possible(monkeypatch, co
     else:
         assert found.memory.adopted == (receiver_off,)
         assert contradiction.amount > 0.99
-
-
-def test_a_review_is_encoded_without_loss():
-    steps, data, *_ = swapped()
-    answer = Question(partial(WalkGraph.of, steps, data), Findings(), {}, False).answer()
-    again = decode(encode(answer), type(answer))
-    assert again.findings == answer.findings
-    assert again.findings.same_decisions(answer.findings)
-    assert np.array_equal(again.excess.covariance, answer.excess.covariance)
 
 
 def test_the_past_that_is_compared_is_bounded():

@@ -8,9 +8,9 @@ import shapely
 from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan
+from pdr_graph.estimation.live.live_ambiguity import try_path
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.particles import AlternativePath
-from pdr_graph.estimation.live.path_trial import TrialQuestion, move_to
+from pdr_graph.estimation.live.window import Path
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
@@ -43,15 +43,16 @@ def walking():
 
 def along(graph, y):
     """The window's path, straight along an aisle."""
-    times, c = np.array(graph.window.times), np.tile([1.0, 1.0, 0.0], (len(graph.window.times), 1))
+    times = np.array(graph.window.times)
     place = STRIDE / PERIOD * times
-    return AlternativePath(times, np.column_stack([place, np.full(len(times), y), np.zeros(len(times)), c]))
+    pose = np.column_stack([place, np.full(len(times), y), np.zeros(len(times))])
+    return Path(times, pose, times[:1], np.array([[1.0, 1.0, 0.0]]))
 
 
 def trial(live, graph, y, decisions=None):
     """The trial of a path along an aisle, beside a graph."""
     alternative = along(graph, y)
-    return TrialQuestion(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds).answer()
+    return try_path(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds)
 
 
 def test_the_other_aisle_costs_more(walking):
@@ -66,8 +67,7 @@ def test_a_path_that_has_left_the_window_is_no_alternative(walking):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(walking.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    question = TrialQuestion(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds)
-    assert not question.answer().accepted
+    assert not try_path(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds).accepted
 
 
 def test_out_of_the_shops_the_aisle_is_found(walking):
@@ -75,12 +75,12 @@ def test_out_of_the_shops_the_aisle_is_found(walking):
     graph = walking.graph.copy()
     decided = walking.graph.decisions
     graph.decide({"fixes": decided["fixes"] | {"held": np.zeros(STEPS // EVERY, dtype=bool)}})
-    move_to(graph, along(graph, SHOP))
+    graph.move_to(along(graph, SHOP))
     assert np.abs(graph.window.pose[:, 1] - SHOP).max() < 0.1, "a control: it stays there"
     found = trial(walking, graph, RIGHT, decided)
     assert found.accepted
     graph.decide(found.decisions)
-    move_to(graph, found.path)
+    graph.move_to(found.path)
     assert np.abs(graph.window.pose[:, 1] - RIGHT).max() < 0.1
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.estimation.fingerprinting import RadioMap
-from pdr_graph.estimation.live.scan_collector import ScanCollector
+from pdr_graph.estimation.fingerprinting import RadioMap, ScanCollector
 from pdr_graph.frames import Frame
 from pdr_graph.types import Recording, Sightings, Trajectory
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pdr_graph.estimation import fingerprinting
 from pdr_graph.estimation.factors import beacon_rssi
-from pdr_graph.estimation.live import live_ambiguity, scan_collector
+from pdr_graph.estimation.live import live_ambiguity
 from pdr_graph.estimation.live.measurement_log import WAITING
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.online.event_checks import SPAN
@@ -172,9 +173,9 @@ def test_ten_thousand_beacons_in_every_scan_are_as_few_as_can_be_used():
 
 
 def test_the_names_of_transmitters_are_forgotten(monkeypatch):
-    monkeypatch.setattr(scan_collector, "MOST_RECEPTIONS", 100)
+    monkeypatch.setattr(fingerprinting, "MOST_LEVELS", 100)
     radio_map = type("Map", (), {"transmitter": ("a", "b"), "located": lambda self, scans: Fixes.none()})()
-    collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
+    collector = fingerprinting.ScanCollector(radio_map, lambda fixes: None)
     for n in range(50):
         names = (*(f"x{n}.{k}" for k in range(30)), "b")
         collector.collect(Sightings(np.full(31, float(n)), names, np.full(31, -60.0)), "wifi")
@@ -187,7 +188,7 @@ def test_the_names_of_transmitters_are_forgotten(monkeypatch):
 def test_a_scan_of_another_hour_takes_no_memory():
     """A window for each second between the scans, times the transmitters, would be 80 GB."""
     radio_map = type("Map", (), {"transmitter": ("a",), "located": lambda self, scans: Fixes.none()})()
-    collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
+    collector = fingerprinting.ScanCollector(radio_map, lambda fixes: None)
     names = tuple(f"x{n}" for n in range(100))
     collector.collect(Sightings(np.append(np.zeros(99), 1e8), names, np.full(100, -60.0)), "wifi")
     assert list(collector.due(1e8 + 10, None)) == []

@@ -22,16 +22,16 @@ from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.batch_start import modes_at_end
+from pdr_graph.estimation.live.finalization import Excess
+from pdr_graph.estimation.live.live_output import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
-from pdr_graph.estimation.live.step_buffer import later_steps
+from pdr_graph.estimation.live.window import Path, later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import (
     ANY_HEADING,
     differences,
     horizontal_sigma,
-    interpolate,
     nearest,
     pose_rotation,
     rotation,
@@ -42,23 +42,6 @@ from pdr_graph.types import Array, Contradiction, Fixes, Headings, Index, Steps
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
 LEAST = 1e-9  # probability of the solutions together
-
-
-@dataclass(frozen=True)
-class Excess:
-    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes."""
-
-    time: Array
-    covariance: Array
-
-    @classmethod
-    def none(cls) -> Excess:
-        """Nothing to add."""
-        return cls(np.zeros(1), np.zeros((1, 3, 3)))
-
-    def at(self, time: Array) -> Array:
-        """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
-        return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -83,17 +66,13 @@ class Findings:
 class Review:
     """What the bank says of the recent past of a walk.
 
-    findings, decisions: to adopt, of the best walk; time: ``(k,)`` of its keyframes [s], pose: ``(k, 3)``; begins:
-    ``(s,)`` of its calibrations [s], c: ``(s, 3)``; excess: for the covariance that is stated, by the other walks that
-    remain, none under a plan; None if that of the review before holds.
+    findings, decisions: to adopt, of the best walk; path: its keyframes; excess: for the covariance that is stated, by
+    the other walks that remain, none under a plan; None if that of the review before holds.
     """
 
     findings: Findings
     decisions: Decisions
-    time: Array
-    pose: Array
-    begins: Array
-    c: Array
+    path: Path
     excess: Excess | None
 
     def poses(self, time: Array, pose: Array) -> Array:
@@ -102,18 +81,14 @@ class Review:
         Those from before the recent past are ``pose (n, 3)``, moved rigidly with its beginning; those after its end
         with its end.
         """
-        there = poses_at(time, self.time, self.pose)
-        for beyond, edge in ((time < self.time[0], 0), (time > self.time[-1], -1)):
+        path, there = self.path, self.path.poses(time)
+        for beyond, edge in ((time < path.time[0], 0), (time > path.time[-1], -1)):
             if beyond.any():
-                (old,), new = poses_at(self.time[[edge]], time, pose), self.pose[edge]
+                (old,), new = poses_at(path.time[[edge]], time, pose), path.pose[edge]
                 turn = new[2] - old[2]
                 there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
                 there[beyond, 2] = pose[beyond, 2] + turn
         return there
-
-    def calibration(self, time: float) -> Array:
-        """(R_s, R_d, b) ``(3,)`` of the best walk at a time [s]."""
-        return self.c[max(int(np.searchsorted(self.begins, time)) - 1, 0)]
 
 
 @dataclass(frozen=True)
@@ -146,10 +121,7 @@ class Question:
         return Review(
             findings=found,
             decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
-            time=chain.time,
-            pose=best.state.poses,
-            begins=chain.time[chain.segment_first],
-            c=best.state.c,
+            path=Path(chain.time, best.state.poses, chain.time[chain.segment_first], best.state.c),
             excess=excess,
         )
 
@@ -235,21 +207,15 @@ class Places:
         return Headings(np.array([self.time]), self.ways.mean[:1, 2], np.array([sigma]), (SOURCE,))
 
 
-@dataclass(frozen=True)
-class PlacesQuestion:
-    """A search that is due. graph: builds that of the walk so far."""
-
-    graph: Callable[[], WalkGraph]
-
-    def answer(self) -> Places:
-        """The places where the walk can be now."""
-        graph = self.graph()
-        found = localized(graph)
-        path = paths(found.optima)
-        share = probabilities(found.optima, path)
-        there = 1.0 - found.elsewhere
-        ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
-        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
+def places_on_plan(build: Callable[[], WalkGraph]) -> Places:
+    """The places where a walk can be now. build: makes the graph of the walk so far."""
+    graph = build()
+    found = localized(graph)
+    path = paths(found.optima)
+    share = probabilities(found.optima, path)
+    there = 1.0 - found.elsewhere
+    ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
+    return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
 
 
 def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:

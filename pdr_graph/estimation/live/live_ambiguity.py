@@ -9,33 +9,186 @@ the same however it was computed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.ambiguity.review import (
     Findings,
     History,
     Places,
-    PlacesQuestion,
     Review,
+    places_on_plan,
 )
 from pdr_graph.estimation.factors import kind_of_type, made_from
-from pdr_graph.estimation.factors.base import Gated, poses_at
+from pdr_graph.estimation.factors.base import Gated, decisions_of, poses_at
 from pdr_graph.estimation.factors.fixes import sourced
-from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
-from pdr_graph.estimation.live.deferred import Deferred
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.initialization import sigma_direction
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_graph import LiveGraph
-from pdr_graph.estimation.live.live_output import LiveOutput
-from pdr_graph.estimation.live.measurement_log import Decisions
-from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
-from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
-from pdr_graph.estimation.live.prediction import beyond_gate, predict
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import ALL
+from pdr_graph.estimation.live.live_output import (
+    LiveOutput,
+    Position,
+    beyond_gate,
+    in_any_direction,
+    modes_at_end,
+    predict,
+)
+from pdr_graph.estimation.live.measurement_log import Decisions, numbered
+from pdr_graph.estimation.live.particles import ParallelParticleFilter
+from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Path
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, pose_costs
-from pdr_graph.priors import SCHEDULE
+from pdr_graph.geometry import horizontal_sigma
+from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask
+
+Result = TypeVar("Result")
+
+
+class Deferred(Generic[Result]):
+    """A question whose answer is used at a fixed later time of the walk; at most one at a time.
+
+    So no push waits for it, and the walk is the same whether it was computed in an idle moment, by another thread, or
+    only when it was due. due: time of the walk [s] from which the answer is used; executor: computes the answers; by
+    default `work` does, or `collect` when the answer is due.
+    """
+
+    def __init__(self, executor: Executor | None = None) -> None:
+        self.executor, self.due = executor, np.inf
+        self._future: Future[Result] | None = None
+        self._question: Callable[[], Result] | None = None  # that no executor computes
+
+    @property
+    def idle(self) -> bool:
+        """True if there is no question."""
+        return self._future is None
+
+    def ask(self, question: Callable[[], Result], due: float) -> None:
+        """Ask a question about data that do not change any more, whose answer is used from ``due`` [s] on.
+
+        An open question is dropped.
+        """
+        self.cancel()
+        self.due = due
+        if self.executor is None:
+            self._future, self._question = Future(), question
+        else:
+            self._future = self.executor.submit(question)
+
+    def work(self) -> None:
+        """Compute the answer now, if no executor does."""
+        if self._future is not None and self._question is not None:
+            self._future.set_result(self._question())
+            self._question = None
+
+    def collect(self, now: float) -> Result | None:
+        """The answer if it is due at ``now`` [s], once; else None."""
+        if self._future is None or now < self.due:
+            return None
+        self.work()
+        answer = self._future.result()
+        self.cancel()
+        return answer
+
+    def cancel(self) -> None:
+        """Drop the question and its answer."""
+        if self._future is not None:
+            self._future.cancel()
+        self._future, self._question, self.due = None, None, np.inf
+
+
+@dataclass(frozen=True)
+class BatchSolution:
+    """The most probable walk so far.
+
+    path: at its start and the ends of its pieces; decisions: about measurements, by kind; sure: no other path is
+    likely, and the direction is certain; modes: all paths that remain, at the end; directed: each has a direction;
+    headings: numbers of those that it used.
+    """
+
+    path: Path
+    decisions: Decisions
+    sure: bool
+    modes: GaussianMixture
+    directed: bool
+    headings: Index
+
+    @property
+    def ways(self) -> GaussianMixture:
+        """The paths that remain; in all directions at the end of the walk if they have none."""
+        if self.directed:
+            return self.modes
+        sigma = float(horizontal_sigma(self.modes.covariance[0]))
+        return in_any_direction(self.modes, Position(float(self.path.time[-1]), self.path.pose[-1, :2], sigma, 1.0))
+
+
+def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> BatchSolution:
+    """The most probable walk, with a test whether it is certain, and the other ways that remain.
+
+    build: makes the graph of the window; numbers: permanent numbers of its rows, by kind.
+    """
+    graph = build()
+    optima = solutions(graph)
+    best, path = optima[0], paths(optima)
+    walled, at, chain = best.graph.walled, best.at, best.at.chain
+    probability = probabilities(optima, path)
+    modes = modes_at_end(optima, probability)
+    variance = modes.covariance[:, 2, 2]
+    certain = float(probability[path == 0].sum()) > REPORTS.sure
+    long = graph.steps.end - graph.steps.start > SCHEDULE.least_duration
+    determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
+    narrow = variance[0] < (SCHEDULE.most_sigma_on_plan if walled else SCHEDULE.most_sigma) ** 2
+    decided = {} if best.graph.positions.approximate else {k.name: decisions_of(k) for k in best.graph.measurements}
+    time = np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1])
+    return BatchSolution(
+        path=Path(time, np.vstack([at.pose_i[:1], at.ends]), chain.time[chain.segment_first], best.state.c),
+        decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items() if rows},
+        sure=bool(certain and determined and narrow),
+        modes=modes,
+        directed=bool((variance < INITIAL.ambiguous**2).all()),
+        headings=numbers.get("headings", np.empty(0, dtype=np.intp)),
+    )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A compared alternative.
+
+    accepted: it clearly costs less than the path that was present; path: at its optimum; decisions: about
+    measurements, on it.
+    """
+
+    accepted: bool
+    path: Path
+    decisions: Decisions
+
+
+def try_path(graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> Trial:
+    """The alternative at its optimum, and whether it costs less than the present path.
+
+    graph: a copy of the walk's, which is changed; alternative: returns the path, and decisions about measurements on
+    it; rounds: most steps of the search.
+    """
+    path, decisions = alternative()
+    if not len(path.within(graph.window.times)):
+        return Trial(False, path, {})  # it has left the window: the particles are behind
+    before = _optimized(graph, rounds)
+    graph.decide(graph.decisions | decisions)
+    graph.place_on(path)
+    return Trial(_optimized(graph, rounds) < before - LIVE_PATHS.least_gain, graph.window.path, decisions)
+
+
+def _optimized(graph: LiveGraph, rounds: int) -> float:
+    """The cost of the path at its optimum, with the price of the regions that it leads through."""
+    price = graph.associate_walls(ALL)
+    graph.solve(rounds)
+    return graph.total_cost + price
 
 
 class LiveAmbiguity:
@@ -101,11 +254,11 @@ class LiveAmbiguity:
             not np.isin(numbers[kind], self._asked.get(kind, ())).all() for kind in kinds
         )
 
-    def batch_question(self) -> BatchQuestion:
-        """The batch of the window."""
+    def batch_question(self) -> Callable[[], BatchSolution]:
+        """The question for the batch of the window."""
         graph = self.graph
         c = self._first_calibration(self._carried)[0] if self._restarting else None
-        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
+        return partial(solve_batch, graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
 
     def adopt_batch(self, solution: BatchSolution) -> None:
         """Restart from a solution of the batch."""
@@ -113,19 +266,17 @@ class LiveAmbiguity:
         if self._restarting:
             graph.c_prior, self._restarting = self._first_calibration(self._carried), False
         graph.decisions = graph.decisions | solution.decisions
-        times = np.array(window.times)
-        window.pose = solution.poses(times)
-        window.dead_reckon(int(np.searchsorted(times, solution.time[-1] + CLOSE)) - 1, solution.c[-1])
-        for interval in window.intervals:
-            window.c[interval.segment] = solution.calibration(interval.end)
+        graph.place_on(solution.path)
         long = window.duration > SCHEDULE.longest_ambiguous
         output.sure, self.solved = solution.sure or (long and len(graph.log.position_times()) > 2), True
-        output.modes.adopt(None if output.sure else solution)
+        if output.sure:
+            output.modes.mixture = None
+        elif solution.directed or output.modes.mixture is None:
+            output.modes.adopt(solution.ways, float(solution.path.time[-1]), solution.headings)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
         self.next_comparison = -np.inf if output.sure else self.next_comparison
-        graph.moved()
         graph.associate_walls(ALL)  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
         graph.solve(SCHEDULE.rounds)
@@ -285,13 +436,19 @@ class LiveAmbiguity:
 
     def ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""
-        self._try(self.batch_question().alternative, SCHEDULE.batch_rounds)
+        question = self.batch_question()
 
-    def _try(self, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> None:
+        def alternative() -> tuple[Path, Decisions]:
+            solution = question()
+            return solution.path.uniform, solution.decisions
+
+        self._try(alternative, SCHEDULE.batch_rounds)
+
+    def _try(self, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> None:
         """Compare an alternative with the present path on a copy, and adopt the better one later."""
         if not self.graph.window.intervals:
             return  # a single keyframe has no other path: the lag is shorter than the time between fixes
-        question = TrialQuestion(self.graph.copy(), alternative, rounds)
+        question = partial(try_path, self.graph.copy(), alternative, rounds)
         self.trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
 
     def adopt_alternative(self) -> None:
@@ -304,7 +461,7 @@ class LiveAmbiguity:
         if trial.accepted and len(trial.path.within(graph.window.times)):
             self.alternatives_accepted += 1
             graph.decide(graph.decisions | trial.decisions)
-            move_to(graph, trial.path)
+            graph.move_to(trial.path)
 
     # The modes that remain, and the place on a plan
 
@@ -345,7 +502,7 @@ class LiveAmbiguity:
         if np.isfinite(graph.leaving_after):
             graph.restart(np.inf)  # no keyframe leaves the window before the walk is placed
         if self.place.idle and walked > SCHEDULE.search_after and now >= self.next_search:
-            self.place.ask(PlacesQuestion(graph.batch_graph()), now + SCHEDULE.search_time)
+            self.place.ask(partial(places_on_plan, graph.batch_graph()), now + SCHEDULE.search_time)
             self.next_search = now + SCHEDULE.search_delay(walked)
 
     # What the sources get wrong
@@ -362,7 +519,7 @@ class LiveAmbiguity:
             walled = self.graph.window.located_plan is not None
             known = self.findings if before is None else before
             question = self.history.question(now, self.graph.prior, known, self.graph.decisions, walled)
-            self.sources.ask(question, now + waiting)
+            self.sources.ask(question.answer, now + waiting)
         review = self.sources.collect(now)
         if review is not None:
             self._adopt_review(review)
@@ -387,7 +544,7 @@ class LiveAmbiguity:
         graph.c_prior = self._first_calibration(carried=True)
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
-            window.c[interval.segment] = review.calibration(interval.end)
+            window.c[interval.segment] = review.path.calibration(interval.end)
         graph.restart(graph.lag)
         graph.solve(SCHEDULE.rounds)
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.review import Excess
 from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
@@ -21,8 +20,7 @@ from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_h
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations, Solution
-from pdr_graph.estimation.live.finalization import FinalizedTrajectory
-from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
+from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
     Collector,
@@ -31,8 +29,7 @@ from pdr_graph.estimation.live.measurement_log import (
     merged_decisions,
     same_decisions,
 )
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import Part, Window
+from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Part, Path, Window
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation
@@ -93,7 +90,7 @@ class LiveGraph:
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
         self._priors: Priors = frozenset()  # of these variables, those that hold
         self._factors: WindowFactors | None = None
-        self._outdated, self._version = False, 0  # True if rows or intervals are newer than `_factors`
+        self._version = 0  # of the rows that `_factors` has
         self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
         self._equations = list[NormalEquations]()
         self._search: Descent | None = None
@@ -105,7 +102,7 @@ class LiveGraph:
         """Set the first keyframe, at the start of the steps."""
         self.window.begin()
         self.finalized.edge = self.window.times[0], self.finalized.edge[1]
-        self.log.forget(self.window.times[0] - max(self.overhangs.values(), default=0.0))
+        self.log.forget(self.window.times[0] - max(self.log.overhangs.values(), default=0.0))
 
     def append(self, data: Any, number: Index | None = None) -> None:
         """Append measurements; those from before the window are dropped and counted as late."""
@@ -118,15 +115,9 @@ class LiveGraph:
         if len(times):
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()
-            self._outdated = True
         if not self.window.times:
             self.log.keep_latest()
             del self._arrivals[:-WAITING]
-
-    @property
-    def overhangs(self) -> dict[str, float]:
-        """Time [s] by which measurements may lie outside the steps, by kind."""
-        return self.log.overhangs
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads, see `StepBuffer`."""
@@ -159,7 +150,7 @@ class LiveGraph:
                 window.split(time)
         if reached:
             self._arrivals = [time for time in self._arrivals if not (time <= covered + CLOSE or at_end)]
-        self._outdated |= bool(new or reached)
+        self._factors = None if new or reached else self._factors
         self.log.version += bool(reached)
         return new, bool(reached)
 
@@ -174,8 +165,8 @@ class LiveGraph:
     @property
     def factors(self) -> WindowFactors:
         """All factors of the window, with its present estimate."""
-        if self._factors is None or self._outdated or self._version != self.log.version:
-            self._factors, self._outdated, self._version = self._built(), False, self.log.version
+        if self._factors is None or self._version != self.log.version:
+            self._factors, self._version = self._built(), self.log.version
         return self._factors
 
     def _built(self) -> WindowFactors:
@@ -295,6 +286,17 @@ class LiveGraph:
     def moved(self) -> None:
         """Search from the window's poses, which were set by others."""
         self._search = self._factors = None
+
+    def place_on(self, path: Path) -> None:
+        """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
+        self.window.place_on(path)
+        self.moved()
+
+    def move_to(self, path: Path) -> None:
+        """Move the window to a path, with the walls there."""
+        self.place_on(path)
+        self.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
+        self.solve()
 
     def restart(self, lag: float) -> None:
         """Forget what has left the window; keyframes leave after ``lag`` [s] from now on."""

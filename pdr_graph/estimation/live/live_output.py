@@ -1,33 +1,260 @@
-"""Output of a live smoother: current pose, the walk so far with covariance, reports."""
+"""Output of a live smoother: the current pose, the ways that remain, the walk so far with covariance, reports.
+
+The current pose is predicted by extended Kalman filters from the last keyframe through later steps and fixes: one if
+the direction of the walk is certain, else one for each way that remains (`Modes`). These begin at the first fix, in all
+directions; each fix and heading corrects them, and each solution of the batch replaces them. Ways whose present
+position is inside walls count less, as long as they are there. Before the first steps, and where no steps can be
+detected, the position is that of the fixes alone (`FixesAlone`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.estimation.factors import made_from
 from pdr_graph.estimation.factors.base import Itemized
-from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.kalman import GaussianMixture
+from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
+from pdr_graph.estimation.kalman import (
+    FAR,
+    OF_POSITION,
+    GaussianMixture,
+    by_direction,
+    heading_corrected,
+    measured,
+    thinned,
+)
 from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
-from pdr_graph.estimation.live.modes import Modes, after_headings, in_walkable_area
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.prediction import (
-    Belief,
-    Position,
-    in_any_direction,
-    in_output_axes,
-    predict,
-    single_mode,
-)
-from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
+from pdr_graph.estimation.live.window import CLOSE, END, ROW, StepBuffer
+from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.priors import LIVE_PATHS
-from pdr_graph.types import Array, Calibration, Fixes, Headings, Steps, take
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import horizontal_sigma, pose_rotation
+from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
+from pdr_graph.types import Array, Calibration, Fixes, Headings, Index, Steps, take
+
+LEFT = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
+SHORTEST = 1e-6  # [s] between two times; less is rounding
+
+
+@dataclass(frozen=True)
+class Position:
+    """A fix: time [s], position ``(2,)`` [m], sigma [m]; share: of its information that is independent of others."""
+
+    time: float
+    position: Array
+    sigma: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Mean ``(6,)`` and covariance ``(6, 6)`` of (x, y, θ, R_s, R_d, b), in the output axes."""
+
+    mean: Array
+    covariance: Array
+
+
+def single_mode(mean: Array, covariance: Array) -> GaussianMixture:
+    """The mixture of one Gaussian: mean ``(6,)``, covariance ``(6, 6)`` of (x, y, θ, R_s, R_d, b)."""
+    return GaussianMixture(mean[None], covariance[None], np.zeros(1), np.zeros(1, dtype=np.intp))
+
+
+def in_output_axes(joint: Array, heading: float) -> Array:
+    """The joint covariance ``(6, 6)`` of a pose with this heading [rad], in its own axes, and a calibration."""
+    T = np.eye(6)
+    T[:3, :3] = pose_rotation(np.array([heading]))[0]
+    return T @ joint @ T.T
+
+
+def in_any_direction(at: GaussianMixture, fix: Position) -> GaussianMixture:
+    """The mixture of all directions at a first fix; ``at`` has the calibration."""
+    mean, covariance = at.mean[0].copy(), np.zeros((6, 6))
+    mean[:2] = fix.position
+    covariance[:3, :3] = np.diag(np.square([FAR, FAR, FAR]))
+    covariance[3:, 3:] = at.covariance[0, 3:, 3:]
+    return corrected(by_direction(single_mode(mean, covariance)), fix)
+
+
+def corrected(mixture: GaussianMixture, fix: Position) -> GaussianMixture:
+    """The mixture after a fix, with Huber's weight, and weight 0 beyond the gate."""
+    R = fix.sigma**2 * np.eye(2)
+    return thinned(measured(mixture, OF_POSITION, fix.position - mixture.mean[:, :2], R, fix.share)[0])
+
+
+def beyond_gate(mixture: GaussianMixture, position: Array, sigma: float) -> bool:
+    """True if a position ``(2,)`` [m] with this sigma [m] is beyond the gate of all ways."""
+    R = sigma**2 * np.eye(2)
+    return bool((measured(mixture, OF_POSITION, position - mixture.mean[:, :2], R)[1].weight == 0.0).all())
+
+
+def corrected_by_heading(mixture: GaussianMixture, turned: Array, heading: float, sigma: float) -> GaussianMixture:
+    """The mixture after a heading of a moment in the past [rad].
+
+    turned: ``(3,)`` since then, as a function of (R_s, R_d, b).
+    """
+    H = np.zeros((1, 6))
+    H[0, 2], H[0, 3:] = 1.0, -turned
+    return thinned(heading_corrected(mixture, H, heading, sigma**2))
+
+
+def predict(
+    mixture: GaussianMixture, whole: Array, start: float, begin: float, end: float, fixes: Sequence[Position]
+) -> GaussianMixture:
+    """Predict the mixture from ``begin`` to ``end`` [s] through the steps and fixes between, in order of time.
+
+    whole, start: of the steps, see `intervals`.
+    """
+    moments = np.unique([*(fix.time for fix in fixes if begin + SHORTEST < fix.time <= end), end])
+    if moments[-1] < begin + SHORTEST:
+        return mixture
+    pieces = intervals(whole, start, begin, moments)
+    mean_c = mixture.mean[mixture.best, 3:]
+    increments = preintegrate(pieces, np.tile(mean_c, (len(moments), 1)))
+    spread = increment_covariance(pieces, increments)
+    waiting = list(fixes)
+    for n, moment in enumerate(moments.tolist()):
+        last = pieces.last[n]
+        mixture = _moved(mixture, increments.delta[last], increments.by_c[last], spread[n], mean_c)
+        while waiting and waiting[0].time <= moment:
+            mixture = corrected(mixture, waiting.pop(0))
+    return mixture
+
+
+def _moved(mixture: GaussianMixture, delta: Array, by_c: Array, spread: Array, mean_c: Array) -> GaussianMixture:
+    """The mixture after a displacement ``delta (3,)`` at calibration ``mean_c (3,)``, with covariance ``spread``."""
+    R = pose_rotation(mixture.mean[:, 2])
+    of_each = delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T
+    mean = mixture.mean.copy()
+    mean[:, :3] += np.einsum("hij,hj->hi", R, of_each)
+    F = np.tile(np.eye(6), (len(mean), 1, 1))
+    F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ LEFT.T
+    F[:, :3, 3:] = R @ by_c
+    covariance = F @ mixture.covariance @ F.transpose(0, 2, 1)
+    covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
+    return replace(mixture, mean=mean, covariance=covariance)
+
+
+class Modes:
+    """Gaussians over (x, y, θ, R_s, R_d, b) with weights, at ``time`` [s]; none before the first fix.
+
+    used: numbers of the headings that corrected them.
+    """
+
+    def __init__(self) -> None:
+        self.mixture: GaussianMixture | None = None
+        self.time = np.nan
+        self.used = np.empty(0, dtype=np.intp)
+
+    def begin(self, calibration: GaussianMixture, fix: Position, start: float) -> None:
+        """Begin in all directions at a first fix; the walk starts at ``start`` [s]."""
+        self.mixture, self.time = in_any_direction(calibration, fix), max(fix.time, start)
+
+    def adopt(self, ways: GaussianMixture, time: float, used: Index) -> None:
+        """Replace the ways by those of the batch at ``time`` [s]. used: numbers of the headings that it used."""
+        self.mixture, self.time, self.used = ways, time, used
+
+    def advance(self, steps: StepBuffer, fixes: list[Position]) -> None:
+        """Follow the certain steps, with the fixes since the last update."""
+        if self.mixture is None or steps.end < self.time + SHORTEST:
+            return
+        self.mixture = predict(self.mixture, steps.whole, steps.start, self.time, steps.end, fixes)
+        self.time = steps.end
+
+    def point(self, steps: StepBuffer, headings: Headings, number: Index) -> None:
+        """Correct the ways with the headings up to now that have not been used yet; number: ``(h,)`` theirs."""
+        new = ~np.isin(number, self.used) & (headings.time <= self.time)
+        if self.mixture is not None and new.any():
+            self.mixture = after_headings(
+                self.mixture, steps.whole, steps.start, self.time, take(headings, np.flatnonzero(new))
+            )
+            self.used = np.append(self.used, number[new])
+
+
+def after_headings(
+    mixture: GaussianMixture, whole: Array, start: float, now: float, headings: Headings
+) -> GaussianMixture:
+    """The mixture at ``now`` [s] after headings of earlier moments. whole, start: of the steps, see `intervals`."""
+    rows = zip(headings.time.tolist(), headings.heading.tolist(), headings.sigma.tolist(), strict=True)
+    for time, heading, sigma in rows:
+        if time > now - SHORTEST:
+            mixture = corrected_by_heading(mixture, np.zeros(3), heading, sigma)
+            continue
+        pieces = intervals(whole, start, max(time, start), np.array([now]))
+        turned = np.append(0.0, pieces.to_end[:, -1])
+        mixture = corrected_by_heading(mixture, turned, heading, float(np.sqrt(sigma**2 + pieces.variance[:, 2].sum())))
+    return mixture
+
+
+def in_walkable_area(mixture: GaussianMixture, field: DistanceField) -> GaussianMixture:
+    """The mixture with lower weights of ways that are inside walls, by their depth there [σ]."""
+    if len(mixture) == 1:
+        return mixture
+    depth = np.maximum(0.0, -field.exact(mixture.mean[:, :2]))
+    sigma = horizontal_sigma(mixture.covariance)
+    price = np.minimum(0.5 * np.square(depth / sigma), LIVE_PATHS.wall_price)
+    return replace(mixture, log_weight=mixture.log_weight - price).take(np.arange(len(mixture)))
+
+
+def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
+    """The last pose and calibration of each solution, with its covariance in the output axes and its probability."""
+    mean, covariance = [], []
+    for optimum in optima:
+        state = optimum.state
+        last = (("x", np.array([len(state.poses) - 1])), ("c", np.array([len(state.c) - 1])))
+        joint = optimum.solution.joint(*last)[0]
+        mean.append(np.append(state.poses[-1], state.c[-1]))
+        covariance.append(in_output_axes(joint, float(state.poses[-1, 2])))
+    share = probability / probability.max()
+    mixture = GaussianMixture(np.array(mean), np.array(covariance), np.log(probability), np.arange(len(mean)))
+    return mixture.take(np.flatnonzero(share > KALMAN.hopeless))
+
+
+@dataclass(frozen=True)
+class FixesAlone:
+    """A Kalman filter of positions.
+
+    time [s], mean ``(2,)`` [m], covariance ``(2, 2)``; beyond: number of fixes in a row that were not used.
+    """
+
+    time: float
+    mean: Array
+    covariance: Array
+    beyond: int = 0
+
+    @classmethod
+    def begin(cls, time: float, position: Array, sigma: float) -> FixesAlone:
+        """Begin at the first fix [s, m]."""
+        return cls(time, position.copy(), sigma**2 * np.eye(2))
+
+    def at(self, time: float) -> Array:
+        """Covariance ``(2, 2)`` at a time [s]."""
+        return self.covariance + FIXES_ALONE.wander**2 * max(time - self.time, 0.0) * np.eye(2)
+
+    def after(self, time: float, position: Array, sigma: float) -> FixesAlone:
+        """The state after another fix; one beyond the gate is not used, but for the third in a row."""
+        if self.beyond + 1 >= FIXES_ALONE.given_up:
+            return FixesAlone.begin(time, position, sigma)
+        covariance = np.zeros((6, 6))
+        covariance[:2, :2] = self.at(time)
+        mixture = single_mode(np.append(self.mean, np.zeros(4)), covariance)
+        mixture, surprise = measured(mixture, OF_POSITION, (position - self.mean)[None], sigma**2 * np.eye(2))
+        if surprise.weight[0] == 0.0:
+            return replace(self, beyond=self.beyond + 1)
+        return FixesAlone(max(time, self.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])
+
+
+def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
+    """The state after some fixes; begins at the first."""
+    for time, position, sigma in zip(fixes.time.tolist(), fixes.position, fixes.sigma.tolist(), strict=True):
+        state = FixesAlone.begin(time, position, sigma) if state is None else state.after(time, position, sigma)
+    return state
 
 
 class LiveOutput:

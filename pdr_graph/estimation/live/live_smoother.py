@@ -6,7 +6,7 @@ is open about the walk and asked beside it (`LiveAmbiguity`), and the output (`L
 order they act.
 
 Until the direction of the walk is certain there is no estimate to linearise at: the batch solves the whole window at
-intervals (`BatchQuestion`), and no keyframe leaves the window.
+intervals (`solve_batch`), and no keyframe leaves the window.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class LiveSmoother:
         self._close(at_end=True)
         ambiguity.cancel()
         if not self.sure and graph.has_position:
-            ambiguity.adopt_batch(ambiguity.batch_question().answer())
+            ambiguity.adopt_batch(ambiguity.batch_question()())
         if graph.window.complete:
             self.final = smooth(graph.batch_graph(decided=False, but=SOURCE)())
             return

@@ -13,40 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
-from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
+from pdr_graph.estimation.live.window import Interval, Path
 from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasurements, ParticleFilter, Paths
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import differences
 from pdr_graph.priors import LIVE_PATHS, SEARCH
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array
 
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
 SEED = 0
-
-
-@dataclass(frozen=True)
-class AlternativePath:
-    """A path by particles or batch: time ``(k,)`` [s], state ``(k, 6)`` x, y, θ, R_s, R_d, b."""
-
-    time: Array
-    state: Array
-
-    def within(self, time: Sequence[float]) -> Index:
-        """Indices of the times [s], ascending, that it covers."""
-        begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
-        return np.arange(begin, end)
-
-    def poses(self, time: Array) -> Array:
-        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
-        return poses_at(time, self.time, self.state[:, :3])
-
-    def calibration(self, time: float) -> Array:
-        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
-        return self.state[min(int(np.searchsorted(self.time, time - CLOSE)), len(self.time) - 1), 3:]
 
 
 @dataclass(frozen=True)
@@ -103,7 +81,7 @@ class ParallelParticleFilter:
             self._filter.step(job.length, job.turn, job.time, job.variance, floor.distance)
         return False
 
-    def alternative_path(self, position: Array) -> AlternativePath | None:
+    def alternative_path(self, position: Array) -> Path | None:
         """The heaviest path if most particles are apart from the graph, which is at ``position (2,)`` [m]."""
         paths = self._filter.paths()
         modes = dominant_modes(paths)
@@ -117,8 +95,8 @@ class ParallelParticleFilter:
         )
         if not apart:
             return None
-        path[:, 3:] = path[-1, 3:]  # the last is the best informed
-        return AlternativePath(np.array(self.times), path)
+        time = np.array(self.times)
+        return Path(time, path[:, :3], time, path[:, 3:]).uniform
 
     def forget(self, before: float) -> None:
         """Drop keyframes from before ``before`` [s]."""
