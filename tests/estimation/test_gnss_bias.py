@@ -11,7 +11,7 @@ from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import interpolate, unit
 from pdr_graph.priors import PRICES, RECEIVERS, changed
 from pdr_graph.types import Fixes, Steps
 
@@ -178,6 +178,19 @@ def test_standing_still_is_not_frozen():
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     fixes = named(fixes_at(time, np.random.default_rng(1).normal(0, 0.2, (len(time), 2)), 3.0))
     assert WalkGraph(standing, fixes).positions.used.all()
+
+
+def test_scattered_outliers_are_no_scatter_of_the_receiver():
+    """A quarter of the fixes are 50 to 500 m off, each elsewhere: these are rejected, the others are used."""
+    steps, random = meander(150), np.random.default_rng(3)
+    time = np.arange(1.0, steps.end, 1.0)
+    place = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position) + random.normal(
+        0, 1, (len(time), 2)
+    )
+    wild = random.permutation(len(time)) < 0.27 * len(time)
+    place[wild] += random.uniform(50, 500, (wild.sum(), 1)) * unit(random.uniform(0, 2 * np.pi, wild.sum()))
+    fixes = smooth(WalkGraph(steps, named(fixes_at(time, place, 3.0)))).fixes
+    assert np.array_equal([fix.weight < 0.1 for fix in fixes], wild)
 
 
 def test_a_receiver_that_scatters_more_than_it_states_gets_a_region_as_wide_as_its_errors():

@@ -172,12 +172,13 @@ class FixFactor(Measurement):
         """The factors ``(f,)`` by which stated sigmas are too small, by the scatter of a receiver's fixes in a second.
 
         Most of a receiver's error stays the same from one second to the next, so that a larger scatter is a larger
-        error.
+        error. Only fixes of the consistent chain count: scattered outliers are no scatter of the receiver.
         """
         factor, off = np.ones(len(self)), at.state.poses[self.keyframe, :2] - self.fixes.position
         for indices in by_source(self.fixes, self.used & (self.keyframe >= 0)):
-            time, middle = self.fixes.time[indices], indices[1:-1]
-            scatter = np.hypot(*(off[middle] - (off[indices[:-2]] + off[indices[2:]]) / 2).T) / np.sqrt(1.5)
+            chain = indices[self.consistent[indices]]
+            time, middle = self.fixes.time[chain], chain[1:-1]
+            scatter = np.hypot(*(off[middle] - (off[chain[:-2]] + off[chain[2:]]) / 2).T) / np.sqrt(1.5)
             within = time[2:] - time[:-2] <= FIXES.seconds
             if within.sum() >= FIXES.fewest_scatter:
                 share = float(np.median((scatter / self.sigma[middle])[within])) / VERDICTS.fix_median

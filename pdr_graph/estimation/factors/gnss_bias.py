@@ -220,8 +220,8 @@ class GnssBias(Measurement):
             prior=True,
         )
         receivers = self.symbol_throughout, np.arange(len(o))
-        sigma = np.stack([self.throughout * self.usual] * 2 + [np.ones(len(o))], axis=1)
-        same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, sigma, self.receiver_number)
+        wide = np.stack([self.throughout * self.usual] * 2 + [np.ones(len(o))], axis=1)
+        same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, wide, self.receiver_number)
         return [begin, follow, same]
 
 
