@@ -76,7 +76,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "evaal": (5, 551),
     "floor": (10, 1233),
     "floor/formats": (20, 1936),
-    "gait": (10, 1417),
+    "gait": (10, 1385),
     "inertial": (6, 621),
     "io": (20, 1737),
     "lifelog": (53, 6299),
