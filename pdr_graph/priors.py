@@ -278,7 +278,6 @@ class CompassPriors(Table):
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
     straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(1.0, 4.0))
-    least_steps: int = number(24, "steps", "least number of steps in a stretch", still=(12, 48))
     least_certain: float = number(
         0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.35, 1.4)
     )
@@ -292,7 +291,6 @@ class LiveCompassPriors(Table):
     sampling: float = number(0.04, "s", "interval of the stored samples")
     early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations")
     evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch")
-    recent: float = number(20.0, "s", "end of a stretch that may have its heading: the window contains it")
     out_of_reach: float = number(40.0, "s", "age at which a heading has left the window: a new stretch begins")
     unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags")
     least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported")

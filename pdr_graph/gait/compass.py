@@ -1,33 +1,32 @@
-"""Absolute walking directions by the magnetometer: a few per walk with honest sigmas, or none; batch and live.
+"""Absolute walking directions by the magnetometer: a few per walk with honest sigmas, or none.
 
-All headings of a walk share most of their error (the phone's own iron, the forward axis, a plan's axis). In batch the
-shared variance is multiplied by the number of headings, so that all together weigh as much as one.
+All headings of a walk share most of their error (the phone's own iron, the forward axis, a plan's axis), and their
+number is not known in advance. The walk is divided into stretches; each gets a heading as soon as it is informative,
+and better ones replace it as the stretch grows. A heading carries only the information that it adds: if the earlier
+stretches determine the direction with variance P (which has grown by that of the turns since), and this stretch alone
+would with variance S, then the heading gets the variance v of 1/v = 1/S − 1/P. So all headings together never determine
+the present direction better than the best of them alone.
 
-Live, the number of headings is not known in advance. The walk is divided into stretches; each gets a heading as soon as
-it is informative, and better ones replace it as the stretch grows. A heading carries only the information that it adds:
-if the earlier stretches determine the direction with variance P (which has grown by that of the turns since), and this
-stretch alone would with variance S, then the heading gets the variance v of 1/v = 1/S − 1/P. So all headings together
-never determine the present direction better than the best of them alone.
+The headings of a recording are the last ones of its stretches.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
-from pdr_graph.gait.heading import Direction, Forward, forward_axis, live_forward_axis
+from pdr_graph.gait.heading import live_forward_axis
 from pdr_graph.gait.steps import GaitSignals, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
-from pdr_graph.inertial.magnetometer import MagnetometerStream, North, fit_iron, magnetic_north, measured_field
-from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MAGNETOMETER, MOTION, NORTH
-from pdr_graph.types import Array, Headings, Index, Mask, Recording
+from pdr_graph.inertial.magnetometer import LIVE_MAGNETOMETER, MagnetometerStream, magnetic_north
+from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MOTION, NORTH
+from pdr_graph.types import Array, Headings, Index, Recording
 
 
 def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, near: Array) -> Headings:
@@ -43,55 +42,17 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
     whole = recording if isinstance(recording, Recording) else recording[0].recording
     if not frame.georeferenced or None in (whole.accelerometer, whole.gyroscope, whole.magnetometer):
         return Headings.none()
-    lon, lat = frame.to_lonlat(near[None])[0].tolist()
-    earth = earth_field(lat, lon, whole.epoch)
-    found = [row for gait in gait_signals(recording) for row in _headings_of_part(gait, earth)]
-    time, from_east, north_sigma, ahead_sigma = np.array(found).reshape(-1, 4).T
-    heading = wrap_angle(from_east + frame.bearing_of_east(near))
-    return Headings(time, heading, np.sqrt(north_sigma**2 + len(time) * (ahead_sigma**2 + COMPASS.sigma**2)))
-
-
-def _headings_of_part(gait: GaitSignals, earth: EarthField) -> list[tuple[float, float, float, float]]:
-    """Rows of time [s], heading from true east, and the sigmas of north and of the forward axis [rad]."""
-    attitude, walking, step = gait.attitude, gait.walking, gait.landings.usual_step
-    north = _north(attitude, gait.recording, earth)
-    if not len(north) or len(gait.landings) < COMPASS.least_steps:
-        return []
-    rows = []
-    for stretch in _stretches(gait.direction, attitude.time):
-        part, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
-        if np.sum(here) * attitude.period < COMPASS.least_steps * step:
-            continue
-        walked = np.flatnonzero(here)
-        middle = walked[len(walked) // 4 : max(1, len(walked) - len(walked) // 4)]
-        straight = straightest(heading, middle, round(COMPASS.straight / attitude.period))
-        found = course_from_east(part, heading, here, step, north, straight)
-        if found is not None:
-            rows.append((float(part.time[straight]), *found))
-    return rows
-
-
-def course_from_east(
-    attitude: Attitude, heading: Array, walking: Mask, step: float, north: North, sample: int
-) -> tuple[float, float, float] | None:
-    """The walking direction from true east at a sample, and the sigmas of north and of the forward axis [rad].
-
-    attitude, heading, walking, step: as for `forward_axis`. None if either sigma is 0.7 rad or more.
-    """
-    ahead = forward_axis(attitude, heading, walking, step)
-    return course_along(ahead, attitude, heading, north, sample)
-
-
-def course_along(
-    ahead: Forward, attitude: Attitude, heading: Array, north: North, sample: int
-) -> tuple[float, float, float] | None:
-    """The same, for a forward axis."""
-    moment = float(attitude.time[sample])
-    sigma = float(np.interp(moment, north.time, north.sigma))
-    if not max(ahead.sigma, sigma) < COMPASS.least_certain:
-        return None
-    east = np.interp(moment, north.time, north.direction) - np.pi / 2
-    return float(wrap_angle(heading[sample] + ahead.angle - east)), sigma, ahead.sigma
+    compass, time, used = LiveCompass(reach=2 * COMPASS.longest_stretch), whole.magnetometer.time, 0
+    compass.locate(frame, near, whole.epoch)
+    of_stretch: dict[int, LiveHeading] = {}
+    for gait in gait_signals(recording):
+        for piece in gait.pieces(PIECE):
+            before, used = used, int(np.searchsorted(time, piece.attitude.time[-1], side="right")) + 1
+            compass.push(time[before:used], whole.magnetometer.values[before:used])
+            compass.update(piece)
+            of_stretch |= {found.stretch: found for found in compass.advance()}
+    rows = [(found.time, found.heading, found.sigma) for found in of_stretch.values() if np.isfinite(found.sigma)]
+    return Headings(*np.array(rows).reshape(-1, 3).T)
 
 
 def straightest(heading: Array, among: Index, reach: int) -> int:
@@ -100,29 +61,7 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
     return int(among[np.argmin(np.abs(turned))])
 
 
-def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North:
-    """True north along a part of a recording, after calibration of the magnetometer if the phone was tilted enough."""
-    assert recording.magnetometer is not None, "checked by magnetic_headings"
-    field = measured_field(recording.magnetometer, attitude.time)
-    up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])
-    measured = np.any(field, axis=1)
-    if np.linalg.norm(up.mean(axis=0)) < MAGNETOMETER.tilted and measured.any():
-        iron = fit_iron(field[measured], earth.magnitude)
-        field[measured] = iron.corrected(field[measured]) if iron.reliable else field[measured]
-    return magnetic_north(attitude, field, earth)
-
-
-def _stretches(direction: Direction, time: Array) -> list[slice]:
-    """Parts of a walk between grip changes, of equal duration up to 150 s."""
-    changing = np.diff(direction.variance, prepend=direction.variance[0]) > 0
-    stretches = []
-    for first, after in zip(*runs(~changing), strict=True):
-        count = max(1, int(np.ceil((time[after - 1] - time[first]) / COMPASS.longest_stretch)))
-        cuts = np.linspace(first, after, count + 1).round().astype(int).tolist()
-        stretches += [slice(*span) for span in pairwise(cuts)]
-    return stretches
-
-
+PIECE = 50.0  # [s] of a recording between evaluations: three for a stretch, within the magnetometer's history
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
@@ -144,11 +83,13 @@ class LiveHeading:
 class LiveCompass:
     """Headings while magnetometer samples are pushed and a `StepStream`, whose listener is `update`, advances.
 
-    walker: whose ``sigma_turn`` the graph uses for the steps. There are no headings before `locate`.
+    walker: whose ``sigma_turn`` the graph uses for the steps; reach: age at which a heading is of no more use [s]: it
+    has left the estimator's window. There are no headings before `locate`.
     """
 
-    def __init__(self, walker: Walker | None = None):
+    def __init__(self, walker: Walker | None = None, reach: float | None = None):
         self.sigma_turn = (walker or Walker()).sigma_turn
+        self.reach = LIVE_COMPASS.out_of_reach if reach is None else reach
         self.field = MagnetometerStream()
         self.stretch = 0
         self.samples = np.empty((0, SAMPLE_COLUMNS))  # of the stretch
@@ -247,7 +188,7 @@ class LiveCompass:
 
     def _evaluate_if_due(self) -> None:
         """Evaluate the stretch if it has grown enough; end it if it is long or its heading is out of reach."""
-        if len(self.samples) - self.field_count > LIVE_COMPASS.recent / self.spacing:
+        if len(self.samples) - self.field_count > LIVE_MAGNETOMETER.history / 3 / self.spacing:
             self._fill_field()
         if self._earth is not None and len(self.samples):
             walked, step = self._walked(self.samples), self._usual_step(self.durations)
@@ -255,7 +196,7 @@ class LiveCompass:
                 self._fill_field()
                 self._evaluate(self._earth, step, self.samples, self.begin, walked)
         long = len(self.samples) * self.spacing >= COMPASS.longest_stretch
-        if long or (len(self.current) and self.end - self.current[0, 0] > LIVE_COMPASS.out_of_reach):
+        if long or (len(self.current) and self.end - self.current[0, 0] > self.reach):
             self._start_stretch()
 
     @property
@@ -315,19 +256,20 @@ class LiveCompass:
 
         # The direction by this stretch alone
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
-        late = np.flatnonzero(walking)[-round(LIVE_COMPASS.recent / spacing) : -round(COMPASS.straight / spacing)]
+        late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(COMPASS.straight / spacing)]
         if not len(north) or not len(late):
             return self._retract()
         sample = straightest(heading, late, round(COMPASS.straight / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
-        found = course_along(ahead, part, heading, north, sample)
-        if found is None:
+        moment = float(time[sample])
+        north_sigma = float(np.interp(moment, north.time, north.sigma))
+        if not max(ahead.sigma, north_sigma) < COMPASS.least_certain:
             return self._retract()
-        course, north_sigma, ahead_sigma = found
-        ahead_sigma = LIVE_COMPASS.unconfirmed if ahead_sigma == FORWARD.unconfirmed else ahead_sigma
+        course = heading[sample] + ahead.angle - np.interp(moment, north.time, north.direction) + np.pi / 2
+        ahead_sigma = LIVE_COMPASS.unconfirmed if ahead.sigma == FORWARD.unconfirmed else ahead.sigma
 
         # The information that it adds to the earlier stretches
-        offset, turn_variance = course - heading[sample], float(samples[sample, TURN_VARIANCE])
+        offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, TURN_VARIANCE])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous[0] + turn_variance - self.previous[1])
@@ -335,7 +277,7 @@ class LiveCompass:
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
         if variance > LIVE_COMPASS.least_added**2:
             return self._retract()
-        moment = min(float(time[sample]), self.end)  # of certain steps
+        moment = min(moment, self.end)  # of certain steps
         self.current = np.array([[moment, 1 / (earlier + 1 / variance), turn_variance]])
         direction = float(wrap_angle(offset + np.interp(moment, time, heading) + self._east))
         self._found.append(LiveHeading(self.stretch, moment, direction, float(np.sqrt(variance))))

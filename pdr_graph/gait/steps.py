@@ -6,6 +6,7 @@ a part are attitude, landings and walking direction, before any stride model or 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,6 +137,20 @@ class GaitSignals(OneLineRepr):
 
     def _summary(self) -> list[str]:
         return [repr(self.attitude), count(len(self.landings), "landing")]
+
+    def pieces(self, duration: float) -> Iterator[GaitSignals]:
+        """Yield consecutive pieces of about so many seconds."""
+        size = max(1, round(duration / self.attitude.period))
+        course, landings, landed = self.direction, self.landings, 0
+        for first in range(0, len(self.attitude.time), size):
+            part = slice(first, first + size)
+            attitude, before = self.attitude[part], landed
+            landed = int(np.searchsorted(landings.time, attitude.time[-1], side="right"))
+            steps = Landings(
+                *(column[before:landed] for column in (landings.time, landings.period, landings.amplitude))
+            )
+            direction = Direction(course.heading[part], course.variance[part])
+            yield GaitSignals(self.recording, attitude, steps, direction)
 
     @property
     def walking(self) -> Mask:

@@ -23,8 +23,7 @@ from pdr_graph.estimation.live.finalization import marginalized
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, enu
-from pdr_graph.gait import compass
+from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog import multi_day
@@ -447,22 +446,8 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
     assert factor.residual == pytest.approx((state["q"][0] - [-62, 2.2, 3]) / [8, 0.5, 3])
 
 
-def test_headings_of_one_walk_have_a_common_error(monkeypatch):
-    """σ² = own² + n (ahead² + 0.2²), so all together weigh about as one; each residual is wrap(θ − z)."""
-    rows = [(20.0 * n, 0.3, 0.1, 0.25) for n in range(1, 6)]
-    monkeypatch.setattr(compass, "_headings_of_part", lambda gait, earth: rows)
-    monkeypatch.setattr(compass, "gait_signals", lambda recording: [None])
-
-    class Sensors:
-        accelerometer = gyroscope = magnetometer = True
-        epoch = None
-
-    monkeypatch.setattr(compass, "Recording", Sensors)
-    headings = compass.magnetic_headings(Sensors(), enu(48.0, 11.0), np.zeros(2))
-    assert headings.sigma == pytest.approx(np.full(5, np.sqrt(0.1**2 + 5 * (0.25**2 + 0.2**2))))
-    together = np.sum(headings.sigma**-2.0) ** -0.5
-    assert together == pytest.approx(np.sqrt(0.1**2 / 5 + 0.25**2 + 0.2**2))
-
+def test_a_heading_is_an_angle_to_the_walking_direction():
+    """Each residual is wrap(θ − z)."""
     graph = graph_of(wandering_walk(80), headings=Headings(np.array([9.0]), np.array([3.0]), np.array([0.4])))
     state, k = any_state(graph, 1), int(graph.headings.keyframe[0])
     (factor,) = factors_with(graph, state, "headings", ("x", k))
