@@ -67,30 +67,30 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (29, 4161),
+    ".": (28, 3903),
     "cli": (12, 985),
     "estimation": (23, 2891),
     "estimation/ambiguity": (7, 546),
     "estimation/factors": (22, 2523),
     "estimation/live": (20, 2203),
-    "evaal": (5, 551),
+    "evaal": (5, 548),
     "floor": (10, 1233),
     "floor/formats": (20, 1936),
     "gait": (14, 1694),
     "inertial": (6, 604),
     "io": (20, 1737),
-    "lifelog": (53, 6299),
+    "lifelog": (52, 6198),
     "lifelog/past": (21, 1055),
     "online": (12, 1151),
     "papers": (6, 567),
     "report": (8, 702),
-    "serve": (28, 2907),
+    "serve": (27, 2893),
     "simulation": (11, 1454),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
     "estimation.smoother": (53, 7223),
-    "online.navigator": (106, 14022),
+    "online.navigator": (106, 14019),
 }
 
 
