@@ -60,12 +60,9 @@ def is_of(path: Path, kind: Kind) -> bool:
     if not path.is_file():
         return False  # a pipe would be waited for
     try:
-        with path.open("rb") as file:
-            header = file.read(100)
+        return storage.header(path)[:2] == (kind.version, kind.application)
     except OSError:
         return False  # opening it says why
-    numbers = [int.from_bytes(header[at : at + 4], "big") for at in (60, 68)]
-    return header.startswith(b"SQLite format 3\0") and numbers == [kind.version, kind.application]
 
 
 def found_damage(path: Path, check: Check, pages: bool) -> str:

@@ -313,12 +313,10 @@ def _recognise(path: Path, kind: Kind) -> None:
     if not path.exists():
         return
     check_not_special(path, f"a {kind.name}, or a name that is not taken")
-    with path.open("rb") as file:
-        header = file.read(100)
-    if not header:
+    if not path.stat().st_size:
         return  # the process was killed before it wrote anything
-    version, application = (int.from_bytes(header[at : at + 4], "big") for at in (60, 68))
-    if not header.startswith(b"SQLite format 3\0") or application != kind.application:
+    version, application, _ = header(path)
+    if application != kind.application:
         raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")
     if version != kind.version and version not in kind.upgrades:
         remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"
@@ -327,11 +325,19 @@ def _recognise(path: Path, kind: Kind) -> None:
         raise InputError(path, "", f"a damaged {kind.name} ({path.stat().st_size} bytes)", "one of all its pages")
 
 
+def header(path: Path) -> tuple[int, int, int]:
+    """Version, application and size [bytes] in the header of a database; zeros for another file."""
+    with path.open("rb") as file:
+        content = file.read(100)
+    if not content.startswith(b"SQLite format 3\0"):
+        return 0, 0, 0
+    page, pages, version, application = struct.unpack_from(">16xH10xI28xI4xI", content.ljust(100, b"\0"))
+    return version, application, page * pages
+
+
 def is_cut(path: Path) -> bool:
     """True if a database has fewer bytes than its header says."""
-    with path.open("rb") as file:
-        header = file.read(100)
-    return path.stat().st_size < int.from_bytes(header[16:18], "big") * int.from_bytes(header[28:32], "big")  # pages
+    return path.stat().st_size < header(path)[2]
 
 
 def _make(

@@ -75,14 +75,14 @@ def ask(
         options = {"timeout": silence, "trust_env": proxies, "verify": _trusted(), "http2": False}
         fixed = {"Accept-Encoding": "identity", "Connection": "close"}
         async with asyncio.timeout(whole), httpx.AsyncClient(**options, headers=fixed) as client:
-            request: httpx.Request | None = client.build_request(method, address, content=body, headers=headers)
+            request = client.build_request(method, address, content=body, headers=headers)
             for _ in range(MOST_REDIRECTS):
                 answer = await client.send(request, stream=True)
-                request = answer.next_request
-                target = "" if request is None or body is not None else str(request.url)
-                if not target.startswith(("http://", "https://")) or not follow(target):
+                following = answer.next_request if body is None else None
+                if following is None or following.url.scheme not in ("http", "https") or not follow(str(following.url)):
                     return await _read(answer, most, out)
                 await answer.aclose()
+                request = following
         raise OSError(f"more than {MOST_REDIRECTS} redirects")
 
     try:

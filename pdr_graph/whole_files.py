@@ -1,7 +1,7 @@
 """Output files that are written as a whole or not at all, whatever ends the process or fills the disk.
 
-New files are written under another name, forced to the disk and then renamed. A lock tells a second process that the
-first still writes; the system releases it when a process ends, so that what a killed one left is removed by the next.
+New files are written under another name, forced to the disk and then renamed. A lock on the folder tells a second
+process that the first still writes; the system releases it when a process ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pdr_graph.errors import InputError, count
 
 UNFINISHED = ".unfinished"  # folder of the files of a run, in its output folder; ending of a single file
 LAST = "summary.json"  # the file that says that a folder is complete
-PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
+PRIVATE_FOLDER = 0o700
 INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -32,7 +32,9 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
     """
     made = _make(out, PRIVATE_FOLDER if private else 0o777)
     try:
-        with _locked(os.open(out, os.O_RDONLY), out):
+        handle = os.open(out, os.O_RDONLY)
+        try:
+            lock(handle, out)
             staged = out / UNFINISHED
             shutil.rmtree(staged, ignore_errors=True)  # of a process that was killed
             try:
@@ -42,6 +44,8 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
             finally:
                 with uninterrupted():
                     shutil.rmtree(staged, ignore_errors=True)
+        finally:
+            os.close(handle)
     except BaseException as error:
         for folder in made:  # innermost first; those with other files stay
             with suppress(OSError):
@@ -96,44 +100,36 @@ def _publish(staged: Path, out: Path, without: Collection[str]) -> None:
     _to_disk(out)
 
 
-def write_file(path: str | Path, content: str | bytes, private: bool = False) -> None:
+def write_file(path: str | Path, content: str | bytes, private: bool = False, durable: bool = True) -> None:
     r"""Write one output file; an earlier file of that name is replaced by the whole new one, or stays.
 
     Texts are UTF-8; bytes of a file name in them that are not UTF-8 become escapes: \udcff. private: for its owner
-    alone. Raises InputError if another process writes it; OSError of the disk.
+    alone; durable: return when the content is on the disk, so that a power cut does not lose it. Raises OSError of the
+    disk.
     """
     data = content if isinstance(content, bytes) else content.encode("utf-8", errors="backslashreplace")
     path = Path(os.path.realpath(path))  # a link is followed, not replaced
     if path.exists() and not path.is_file():
         path.write_bytes(data)  # a device or a pipe has no earlier content
         return
-    part = path.with_name(f".{path.name}{UNFINISHED}")
+    part = path.with_name(f".{path.name}.{threading.get_native_id()}{UNFINISHED}")  # of this thread alone
     try:
-        with _locked(os.open(part, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE if private else 0o666), path) as handle:
-            try:
-                if not part.exists() or os.fstat(handle).st_ino != part.stat().st_ino:
-                    raise _in_use(path)  # which has just renamed it
-                os.truncate(handle, 0)
-                with os.fdopen(handle, "wb", closefd=False) as file:
-                    file.write(data)
-                os.fsync(handle)
-                part.replace(path)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
-        _to_disk(path.parent)
+        try:
+            with os.fdopen(
+                os.open(part, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600 if private else 0o666), "wb"
+            ) as f:
+                f.write(data)
+                if durable:
+                    f.flush()
+                    os.fsync(f.fileno())
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+        if durable:
+            _to_disk(path.parent)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
-
-
-@contextmanager
-def _locked(handle: int, path: Path) -> Iterator[int]:
-    """The handle of a file or folder, locked; closed at the end. Raises InputError if another process has the lock."""
-    try:
-        lock(handle, path)
-        yield handle
-    finally:
-        os.close(handle)
 
 
 def lock(handle: int, path: Path) -> None:
@@ -141,13 +137,10 @@ def lock(handle: int, path: Path) -> None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise _in_use(path) from None
+        expected = "another name, or the end of that process"
+        raise InputError(path, "", "another process that writes to it", expected) from None
     except OSError:
         pass  # a file system without locks, as of some networks: files are whole all the same
-
-
-def _in_use(path: Path) -> InputError:
-    return InputError(path, "", "another process that writes to it", "another name, or the end of that process")
 
 
 def _to_disk(path: Path) -> None:

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.source import Source
+from pdr_graph.whole_files import UNFINISHED, write_file
 
 
 def content_hash(path: Path) -> str:
@@ -43,7 +44,7 @@ def _file_hash(path: Path) -> str:
 
 RESULT_VERSION = f"{version('pdr_graph')}, 4"  # raise the number whenever observations or days change
 OBSERVATIONS, DAYS, DIGESTS, COPIES = "observations", "days", "digests", "recordings"  # folders in STORE.d
-PARTIAL = ".part"  # suffix of a file while it is being written
+PARTIAL = ".part"  # suffix of a copy while it is being written
 Value = TypeVar("Value")
 
 
@@ -72,17 +73,7 @@ def write(path: Path, content: bytes, durable: bool = False) -> None:
     durable: return when the content is on the disk, so that a power cut does not lose it.
     """
     make_folder(path.parent)
-    handle, name = tempfile.mkstemp(PARTIAL, dir=path.parent)  # mode 0600; a name of this process alone
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            if durable:
-                file.flush()
-                os.fsync(file.fileno())
-        os.replace(name, path)
-    except OSError as error:
-        Path(name).unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from None
+    write_file(path, content, private=True, durable=durable)
 
 
 def copy(files: Mapping[str, Path], folder: Path) -> None:
@@ -109,7 +100,8 @@ def make_folder(path: Path) -> None:
 
 def names(folder: Path) -> set[str]:
     """Names of the files in a folder that are completely written; none if it does not exist."""
-    return {name for name in os.listdir(folder) if not name.endswith(PARTIAL)} if folder.is_dir() else set()
+    found = os.listdir(folder) if folder.is_dir() else ()
+    return {name for name in found if not name.endswith((PARTIAL, UNFINISHED))}
 
 
 def remove_all_but(folder: Path, names: set[str]) -> None:
