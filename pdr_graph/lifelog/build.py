@@ -23,7 +23,7 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
-from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
+from pdr_graph.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_times
 from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
 from pdr_graph.lifelog.store import ZONE, Entry, Store, StoredDay
@@ -359,7 +359,7 @@ def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) ->
 
 def _is_changed_by(entry: Entry, correction: Correction) -> bool:
     """True if a correction changes the estimate of a recording."""
-    return correction.kind in ESTIMATED and correction.person == entry.person and entry.overlaps(*correction.span)
+    return correction.kind in ESTIMATE_KINDS and correction.person == entry.person and entry.overlaps(*correction.span)
 
 
 def touched_dates(log: Store, person: str, start: float, end: float) -> list[str]:

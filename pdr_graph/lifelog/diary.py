@@ -306,12 +306,12 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
 def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
     """Sums over days of one person. length: number of days of the period."""
     every = [day.totals for day in days]
-    sums: dict[str, Any] = {name: sum(getattr(own, name) for own in every) for name in SUMMED}
+    sums: dict[str, Any] = {name: sum(getattr(own, name) for own in every) for name in SUMMED_FIELDS}
     sums["unknown"] += (length - len(days)) * DAY_LENGTH
     return Totals(days=length, **sums)
 
 
-SUMMED = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
+SUMMED_FIELDS = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
 
 
 def _sum_time(entries: Sequence[TimelineEntry], *kinds: str) -> float:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 
-HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
+TRAJECTORY_TABLE_HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
 
 
 def not_exported(days: Sequence[Day]) -> list[str]:
@@ -162,7 +162,7 @@ def as_csv(day: Day) -> bytes:
     x and y are in the frame of the outing. Latitude and longitude are empty without an absolute position; gaps have no
     rows.
     """
-    lines = [HEADER]
+    lines = [TRAJECTORY_TABLE_HEADER]
     for _, number, outing in _numbered_outings([day]):
         for track, _ in split_at_gaps(outing):
             lines += _rows(number, outing, track)
@@ -318,7 +318,7 @@ def _day_files(out: Path, file_format: str, person: str, date: str) -> list[Path
     return [out / f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
 
 
-MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
+TRACKINTEL_MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
 WGS84 = "EPSG:4326"
 EXTENT_SIGMAS = 2.0  # sigmas around the visits that belong to the extent of a location
 LEAST_EXTENT = 10.0  # [m]
@@ -407,7 +407,7 @@ def _person_rows(
     private: bool,
 ) -> PersonRows:
     stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
-    legs = tuple(row for row in rows if row.kind in MODES and _line_of(track, row) is not None)
+    legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
     return PersonRows(person, stays, legs, places, track, _located(days), private)
 
 
@@ -465,7 +465,7 @@ def _triplegs(people: Sequence[PersonRows]) -> GeoDataFrame:
     """A row per walk or ride."""
     rows = [(own, leg) for own in people for leg in own.legs]
     about = _about(rows) | {
-        "mode": [MODES[leg.kind] for _, leg in rows],
+        "mode": [TRACKINTEL_MODES[leg.kind] for _, leg in rows],
         "distance": [leg.distance for _, leg in rows],
         "observed": [leg.observed for _, leg in rows],
     }

@@ -17,7 +17,7 @@ from pdr_graph.types import OneLineRepr
 
 AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
 CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN)
-ESTIMATED = (AT, MODE, NOT_ME, FORGOTTEN)  # kinds that change the estimate; the others change only its timeline
+ESTIMATE_KINDS = (AT, MODE, NOT_ME, FORGOTTEN)  # kinds that change the estimate; the others change only its timeline
 # What a person calls a time -> the activity that the estimate assumes then
 MODES = {
     **dict.fromkeys(("bus", "car", "train", "tram", "ferry", "bicycle", "ride"), VEHICLE),

@@ -40,7 +40,7 @@ from pdr_graph.web_request import ask, same_host
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 # Chosen by hand
 MAX_TILES = 64  # of a map
-TIMEOUT, LONGEST = 10.0, 60.0  # [s] of a request; of all tiles of a map
+TIMEOUT, TILES_TIME = 10.0, 60.0  # [s] of a request; of all tiles of a map
 MAX_FAILURES = 3  # requests that may fail before no other is made
 PNG_HEAD = struct.Struct(">8s8xII")  # signature, width and height
 
@@ -116,7 +116,7 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
     low, high = corners
     (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))
     zoom = _zoom(west, north, east, south, pixels)
-    number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + LONGEST
+    number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + TILES_TIME
     for y in range(max(int(north * number), 0), min(int(south * number), number - 1) + 1):
         for x in range(int(np.floor(west * number)), int(np.floor(east * number)) + 1):
             address = _filled_in(template, zoom, x % number, y)
@@ -169,7 +169,7 @@ def _fetched(address: str) -> Array:
 
 # Chosen by hand
 NEIGHBOURS = 50_000.0  # [m] between points that share a map
-CELL = 5_000.0  # [m] to which points are rounded before they are grouped
+GROUP_CELL = 5_000.0  # [m] to which points are rounded before they are grouped
 MOST_MAPS = 3  # outdoors
 MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map
 MIN_SIZE_INDOORS, MIN_SIZE_OUTDOORS = 40.0, 150.0  # [m] of a map
@@ -323,8 +323,8 @@ def _groups(dots: Sequence[Dot], ways: Sequence[_Way]) -> list[tuple[list[Dot], 
     if not len(points):
         return []
     every = np.concatenate([points, *rows])
-    cells, cell_of = np.unique(np.round(on_sphere(every) / CELL), axis=0, return_inverse=True)
-    pairs = KDTree(cells).query_pairs(NEIGHBOURS / CELL, output_type="ndarray")
+    cells, cell_of = np.unique(np.round(on_sphere(every) / GROUP_CELL), axis=0, return_inverse=True)
+    pairs = KDTree(cells).query_pairs(NEIGHBOURS / GROUP_CELL, output_type="ndarray")
     ones = np.ones(len(pairs))
     _, group_of = connected_components(coo_array((ones, pairs.T), shape=(len(cells), len(cells))), directed=False)
     group = group_of[cell_of.ravel()[: len(points)]]

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 # Chosen by hand
 END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
 MIN_POSITIONS = 2  # positions required for an outing without steps
-BAROMETER_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
+KEPT_BAROMETER_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
 
 
 StatedActivity = tuple[float, float, str]  # start and end [s], kind
@@ -272,9 +272,9 @@ def _mean_field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
 
 def _downsampled(barometer: Signal | None) -> Signal | None:
     """Downsample a barometer to 5 Hz by averaging."""
-    if barometer is None or barometer.rate <= BAROMETER_RATE:
+    if barometer is None or barometer.rate <= KEPT_BAROMETER_RATE:
         return barometer
-    bins = np.floor(barometer.time * BAROMETER_RATE).astype(np.int64)
+    bins = np.floor(barometer.time * KEPT_BAROMETER_RATE).astype(np.int64)
     _, first, count = np.unique(bins, return_index=True, return_counts=True)
     time = np.add.reduceat(barometer.time, first) / count
     return Signal(time, np.add.reduceat(barometer.values, first, axis=0) / count[:, None])
@@ -397,7 +397,7 @@ def _observe_task(task: ObservationTask, observer: Observe | None) -> Observatio
 DELETED = "part of this recording was deleted"  # note of an observation that was cut
 AT_END = 2.0  # [s] from either end of a recording, within which its `Ends` were measured
 Span = tuple[float, float]
-TABLES = ("fixes", "headings", "barometer", "bluetooth", "wifi")  # fields with a row per time
+TIMED_TABLES = ("fixes", "headings", "barometer", "bluetooth", "wifi")  # fields with a row per time
 
 
 def without_times(observation: Observation, spans: Sequence[Span], note: str) -> Observation | None:
@@ -439,7 +439,7 @@ def _outside(time: Array, spans: Sequence[Span]) -> Mask:
 def _without_rows(part: Observation, spans: Sequence[Span]) -> Observation:
     """The observation without the rows whose time lies in a span [s]."""
     rows: dict[str, Any] = {}
-    for name in TABLES:
+    for name in TIMED_TABLES:
         table = getattr(part, name)
         rows[name] = table if table is None else select_rows(table, _outside(table.time, spans))
     steps, looks = part.steps, part.looks
@@ -534,7 +534,7 @@ def shifted(part: Observation, by: float) -> Observation:
     """The observation with `by` seconds added to all times, beginning as much earlier."""
     if not by:
         return part
-    tables = {name: getattr(part, name) for name in TABLES}
+    tables = {name: getattr(part, name) for name in TIMED_TABLES}
     moved = {name: table if table is None else replace(table, time=table.time + by) for name, table in tables.items()}
     steps = None if part.steps is None else shifted_steps(part.steps, by)
     measured = tuple(with_offset(table, by) for table in part.measurements)

@@ -77,8 +77,8 @@ def overview(diaries: Iterable[Diary], period: Period, place: str = "") -> Overv
     return Overview(period, label, tuple(found))
 
 
-FORMAT, FORMAT_VERSION = "pdr_graph lifelog overview", 1  # raise the number when a key changes its meaning
-DIGITS = {"latitude": 7, "longitude": 7}  # of columns
+JSON_FORMAT, JSON_VERSION = "pdr_graph lifelog overview", 1  # raise the number when a key changes its meaning
+DEGREE_DIGITS = {"latitude": 7, "longitude": 7}  # of columns
 Record = dict[str, Any]
 
 
@@ -186,7 +186,7 @@ def tables(shown: Overview) -> dict[str, bytes]:
         "visits.csv": ([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
         "hours.csv": (hours, HOURS_COLUMNS),
     }
-    return {name: csv_table(rows, columns.split(), DIGITS).encode() for name, (rows, columns) in records.items()}
+    return {name: csv_table(rows, columns.split(), DEGREE_DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
 DAY_COLUMNS = "person date start end walking riding staying no_data observed walked ridden steps"
@@ -205,8 +205,8 @@ def as_json(shown: Overview) -> str:
     """
     period = shown.period
     document: Record = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
+        "format": JSON_FORMAT,
+        "version": JSON_VERSION,
         "period": {
             "kind": period.kind,
             "name": period.name,
@@ -242,12 +242,12 @@ def _plain(value: Any, name: str = "") -> Any:
     if isinstance(value, list):
         return [_plain(own, name) for own in value]
     if isinstance(value, float):
-        return round(value, DIGITS.get(name, 3)) if np.isfinite(value) else None
+        return round(value, DEGREE_DIGITS.get(name, 3)) if np.isfinite(value) else None
     return value
 
 
 ROW_TITLES = ("from", "to", "for", "what", "distance", "where")
-MOST_ROWS = 25  # of a list that fits a screen
+LIST_ROWS = 25  # of a list that fits a screen
 MERGED_NAMES = {
     STAY: "short stop",
     STANDING: "short stop",
@@ -258,8 +258,8 @@ MERGED_NAMES = {
     PRIVATE: "short gap",
 }
 SHORTEST_MINUTES = 60.0  # [s] of the shortest row of a list whose times are in minutes
-MOST_NAMES = 2  # kinds of merged entries that a row names
-TRAVEL = (WALKING, PASSING, VEHICLE)
+MERGED_KINDS = 2  # kinds of merged entries that a row names
+TRAVEL_KINDS = (WALKING, PASSING, VEHICLE)
 
 
 ListRow = tuple[TimelineEntry, Counter[str]]  # an entry, and how many of each of MERGED_NAMES were merged with it
@@ -272,7 +272,7 @@ def _identity(entry: TimelineEntry) -> tuple[object, ...]:
     return (STAY, entry.place_number, entry.place) if entry.place_number >= 0 else (STAY, entry.x, entry.y)
 
 
-def day_list(entries: Sequence[TimelineEntry], most: int = MOST_ROWS) -> list[ListRow]:
+def day_list(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[ListRow]:
     """At most `most` rows (at least one) of the entries of a day; the shortest are merged with their neighbours."""
     rows = [(entry, Counter[str]()) for entry in entries]
     while len(rows) > max(most, 1):
@@ -288,7 +288,7 @@ def _merged(rows: Sequence[ListRow], n: int) -> list[ListRow]:
         (both, merged), (last, others) = _absorbed(before[0], row), after[0]
         joined = replace(both, end=last.end, distance=both.distance + last.distance)
         return [(joined, merged + others)]
-    larger = max([*before, *after], key=lambda r: (r[0].kind in TRAVEL, r[0].duration))
+    larger = max([*before, *after], key=lambda r: (r[0].kind in TRAVEL_KINDS, r[0].duration))
     one = _absorbed(larger, row)
     return [one, *after] if before and larger is before[0] else [*before, one]
 
@@ -301,7 +301,7 @@ def _absorbed(row: ListRow, short: ListRow) -> ListRow:
     return longer, merged + others + Counter([MERGED_NAMES[other.kind]])
 
 
-def list_texts(entries: Sequence[TimelineEntry], most: int = MOST_ROWS) -> list[tuple[str, str, str, str, str, str]]:
+def list_texts(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[tuple[str, str, str, str, str, str]]:
     """The list of a day as texts; times have seconds if a row is shorter than SHORTEST_MINUTES."""
     rows = day_list(entries, most)
     seconds = any(entry.duration < SHORTEST_MINUTES for entry, _ in rows)
@@ -312,7 +312,7 @@ def row_texts(
     entry: TimelineEntry, merged: Mapping[str, int] = MappingProxyType({}), seconds: bool = False
 ) -> tuple[str, str, str, str, str, str]:
     """Texts of a row: local start and end, duration, activity, distance, place with what was merged."""
-    far = distance_text(entry.distance) if entry.kind in TRAVEL and entry.distance >= 0.5 else ""
+    far = distance_text(entry.distance) if entry.kind in TRAVEL_KINDS and entry.distance >= 0.5 else ""
     words = [_place(entry), "corrected" if entry.corrected else "", _merged_text(Counter(merged))]
     return (
         clock_text(entry.start, entry.offset, seconds),
@@ -354,8 +354,8 @@ def _place(entry: TimelineEntry) -> str:
 def _merged_text(merged: Counter[str]) -> str:
     """What was merged: ``and 3 short stops, 1 short walk``; the rarer kinds are ``5 others``."""
     common = merged.most_common()
-    texts = [_count(number, name) for name, number in common[:MOST_NAMES]]
-    others = sum(number for _, number in common[MOST_NAMES:])
+    texts = [_count(number, name) for name, number in common[:MERGED_KINDS]]
+    others = sum(number for _, number in common[MERGED_KINDS:])
     texts += [count(others, "other")] if others else []
     return f"and {', '.join(texts)}" if texts else ""
 
@@ -377,8 +377,8 @@ def distance_text(metres: float) -> str:
     return f"{metres / 1000:.1f} km" if metres < 99_950 else f"{metres / 1000:,.0f} km"
 
 
-WIDTH = 100  # columns of a line
-MOST_PLACES, MOST_VISITS, MOST_MONTHS = 12, 20, 25  # rows of tables
+TEXT_WIDTH = 100  # columns of a line
+TEXT_PLACES, TEXT_VISITS, MOST_MONTHS = 12, 20, 25  # rows of tables
 NOTHING = "–"
 
 
@@ -390,14 +390,14 @@ def as_text(shown: Overview) -> str:
 def _person_lines(shown: Overview, own: Diary) -> Iterator[str]:
     """The lines of one person."""
     place = f"  {one_line(shown.place)}" if shown.place else ""
-    yield fitted(f"{one_line(own.person)}  {period_title(shown.period)}{place}", WIDTH)
+    yield fitted(f"{one_line(own.person)}  {period_title(shown.period)}{place}", TEXT_WIDTH)
     if shown.place:
         yield from _visit_lines(own.visits)
     elif shown.period.kind == DAY:
         # least rows of a day's list when several persons share the screen
-        yield from _day_lines(own.days, max(MOST_ROWS // len(shown.diaries), 10))
+        yield from _day_lines(own.days, max(LIST_ROWS // len(shown.diaries), 10))
         yield ""
-        yield fitted(totals_text(totals_of(own.days, 1)), WIDTH)
+        yield fitted(totals_text(totals_of(own.days, 1)), TEXT_WIDTH)
         return
     else:
         yield from _period_lines(own.days, shown.period)
@@ -444,23 +444,23 @@ def time_text(seconds: float) -> str:
 def _day_lines(days: Sequence[DiaryDay], most: int) -> Iterator[str]:
     """The list of a day."""
     for start, end, lasted, what, far, where in (texts for day in days for texts in list_texts(day.entries, most)):
-        yield fitted(f"{start}  {end:<5}  {lasted:>10}  {what:<8}  {far:>8}  {where}".rstrip(), WIDTH)
+        yield fitted(f"{start}  {end:<5}  {lasted:>10}  {what:<8}  {far:>8}  {where}".rstrip(), TEXT_WIDTH)
 
 
 PERIOD_TITLES = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
-WIDTHS = (16, 13, 13, 13, 14, 10, 10, 11)
+PERIOD_WIDTHS = (16, 13, 13, 13, 14, 10, 10, 11)
 
 
 def _period_lines(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
     """A line per day of a week or a month, where days without data are counted, else per month or year; the totals."""
-    yield _line(PERIOD_TITLES, WIDTHS)
+    yield _line(PERIOD_TITLES, PERIOD_WIDTHS)
     if period.kind in (WEEK, MONTH):
         yield from _lines_per_day(days, period)
     else:
         letters = 7 if len({day.date[:7] for day in days}) <= MOST_MONTHS else 4
         for name, own in days_by(days, letters):
-            yield _line(totals_texts(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own))), WIDTHS)
-    yield _line(totals_texts("total", totals_of(days, len(period))), WIDTHS)
+            yield _line(totals_texts(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own))), PERIOD_WIDTHS)
+    yield _line(totals_texts("total", totals_of(days, len(period))), PERIOD_WIDTHS)
 
 
 def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
@@ -468,7 +468,9 @@ def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
     by_date = {day.date: day for day in days}
     for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
         if present:
-            yield from (_line(totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals), WIDTHS) for on in dates)
+            yield from (
+                _line(totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals), PERIOD_WIDTHS) for on in dates
+            )
         else:
             yield f"{count(len(list(dates)), 'day')} without data"
 
@@ -499,13 +501,13 @@ HOURS_TITLES, HOURS_WIDTHS = (
 def _place_lines(places: Sequence[Place]) -> Iterator[str]:
     """The places with most time: visits, total time, usual hours."""
     yield _line(PLACE_TITLES, PLACE_WIDTHS)
-    for place in places[:MOST_PLACES]:
+    for place in places[:TEXT_PLACES]:
         usual = place.hours[0]
         hours = hours_text(usual.arrival), hours_text(usual.departure)
         yield _line([one_line(place.label), str(len(place.visits)), time_text(place.duration), *hours], PLACE_WIDTHS)
-    if len(places) > MOST_PLACES:
-        rest = sum(place.duration for place in places[MOST_PLACES:])
-        yield f"and {count(len(places) - MOST_PLACES, 'other place')}, {time_text(rest)}"
+    if len(places) > TEXT_PLACES:
+        rest = sum(place.duration for place in places[TEXT_PLACES:])
+        yield f"and {count(len(places) - TEXT_PLACES, 'other place')}, {time_text(rest)}"
 
 
 def _hours_lines(hours: Sequence[UsualHours]) -> Iterator[str]:
@@ -529,12 +531,12 @@ def hours_text(quartiles: tuple[float, float, float]) -> str:
 
 def _visit_lines(visits: Sequence[TimelineEntry]) -> Iterator[str]:
     """The last visits to a place; a time that was not observed has a question mark."""
-    if len(visits) > MOST_VISITS:
-        yield f"{count(len(visits) - MOST_VISITS, 'earlier visit')}"
-    for visit in visits[-MOST_VISITS:]:
+    if len(visits) > TEXT_VISITS:
+        yield f"{count(len(visits) - TEXT_VISITS, 'earlier visit')}"
+    for visit in visits[-TEXT_VISITS:]:
         since, until = visit_times(visit)
         yield f"{since:<23}  {until:<11}  {duration_text(visit.duration):>10}"
-    if not all(visit.arrived and visit.left for visit in visits[-MOST_VISITS:]):
+    if not all(visit.arrived and visit.left for visit in visits[-TEXT_VISITS:]):
         yield "?: no data before or after, so it may have begun earlier or ended later"
 
 

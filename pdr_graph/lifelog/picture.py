@@ -40,7 +40,7 @@ from pdr_graph.types import Array, Trajectory
 
 COLOURS = {WALKING: TRACK, VEHICLE: FIX, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
 INK, HALO = "#2b2440", [Stroke(linewidth=2.2, foreground="white", alpha=0.85), Normal()]
-PAPER, BORDER = "#f7f6f2", "#c8c4ba"
+PAPER, MAP_BORDER = "#f7f6f2", "#c8c4ba"
 LABEL_SIZE = 7.5  # [pt]
 LETTER_WIDTH = 0.6 * LABEL_SIZE  # [pt] slightly more than the average
 CJK_FONTS = (  # with Chinese, Japanese and Korean letters; those that are installed are used
@@ -145,7 +145,8 @@ def is_inside(corners: Array, position: Array) -> bool:
 
 
 # Chosen by hand
-LARGEST_DOT, SMALLEST_DOT, PASSING_DOT = 1500.0, 14.0, 22.0  # [pt²] of the place with the most time, of any, of a pass
+# [pt²] of the place with the most time, of any place, of a slow pass
+LARGEST_DOT_AREA, SMALLEST_DOT_AREA, PASSING_DOT_AREA = 1500.0, 14.0, 22.0
 LEAST_LARGEST = 7200.0  # [s] of the largest dot at least
 DAY_LINE, PERIOD_LINE = (2.0, 1.0), (0.8, 0.5)  # width [pt] and opacity of tracks
 START_DISTANCE = 3.5  # [pt] of a label from the mark of an outing's start
@@ -156,7 +157,7 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], aspect: float, ser
     low, high = filled(panel.corners, aspect)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[], facecolor=PAPER)
     for spine in axes.spines.values():
-        spine.set_edgecolor(BORDER)
+        spine.set_edgecolor(MAP_BORDER)
     if isinstance(panel.frame, MercatorFrame):
         server.draw(axes, panel.frame, np.stack([low, high]))
     if panel.plan:
@@ -241,7 +242,10 @@ def _draw_dots(axes: Axes, dots: Sequence[Dot], low: Array, high: Array) -> list
     """Draw places and stays as dots by time; returns their labels, those with the most time first."""
     shown = sorted((dot for dot in dots if is_inside(np.stack([low, high]), dot.position)), key=_importance)
     most = max([LEAST_LARGEST, *(dot.time for dot in shown)])
-    area = [PASSING_DOT if dot.kind == PASSING else max(LARGEST_DOT * dot.time / most, SMALLEST_DOT) for dot in shown]
+    area = [
+        PASSING_DOT_AREA if dot.kind == PASSING else max(LARGEST_DOT_AREA * dot.time / most, SMALLEST_DOT_AREA)
+        for dot in shown
+    ]
     for kind in (STAY, PASSING):
         own = [(dot.position, size) for dot, size in zip(shown, area, strict=True) if dot.kind == kind]
         if own:
@@ -286,28 +290,28 @@ class TileServer:
             axes.set(xlim=corners[:, 0], ylim=corners[:, 1])
 
 
-WALK, RIDE, STAYED, NO_DATA = "walking", "riding", "staying", "no data"
+WALK, RIDE, STAYED, NO_DATA_GROUP = "walking", "riding", "staying", "no data"
 GROUPS = {
     WALKING: WALK,
     PASSING: WALK,
     VEHICLE: RIDE,
     STAY: STAYED,
     STANDING: STAYED,
-    GAP: NO_DATA,
-    PRIVATE: NO_DATA,
+    GAP: NO_DATA_GROUP,
+    PRIVATE: NO_DATA_GROUP,
 }
 GROUP_COLOURS = {STAYED: COLOURS[STAY], WALK: COLOURS[WALKING], RIDE: COLOURS[VEHICLE]}  # from below, in a tile
 UNSEEN, UNSEEN_COLOUR = "no data within a stay", "#c9b8dc"
 BLOCK_COLOURS = {**GROUP_COLOURS, UNSEEN: UNSEEN_COLOUR}
-WIDTH, HEAD, MARGIN = 13.0, 0.75, 0.15  # [inch]
-ROW_HEIGHT, DAY_ROW, TILE = 0.27, 0.6, 0.2  # [inch] of a day's row, of the only one's, and side of a day's tile
+PICTURE_WIDTH, HEAD_HEIGHT, MAP_SPACING = 13.0, 0.75, 0.15  # [inch]
+ROW_HEIGHT, DAY_ROW, DAY_TILE = 0.27, 0.6, 0.2  # [inch] of a day's row, of the only one's, and side of a day's tile
 MAP_HEIGHTS, MANY_MAPS_HEIGHT, HOURS_HEIGHT = (4.0, 7.5), 5.0, 2.3  # [inch], least and most of a map; beside others
 LEAST_SHARE = 0.12  # of a tile that a kind fills at least, so that a short walk is seen
-LEFT = 1.5  # [inch] for the names of rows
+NAMES_WIDTH = 1.5  # [inch] for the names of rows
 SIDE = 2.6  # [inch] for distance and steps beside the rows
 NAME_ROW, MAX_NAME_ROWS = 0.16, 3  # [inch] of a row of names above the only day, and how many
 MOST_HOURS = 3  # places whose usual hours are drawn
-SMALL = 8.0  # [pt]
+SMALL_FONT = 8.0  # [pt]
 
 
 @dataclass(frozen=True)
@@ -327,8 +331,8 @@ def picture(shown: Overview, template: str = "") -> tuple[Figure, list[str]]:
     with rc_context({"font.family": font_families(), "svg.fonttype": "none", "text.parse_math": False}):
         server = TileServer(template)
         parts = list(_parts(shown, server))
-        total = HEAD + 0.25 * max(len(shown.persons) - 1, 0) + sum(part.height for part in parts)
-        figure = Figure(figsize=(WIDTH, total), facecolor="white")
+        total = HEAD_HEIGHT + 0.25 * max(len(shown.persons) - 1, 0) + sum(part.height for part in parts)
+        figure = Figure(figsize=(PICTURE_WIDTH, total), facecolor="white")
         FigureCanvasAgg(figure)
         _draw_head(figure, shown, total)
         top = sum(part.height for part in parts)
@@ -372,16 +376,16 @@ def _draw_head(figure: Figure, shown: Overview, height: float) -> None:
         whose = f"{short_name(own.person)}:  " if len(shown.persons) > 1 else ""
         text = f"{whose}{sums_text(shown, own)}".replace("; ", "  ·  ")
         figure.text(0.012, 1 - (0.52 + 0.25 * n) / height, text, fontsize=9.5, va="center")
-    marks = [*(Patch(fc=colour) for colour in BLOCK_COLOURS.values()), Patch(fc=PAPER, ec=BORDER)]
+    marks = [*(Patch(fc=colour) for colour in BLOCK_COLOURS.values()), Patch(fc=PAPER, ec=MAP_BORDER)]
     style = {"ncols": 5, "frameon": False, "fontsize": 9, "handlelength": 1.2, "columnspacing": 1.2}
     place = (0.995, 1 - 0.05 / height)
-    figure.legend(marks, [*BLOCK_COLOURS, NO_DATA], loc="upper right", bbox_to_anchor=place, **style)
+    figure.legend(marks, [*BLOCK_COLOURS, NO_DATA_GROUP], loc="upper right", bbox_to_anchor=place, **style)
 
 
 def _axes(figure: Figure, box: tuple[float, float, float, float], total: float) -> Axes:
     """Axes in a box of left, bottom, width and height [inch]."""
     left, bottom, width, height = box
-    return figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total))
+    return figure.add_axes((left / PICTURE_WIDTH, bottom / total, width / PICTURE_WIDTH, height / total))
 
 
 CalendarRow = tuple[date, str, DiaryDay | None]  # date, person, their day with data
@@ -405,25 +409,25 @@ def _names_height(rows: Sequence[CalendarRow]) -> float:
 def _draw_rows(shown: Overview, rows: Sequence[CalendarRow], figure: Figure, bottom: float, total: float) -> None:
     """Draw a row per day with the hours from left to right; beside it distance and steps."""
     height = _row_height(rows) * len(rows)
-    axes = _axes(figure, (LEFT, bottom + 0.4, WIDTH - LEFT - SIDE, height), total)
+    axes = _axes(figure, (NAMES_WIDTH, bottom + 0.4, PICTURE_WIDTH - NAMES_WIDTH - SIDE, height), total)
     axes.set(xlim=(0, 24), ylim=(len(rows), 0), yticks=[])
     _style(axes)
-    axes.set_xticks(range(0, 25, 3), [f"{hour:02d}:00" for hour in range(0, 25, 3)], fontsize=SMALL)
-    axes.vlines(range(3, 24, 3), 0, len(rows), color=BORDER, lw=0.5, zorder=1.5)
+    axes.set_xticks(range(0, 25, 3), [f"{hour:02d}:00" for hour in range(0, 25, 3)], fontsize=SMALL_FONT)
+    axes.vlines(range(3, 24, 3), 0, len(rows), color=MAP_BORDER, lw=0.5, zorder=1.5)
     boxes: dict[str, list[Array]] = {group: [] for group in BLOCK_COLOURS}
     for n, (on, who, day) in enumerate(rows):
         axes.add_collection(PolyCollection([_rectangle(0, 24, n + 0.1, n + 0.9)], fc=PAPER, zorder=1), autolim=False)
         for group, start, end in _blocks(shown, on, day):
             boxes[group].append(_rectangle(start, end, n + 0.1, n + 0.9))
         name = f"{on:%a} {on}" if len(shown.persons) == 1 else f"{on:%a} {on:%m-%d}  {short_name(who)}"
-        axes.text(-0.15, n + 0.5, name, fontsize=SMALL, ha="right", va="center", color=INK)
+        axes.text(-0.15, n + 0.5, name, fontsize=SMALL_FONT, ha="right", va="center", color=INK)
     for group, own in boxes.items():
         axes.add_collection(PolyCollection(own, fc=BLOCK_COLOURS[group], lw=0.2, ec="white", zorder=2), autolim=False)
     _draw_offsets(axes, rows)
     if _names_height(rows):
         _draw_names(axes, *rows[0])
     if not shown.place:
-        _draw_distances(_axes(figure, (WIDTH - SIDE + 0.55, bottom + 0.4, SIDE - 1.75, height), total), rows)
+        _draw_distances(_axes(figure, (PICTURE_WIDTH - SIDE + 0.55, bottom + 0.4, SIDE - 1.75, height), total), rows)
 
 
 def _names(day: DiaryDay) -> Iterator[tuple[TimelineEntry, str]]:
@@ -462,7 +466,7 @@ def _blocks(shown: Overview, on: date, day: DiaryDay | None) -> Iterator[tuple[s
     for entry in day.entries if day else ():
         group = GROUPS[entry.kind]
         own = not shown.place or (entry.kind == STAY and is_place(shown.place, entry))
-        if group == NO_DATA or not own:
+        if group == NO_DATA_GROUP or not own:
             continue
         bounds = _hours_of(entry, on)
         yield group, *np.clip(bounds, 0, 24).tolist()
@@ -501,7 +505,7 @@ def _draw_distances(axes: Axes, rows: Sequence[CalendarRow]) -> None:
     most = max([*(day.totals.walked for day in days), 1.0])
     axes.set(xlim=(0, most), ylim=(len(rows), 0), yticks=[], xticks=[])
     _style(axes)
-    axes.text(0, -0.1, "walked", fontsize=SMALL, va="bottom", color=INK)
+    axes.text(0, -0.1, "walked", fontsize=SMALL_FONT, va="bottom", color=INK)
     for n, (_, _, day) in enumerate(rows):
         far = day.totals.walked if day else 0.0
         if day is None or far < 0.5:
@@ -525,7 +529,7 @@ def _tile_parts(shown: Overview) -> Iterator[Part]:
             days = {day.date: day for day in own.days if day.date.startswith(f"{year}-")}
             if days or shown.period.kind == YEAR:
                 title = f"{short_name(own.person)}  {year}" if len(shown.persons) > 1 else str(year)
-                yield Part(7 * TILE + 0.65, partial(_draw_year, shown, year, days, title))
+                yield Part(7 * DAY_TILE + 0.65, partial(_draw_year, shown, year, days, title))
 
 
 def _draw_year(
@@ -533,28 +537,28 @@ def _draw_year(
 ) -> None:
     """Draw the days of a year as tiles: weeks from left to right, Monday on top."""
     weeks = 54
-    axes = _axes(figure, (LEFT, bottom + 0.15, weeks * TILE, 7 * TILE), total)
+    axes = _axes(figure, (NAMES_WIDTH, bottom + 0.15, weeks * DAY_TILE, 7 * DAY_TILE), total)
     axes.set(xlim=(0, weeks), ylim=(7, 0), xticks=[], yticks=[])
     _style(axes)
     first = date(year, 1, 1)
-    boxes: dict[str, list[Array]] = {group: [] for group in (NO_DATA, *BLOCK_COLOURS)}
+    boxes: dict[str, list[Array]] = {group: [] for group in (NO_DATA_GROUP, *BLOCK_COLOURS)}
     for n in range((date(year + 1, 1, 1) - first).days):
         on = first + timedelta(days=n)
         column, row = (n + first.weekday()) // 7, on.weekday()
-        boxes[NO_DATA].append(_rectangle(column + 0.06, column + 0.94, row + 0.06, row + 0.94))
+        boxes[NO_DATA_GROUP].append(_rectangle(column + 0.06, column + 0.94, row + 0.06, row + 0.94))
         level = row + 0.94
         for group, share in _shares(shown, on, days.get(on.isoformat())):
             boxes[group].append(_rectangle(column + 0.06, column + 0.94, level, level - 0.88 * share))
             level -= 0.88 * share
         if on.day == 1:
-            axes.text(column + (row > 0), -0.25, f"{on:%b}", fontsize=SMALL, va="bottom", color=INK)
+            axes.text(column + (row > 0), -0.25, f"{on:%b}", fontsize=SMALL_FONT, va="bottom", color=INK)
     for group, own in boxes.items():
-        empty = group == NO_DATA
-        style = {"fc": PAPER, "ec": BORDER, "lw": 0.4} if empty else {"fc": BLOCK_COLOURS[group], "lw": 0}
+        empty = group == NO_DATA_GROUP
+        style = {"fc": PAPER, "ec": MAP_BORDER, "lw": 0.4} if empty else {"fc": BLOCK_COLOURS[group], "lw": 0}
         axes.add_collection(PolyCollection(own, zorder=1 + (not empty), **style), autolim=False)
     for row in (0, 2, 4, 6):
-        axes.text(-0.3, row + 0.5, WEEKDAYS[row][:3], fontsize=SMALL, ha="right", va="center", color=INK)
-    figure.text(0.012, (bottom + 0.15 + 6.6 * TILE) / total, title, fontsize=10, weight="bold")
+        axes.text(-0.3, row + 0.5, WEEKDAYS[row][:3], fontsize=SMALL_FONT, ha="right", va="center", color=INK)
+    figure.text(0.012, (bottom + 0.15 + 6.6 * DAY_TILE) / total, title, fontsize=10, weight="bold")
 
 
 def _shares(shown: Overview, on: date, day: DiaryDay | None) -> Iterator[tuple[str, float]]:
@@ -575,7 +579,7 @@ def _map_height(row: Sequence[Panel], number: int) -> float:
     """Height of a row of maps [inch], so that the first one's content fills its width. number: of all maps."""
     wide, high = (row[0].corners[1] - row[0].corners[0]).tolist()
     least, most = MAP_HEIGHTS
-    return min(max(WIDTH / len(row) * high / wide, least), most if number == 1 else MANY_MAPS_HEIGHT)
+    return min(max(PICTURE_WIDTH / len(row) * high / wide, least), most if number == 1 else MANY_MAPS_HEIGHT)
 
 
 def _draw_maps(
@@ -588,24 +592,28 @@ def _draw_maps(
     total: float,
 ) -> None:
     """Draw some of the maps beside each other."""
-    width = (WIDTH - MARGIN) / len(row) - MARGIN
+    width = (PICTURE_WIDTH - MAP_SPACING) / len(row) - MAP_SPACING
     for n, panel in enumerate(row):
-        axes = _axes(figure, (MARGIN + n * (width + MARGIN), bottom + MARGIN, width, height - 2 * MARGIN), total)
-        draw_map(axes, panel, maps, width / (height - 2 * MARGIN), server)
+        axes = _axes(
+            figure,
+            (MAP_SPACING + n * (width + MAP_SPACING), bottom + MAP_SPACING, width, height - 2 * MAP_SPACING),
+            total,
+        )
+        draw_map(axes, panel, maps, width / (height - 2 * MAP_SPACING), server)
 
 
 def _draw_usual(
     places: Sequence[tuple[str, Place]], several: bool, figure: Figure, bottom: float, total: float
 ) -> None:
     """Draw the usual hours of places: a row per weekday, quartiles of arrivals and departures, the median as a mark."""
-    width = (WIDTH - 0.4 - MARGIN) / MOST_HOURS
+    width = (PICTURE_WIDTH - 0.4 - MAP_SPACING) / MOST_HOURS
     for n, (person, place) in enumerate(places):
         axes = _axes(figure, (0.75 + n * width, bottom + 0.4, width - 0.6, HOURS_HEIGHT - 0.8), total)
         axes.set(xlim=(0, 24), ylim=(6.6, -0.6), facecolor=PAPER)
         _style(axes)
-        axes.set_xticks(range(0, 25, 6), [f"{hour:02d}:00" for hour in range(0, 25, 6)], fontsize=SMALL)
-        axes.set_yticks(range(7), [day[:3] for day in WEEKDAYS], fontsize=SMALL)
-        axes.grid(axis="x", color=BORDER, lw=0.5)
+        axes.set_xticks(range(0, 25, 6), [f"{hour:02d}:00" for hour in range(0, 25, 6)], fontsize=SMALL_FONT)
+        axes.set_yticks(range(7), [day[:3] for day in WEEKDAYS], fontsize=SMALL_FONT)
+        axes.grid(axis="x", color=MAP_BORDER, lw=0.5)
         whose = f"{short_name(person)}: " if several else ""
         axes.set_title(f"{whose}{short_name(place.label)}: ▶ arrivals, ◁ departures", fontsize=9, loc="left")
         for usual in (own for own in place.hours if own.weekday != EVERY_DAY):

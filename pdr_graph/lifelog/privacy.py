@@ -66,7 +66,7 @@ from pdr_graph.lifelog.day import (
 from pdr_graph.types import INSTANT, Array, Index, Mask, OneLineRepr, Trajectory
 
 EQUATOR = 40_075_017.0  # [m] around the earth
-FARTHEST = 89.9  # [deg] latitude of the outermost squares: Mercator's projection has no poles
+FARTHEST_LATITUDE = 89.9  # [deg] latitude of the outermost squares: Mercator's projection has no poles
 
 
 def nested_squares(
@@ -77,7 +77,7 @@ def nested_squares(
     lonlat: ``(n, 2)`` [deg]; least_side: ``(n,)`` [m], the sides are up to twice as long; shift: of all squares, as a
     share of the earth's circumference. The squares are those of Mercator's projection.
     """
-    lat = np.clip(lonlat[:, 1], -FARTHEST, FARTHEST)
+    lat = np.clip(lonlat[:, 1], -FARTHEST_LATITUDE, FARTHEST_LATITUDE)
     level = np.floor(np.log2(EQUATOR * np.cos(np.radians(lat)) / least_side))
     size = 2.0 ** -np.maximum(level, 0.0)[:, None]  # share of the circumference
     low = np.floor((_mercator(lonlat[:, 0], lat) + shift) / size) * size - shift
@@ -362,7 +362,7 @@ def _leg_start(position: Array, number: int) -> int:
     return number + 1 - len(position) + (int(away[-1]) if len(away) else 0)
 
 
-QUARTER = 900.0  # [s] to which times are rounded; chosen by hand
+QUARTER_HOUR = 900.0  # [s] to which times are rounded; chosen by hand
 SQUARE_SIDE = 500.0  # [m] least side of the squares of blurred positions, and the radius of the place; chosen by hand
 
 
@@ -386,12 +386,12 @@ def blurred_part(
     since, until = unix[rows[[0, -1]]].tolist()
     start = max(free[0], quarter_before(since)) if first else free[0]
     end = free[1] if np.isfinite(free[1]) else max(start, quarter_after(until))
-    quarter = np.floor(unix[rows] / QUARTER) * QUARTER
-    time = np.unique(quarter + QUARTER / 2)
+    quarter = np.floor(unix[rows] / QUARTER_HOUR) * QUARTER_HOUR
+    time = np.unique(quarter + QUARTER_HOUR / 2)
     time = time[(time > start) & (time < end)]
     if not len(time):
         return None
-    usual = [np.median(hidden.lonlat[rows[quarter == t - QUARTER / 2]], axis=0) for t in time]
+    usual = [np.median(hidden.lonlat[rows[quarter == t - QUARTER_HOUR / 2]], axis=0) for t in time]
     centre, side = _grid_squares(np.array(usual), blur)
     if any(place.hides(centre).any() or place.crossed(centre).any() for place in cut):
         return None
@@ -432,12 +432,12 @@ def _grid_squares(lonlat: Array, blur: Sequence[PrivatePlace]) -> tuple[Array, A
 
 def quarter_after(time: float) -> float:
     """The next full quarter of an hour [s]."""
-    return float(np.ceil(time / QUARTER) * QUARTER)
+    return float(np.ceil(time / QUARTER_HOUR) * QUARTER_HOUR)
 
 
 def quarter_before(time: float) -> float:
     """The last full quarter of an hour [s]."""
-    return float(np.floor(time / QUARTER) * QUARTER)
+    return float(np.floor(time / QUARTER_HOUR) * QUARTER_HOUR)
 
 
 def without_private_places(

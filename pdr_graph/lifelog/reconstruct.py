@@ -18,7 +18,7 @@ from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.sessions import (
-    LONGEST_GAP,
+    LONGEST_SESSION_GAP,
     Session,
     is_located,
     join,
@@ -170,7 +170,7 @@ def _with_start_after(last: EstimatedWalk | Outing | None, joined: Observation) 
         return joined
     frame = joined.frame if joined.frame.georeferenced else before.frame
     gap = joined.epoch - (before.epoch + before.trajectory.time[-1])
-    if gap > LONGEST_GAP or not (before.frame.georeferenced or before.frame == frame):
+    if gap > LONGEST_SESSION_GAP or not (before.frame.georeferenced or before.frame == frame):
         return joined
     place = frame.from_frame(before.frame, before.trajectory.position[-1:])
     variance = np.trace(before.trajectory.covariance[-1, :2, :2]) / 2 + (MOTION.gap_speed * max(gap, 0.0)) ** 2

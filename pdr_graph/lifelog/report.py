@@ -95,7 +95,7 @@ def write_day(
 
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-STYLE = """
+PAGE_STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; color: #26241f; background: #fff; margin: 1.5rem auto; max-width: 1180px;
   padding: 0 1rem; }
 svg { width: 100%; height: auto; }
@@ -120,7 +120,7 @@ def page(shown: Overview, svg: bytes, remarks: Sequence[str]) -> bytes:
     tables = "".join(_html_table(title, head, rows) for title, head, rows in _tables(shown) if rows)
     head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
     head += '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
+    head += f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style>"
     body = f"<h1>{escape(title)}</h1>{notes}<div>{picture}</div>{tables}"
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'.encode()
 

@@ -26,7 +26,7 @@ from pdr_graph.lifelog.diary import UnpartedDiary
 from pdr_graph.lifelog.facts import (
     ALWAYS,
     AT,
-    ESTIMATED,
+    ESTIMATE_KINDS,
     FORGOTTEN,
     MERGE,
     MODE,
@@ -57,10 +57,10 @@ AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
 LARGEST_RADIUS = 10_000.0  # [m]
 SNAP = 60.0  # [s] from the start or end of an entry, within which a time means that: people read minutes
-LONGEST = 366 * 86400.0  # [s] of one correction
-DAYS_AROUND = timedelta(days=3)  # that determine the rows of a day: a visit may last over nights
+LONGEST_CORRECTION = 366 * 86400.0  # [s] of one correction
+DIARY_MARGIN = timedelta(days=3)  # that determine the rows of a day: a visit may last over nights
 LATLON = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*,\s*([-+]?\d+(?:\.\d*)?)\s*", re.ASCII)
-TIME_FORM = 'a local time such as "2024-05-01 09:30"'
+LOCAL_TIME_FORM = 'a local time such as "2024-05-01 09:30"'
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class OpenDiary:
                 time = time.replace(tzinfo=self.clock.zone(time.replace(tzinfo=near).timestamp()))
             return time.timestamp()
         except (ValueError, OverflowError):
-            raise InputError(option, "", repr(text), TIME_FORM) from None
+            raise InputError(option, "", repr(text), LOCAL_TIME_FORM) from None
 
     def span(self, start: str, end: str) -> tuple[float, float]:
         """Unix times [s] of FROM and TO. Raises InputError if TO is not later, or far later."""
         begin, after = self.time("FROM", start), self.time("TO", end)
-        if not 0 < after - begin <= LONGEST:
+        if not 0 < after - begin <= LONGEST_CORRECTION:
             raise InputError("TO", "", f"{end}, {after - begin:.0f} s after FROM", "a later time, at most a year later")
         return begin, after
 
@@ -264,10 +264,10 @@ def person_of(log: Store, person: str | None) -> str:
 
 
 def _dates_near(dates: Sequence[str], texts: Sequence[str]) -> list[str]:
-    """The dates from DAYS_AROUND before the first to DAYS_AROUND after the last of some; all if one is no date."""
+    """The dates from DIARY_MARGIN before the first to DIARY_MARGIN after the last of some; all if one is no date."""
     try:
         days = [datetime.fromisoformat(text.strip()[:10]).date() for text in texts]
-        first, last = min(days) - DAYS_AROUND, max(days) + DAYS_AROUND
+        first, last = min(days) - DIARY_MARGIN, max(days) + DIARY_MARGIN
     except (ValueError, OverflowError):
         return list(dates)
     return [date for date in dates if first.isoformat() <= date <= last.isoformat()]
@@ -312,7 +312,7 @@ def _rebuilt(log: Store, person: str, dates: Collection[str]) -> list[str]:
 def _effect(log: Store, correction: Correction) -> list[str]:
     """Rebuild the days of a correction if it changes their estimate; lines of what the timeline shows then."""
     dates = build.touched_dates(log, correction.person, *correction.span)
-    lines = _rebuilt(log, correction.person, dates) if correction.kind in ESTIMATED else []
+    lines = _rebuilt(log, correction.person, dates) if correction.kind in ESTIMATE_KINDS else []
     if correction.span == ALWAYS:
         return lines
     start, end = correction.span
@@ -331,7 +331,7 @@ def _read_again(log: Store, correction: Correction) -> list[str]:
     return ["what was deleted is not restored; recordings of that time may be added again", again]
 
 
-PAGES = ("overview.html", "report.html")  # of a folder that ``lifelog show`` writes beside the store by default
+SHOWN_PAGES = ("overview.html", "report.html")  # of a folder that ``lifelog show`` writes beside the store by default
 
 
 def forget(store: Path, start: str, end: str, person: str | None = None) -> list[str]:
@@ -460,7 +460,7 @@ def _still_there(log: Store, entries: Iterable[Entry]) -> list[str]:
     """A line for each file outside of the lifelog that still has the deleted data."""
     files = [path for e in entries for path in (Path(e.path), *(e.options.files.get(n) for n in ("fixes", "ranges")))]
     beside = sorted(log.path.resolve().parent.glob(f"{log.path.stem}-*"))
-    shown = [folder for folder in beside if any((folder / page).exists() for page in PAGES)]
+    shown = [folder for folder in beside if any((folder / page).exists() for page in SHOWN_PAGES)]
     there = dict.fromkeys(str(path) for path in (*files, *shown) if path is not None and path.exists())
     return [f"still on your disk: {one_line(path)}" for path in there]
 

@@ -36,7 +36,7 @@ from pdr_graph.types import (
 )
 
 # Chosen by hand
-LONGEST_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere
+LONGEST_SESSION_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere
 
 Hashed = tuple[str, Observation]  # an observation with the content hash of its recording
 
@@ -121,11 +121,11 @@ def _consecutive(parts: Sequence[Hashed]) -> Iterator[Session]:
 
 
 def _continues(session: Session, observation: Observation) -> bool:
-    """True if a recording follows within LONGEST_GAP, on the same plan, in a frame that can be converted."""
+    """True if a recording follows within LONGEST_SESSION_GAP, on the same plan, in a frame that can be converted."""
     frames = [part.frame for part in (*session.observations, observation) if is_located(part)]
     convertible = all(frame.georeferenced for frame in frames) or all(frame == observation.frame for frame in frames)
     same_plan = session.parts[-1][1].plan == observation.plan
-    return observation.epoch - session.end <= LONGEST_GAP and same_plan and convertible
+    return observation.epoch - session.end <= LONGEST_SESSION_GAP and same_plan and convertible
 
 
 def _assign_positions(

@@ -17,7 +17,7 @@ from pdr_graph.lifelog.places import Place, likely_home
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.whole_files import output_folder
 
-TOLERANCE = 10.0  # [m] to which the tracks of more than a day are simplified
+TRACK_TOLERANCE = 10.0  # [m] to which the tracks of more than a day are simplified
 LIKELY_HOME = "home?"  # name of the place where somebody spends the nights, for those who ask for the guess
 MOST_NAMES = 12  # places that a message names
 
@@ -102,7 +102,7 @@ def _default_period(log: Store, persons: Sequence[str], choice: Choice) -> Perio
 def _diaries(log: Store, persons: Sequence[str], period: Period, guess_home: bool) -> Iterator[Diary]:
     """The diaries of persons with known days in a period, and these days."""
     for person in persons:
-        tolerance = 0.0 if period.kind == DAY else TOLERANCE
+        tolerance = 0.0 if period.kind == DAY else TRACK_TOLERANCE
         found = diary(log, person, period.first.isoformat(), period.last.isoformat(), tolerance)
         home = likely_home(found.places) if guess_home else None
         days = [day if home is None else _with_home(day, home) for day in found.days if day.known]

@@ -244,7 +244,7 @@ MAX_DISTANCE = 7.0  # [m] at which the rate is 1/250; farther places are scenery
 LOOK_SIGMA = 0.6  # [rad] of the look from the body's direction: heads turn by 30 to 40 degrees without the trunk
 RANDOM_LOOK_SHARE = 0.1  # of people who linger and face anywhere: they talk, or the heading is wrong
 UNNAMED_RATE = 0.05  # of stops for no named place (a call, a friend, a rest), relative to stops for a near place
-POINTS, RAYS = 96, 24  # sample points of the position; rays from each
+SAMPLE_POINTS, RAYS = 96, 24  # sample points of the position; rays from each
 
 Facing = tuple[tuple[str, float], ...]  # as of `Stay`
 
@@ -396,14 +396,14 @@ def _normal_points(number: int) -> Array:
     return radius[:, None] * unit(rank * np.pi * (3 - np.sqrt(5)))
 
 
-NORMAL_POINTS, DIRECTIONS = _normal_points(POINTS), np.arange(RAYS) * 2 * np.pi / RAYS
+NORMAL_POINTS, DIRECTIONS = _normal_points(SAMPLE_POINTS), np.arange(RAYS) * 2 * np.pi / RAYS
 
 
 # Detection of stays and slow passes; chosen by hand
 SHORTEST_STAY = 5.0  # [s]; shorter halts are for letting somebody pass or for looking around
 SHORTEST_UNNAMED_STAY = 60.0  # [s] on a floor without names; shorter ones are at crossings
 SHORTEST_HALT = 1.0  # [s] between two steps; shorter pauses are part of the gait
-SPEED_WINDOW = 4.0  # [s] of walking over which a speed is measured: several strides
+PASS_SPEED_WINDOW = 4.0  # [s] of walking over which a speed is measured: several strides
 PASS_PIECE = 3.0  # [m] of a slow pass with one result: half of a small shop's front
 
 
@@ -557,10 +557,10 @@ def _slow_runs(steps: Steps) -> list[Index]:
     """
     under_way = np.concatenate([[0.0], np.cumsum(steps.duration)])
     walking = ~steps.is_gap
-    if under_way[-1] < SPEED_WINDOW or not walking.any():
+    if under_way[-1] < PASS_SPEED_WINDOW or not walking.any():
         return []
     way = np.concatenate([[0.0], np.cumsum(steps.length)])
-    before, after = (np.clip(under_way[1:] + side * SPEED_WINDOW / 2, 0.0, under_way[-1]) for side in (-1, 1))
+    before, after = (np.clip(under_way[1:] + side * PASS_SPEED_WINDOW / 2, 0.0, under_way[-1]) for side in (-1, 1))
     speed = (np.interp(after, under_way, way) - np.interp(before, under_way, way)) / (after - before)
     # usual speed quantile of a walk's speeds, since much of the walk may be slow
     # slow share of the usual speed: people stroll at 0.8 of it and browse at half of it

@@ -23,7 +23,7 @@ from pdr_graph.types import Array, Mask
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
 EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
-LONGEST_SILENCE = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
+LONGEST_BRIDGED = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
 SURE = 20.0  # [m] per axis: a halt this certain counts half as much as an exact one for the middle of a visit
 
 
@@ -155,7 +155,7 @@ def _silence(gap: TimelineEntry, track: Track) -> Iterator[_Halt]:
     apart = float(np.linalg.norm(ends[1] - ends[0]))
     # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
     # silent speed [m/s] between its ends at most: faster, and the person was on the way
-    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_SILENCE:
+    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_BRIDGED:
         yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, SURE), 0.0)
 
 
@@ -164,7 +164,7 @@ def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
     if np.linalg.norm(halt.middle - visit.middle) > VISIT_RADIUS + min(max(halt.sigma, visit.sigma), SURE):
         return False
     between = track.between(visit.end, halt.start)
-    if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_SILENCE:
+    if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_BRIDGED:
         return False
     off = np.linalg.norm(track.sphere[between] - visit.middle, axis=1)
     farthest = off.max(initial=0.0)
@@ -214,7 +214,7 @@ def _without_overlap(visits: Sequence[_Halt]) -> list[_Halt]:
 
 # Chosen by hand
 SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
-FASTEST_WALK = 2.5  # [m/s]
+FASTEST_WALKING_LEG = 2.5  # [m/s]
 MOVING = (WALKING, VEHICLE)
 
 
@@ -305,14 +305,14 @@ def _kind_beside(kinds: Sequence[str], n: int) -> str:
 def _kind_at_speed(gaps: Sequence[TimelineEntry], track: Track) -> str:
     """Kind of a way without data, by the straight line between its ends."""
     start, end = gaps[0].start, gaps[-1].end
-    return VEHICLE if track.length(start, end) > FASTEST_WALK * (end - start) else WALKING
+    return VEHICLE if track.length(start, end) > FASTEST_WALKING_LEG * (end - start) else WALKING
 
 
 def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
     lasted = piece.duration
     # shortest jump [m] over a short silence, from which a fast one is a ride
-    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALK * lasted, 300.0):
+    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALKING_LEG * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
     if piece.kind in MOVING:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it

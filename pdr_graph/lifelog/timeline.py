@@ -31,8 +31,8 @@ from pdr_graph.types import OneLineRepr
 
 STAY, PASSING = "stay", "passing"
 KIND_NAMES = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
-DIGITS = {"latitude": 7, "longitude": 7, "probability": 3, "x": 2, "y": 2, "sigma": 2}  # of its table
-HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
+TIMELINE_DIGITS = {"latitude": 7, "longitude": 7, "probability": 3, "x": 2, "y": 2, "sigma": 2}  # of its table
+TIMELINE_HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
 # Chosen by hand
 SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
 LONGEST_SLIVER = 3.0  # [s] of standing at the edge of a stay, by which the detectors of standing and stays disagree
@@ -210,7 +210,7 @@ def _with_position(entry: TimelineEntry, outing: Outing, position: np.ndarray, c
 
 def timeline_csv(entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
     """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where a value is unknown."""
-    return csv_table([_record(entry, zone) for entry in entries], HEADER.split(","), DIGITS)
+    return csv_table([_record(entry, zone) for entry in entries], TIMELINE_HEADER.split(","), TIMELINE_DIGITS)
 
 
 def _record(entry: TimelineEntry, zone: tzinfo) -> dict[str, Any]:

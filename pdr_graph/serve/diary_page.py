@@ -43,7 +43,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-STYLE = report.STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.3rem; }")
+STYLE = report.PAGE_STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.3rem; }")
 STYLE += """
 form { margin: 0.5rem 0; } input, select, button { font: inherit; padding: 0.15rem 0.4rem; } nav { margin: 0.6rem 0; }
 .fault { color: #a3261f; } pre { white-space: pre-wrap; }

@@ -18,7 +18,7 @@ from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog.day import GAP, VEHICLE, WALKING
 from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.overview import MOST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
+from pdr_graph.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
 from pdr_graph.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry
@@ -122,7 +122,7 @@ def entries(seed, n):
 def test_the_list_of_a_day_fits_a_screen_and_covers_the_day(seed, n):
     day = entries(seed, n)
     rows = day_list(day)
-    assert len(rows) <= MOST_ROWS
+    assert len(rows) <= LIST_ROWS
     assert (rows[0][0].start, rows[-1][0].end) == (day[0].start, day[-1].end)
     assert all(one.end == other.start for (one, _), (other, _) in pairwise(rows))
     assert sum(row.distance for row, _ in rows) == pytest.approx(sum(entry.distance for entry in day))

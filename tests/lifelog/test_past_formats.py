@@ -253,7 +253,7 @@ def test_a_damaged_zip_is_refused_in_one_line(tmp_path):
 
 
 def test_hostile_documents_cost_a_line_and_no_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(past_json, "LONGEST_ELEMENT", 8_000_000)
+    monkeypatch.setattr(past_json, "LONGEST_JSON_ELEMENT", 8_000_000)
     monkeypatch.setattr(tracks, "LONGEST_ELEMENT", 4_000_000)
     deep = b'{"locations": [' + b'{"latitudeE7":' + b"[" * 100_000 + b"]" * 100_000 + b"}, "
     hostile = [
@@ -294,13 +294,13 @@ def test_the_pieces_of_a_document_are_its_elements(tmp_path_factory, lists, othe
         file = tmp_path_factory.mktemp("json") / "a"
         file.write_text(json.dumps(root, indent=indent), encoding="utf-8")
         found = {}
-        before, past_json.PIECE = past_json.PIECE, size
+        before, past_json.PIECE_SIZE = past_json.PIECE_SIZE, size
         try:
             with file.open("rb") as stream:
                 for piece in pieces(stream, "a"):
                     found.setdefault(piece.key, []).extend(map(json.loads, piece.each()))
         finally:
-            past_json.PIECE = before
+            past_json.PIECE_SIZE = before
         assert found == {key: value for key, value in expected.items() if value}
 
 

@@ -7,7 +7,7 @@ import pytest
 from observations import HERE, NOON, observation, positions, walk
 
 from pdr_graph.frames import Frame
-from pdr_graph.lifelog.sessions import LONGEST_GAP, sessions_of
+from pdr_graph.lifelog.sessions import LONGEST_SESSION_GAP, sessions_of
 
 
 def named(*ones):
@@ -24,8 +24,8 @@ def sizes(*ones):
 
 def test_a_short_gap_continues_a_session_and_a_long_one_ends_it():
     one = walk()[0]
-    assert sizes(one, later(one, one.duration + LONGEST_GAP - 1)) == [2]
-    assert sizes(one, later(one, one.duration + LONGEST_GAP + 1)) == [1, 1]
+    assert sizes(one, later(one, one.duration + LONGEST_SESSION_GAP - 1)) == [2]
+    assert sizes(one, later(one, one.duration + LONGEST_SESSION_GAP + 1)) == [1, 1]
 
 
 def test_the_order_of_adding_does_not_matter():
@@ -73,7 +73,7 @@ def test_positions_of_a_watch_are_split_between_the_walk_and_the_time_around_it(
 
 
 def test_positions_alone_are_sessions_of_their_own():
-    one, two = positions(300.0), positions(300.0, NOON + 300.0 + LONGEST_GAP + 100)
+    one, two = positions(300.0), positions(300.0, NOON + 300.0 + LONGEST_SESSION_GAP + 100)
     assert sizes(one, two) == [1, 1]
     assert np.allclose(sessions_of(named(one))[0].epoch, NOON)
 

@@ -15,7 +15,7 @@ from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, s
 
 from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.overview import as_text
-from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, duration_text, timeline, timeline_csv
+from pdr_graph.lifelog.timeline import PASSING, STAY, TIMELINE_HEADER, duration_text, timeline, timeline_csv
 
 ZONE = ZoneInfo("America/Santiago")
 NINE = MIDNIGHT + 9 * 3600
@@ -92,7 +92,7 @@ def test_the_table_has_local_times_and_absolute_positions():
     made = outing(
         [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
     )
-    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == HEADER
+    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == TIMELINE_HEADER
     [row] = rows(day(made))
     assert row["start"] == "2024-05-01T09:00:00-04:00"
     assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
@@ -160,4 +160,4 @@ def test_durations_have_usual_units(seconds, text):
 
 def test_a_day_without_outings_is_empty():
     assert timeline(day()) == ()
-    assert timeline_csv((), ZONE) == HEADER + "\n"
+    assert timeline_csv((), ZONE) == TIMELINE_HEADER + "\n"

@@ -19,20 +19,20 @@ from pdr_graph.lifelog.past.past_rows import assumed_accuracy
 from pdr_graph.types import Array, Index
 
 METRES = 111_319.49  # per degree of latitude
-GOOD = 60.0  # [m] 68 % radius of a position from which the map is learnt
+GOOD_RADIUS = 60.0  # [m] 68 % radius of a position from which the map is learnt
 BRACKET, BESIDE = 60.0, 20.0  # [s] to a position on both sides, and on one side, of a scan at a known place
 WALKING, CURVED = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
-FEWEST = 3  # access points in a scan that agree
-REACH = 15.0  # [m] error per axis of an access point's position as that of the scan
+FEWEST_POINTS = 3  # access points in a scan that agree
+ACCESS_POINT_SIGMA = 15.0  # [m] error per axis of an access point's position as that of the scan
 UNCHECKED = 2.0  # factor of sigma where there are too few scans to measure it
 ENOUGH, MOST_DAYS = 10, 30  # places, and days at most, from which it is measured
-CELL = 50.0  # [m] size of a place there, all of which have the same weight: most scans are at home
+PLACE_CELL = 50.0  # [m] size of a place there, all of which have the same weight: most scans are at home
 LARGEST_SIGMA = 200.0  # [m] per axis of a position that is used
 COVERED = np.array([0.683, 0.95]), np.array([2.30, 5.99])  # shares, and the χ² with 2 degrees of freedom they are below
 
 # Sums over the receptions of an access point on a day. weight: sum; lat, lon: weighted mean [deg]; spread: weighted
 # variance [m²], mean of both axes; low, high: limits of its receptions [deg]
-SUMS = np.dtype(
+POINT_SUMS = np.dtype(
     [
         *(("mac", "i8"), ("day", "i4"), ("weight", "f8"), ("lat", "f8"), ("lon", "f8"), ("spread", "f8")),
         *(("low", "f8", 2), ("high", "f8", 2)),
@@ -71,7 +71,7 @@ def scans_of(sightings: Rows) -> Scans:
 
 def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     """The scans near in time to good measured positions, and where they were."""
-    good = positions[(assumed_accuracy(positions) <= GOOD) & ~np.isin(positions["source"], (GOOGLE_PATH, WIFI))]
+    good = positions[(assumed_accuracy(positions) <= GOOD_RADIUS) & ~np.isin(positions["source"], (GOOGLE_PATH, WIFI))]
     if not len(good) or not len(scans):
         return ScanPositions(np.empty(0, int), *np.empty((3, 0)))
     time, at = good["time"] / MS, scans.time / MS
@@ -88,7 +88,7 @@ def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     both = np.hypot(np.maximum(sigma[before], sigma[after]), CURVED * length)
     one = np.hypot(sigma[nearest], WALKING * age)
     error = np.where(between, both, one)
-    near = np.flatnonzero((between | (age <= BESIDE)) & (error <= GOOD / RADIUS_68))
+    near = np.flatnonzero((between | (age <= BESIDE)) & (error <= GOOD_RADIUS / RADIUS_68))
     places = [np.where(between, x, y[nearest])[near] for x, y in zip(middle, (lat, lon), strict=True)]
     return ScanPositions(near, places[0], places[1], error[near])
 
@@ -101,7 +101,7 @@ def day_sums(scans: Scans, places: ScanPositions, day: int) -> Rows:
     place = np.stack([places.lat[scan], places.lon[scan]], axis=1)
     return _combined(
         scans.mac[row],
-        _strength(scans.rssi[row]) / (places.sigma[scan] ** 2 + REACH**2),
+        _strength(scans.rssi[row]) / (places.sigma[scan] ** 2 + ACCESS_POINT_SIGMA**2),
         place,
         places.sigma[scan] ** 2,
         (place, place),
@@ -111,7 +111,9 @@ def day_sums(scans: Scans, places: ScanPositions, day: int) -> Rows:
 
 def access_points(sums: Sequence[Rows], without: int = -1) -> Rows:
     """The map: the sums of all days but `without`, of access points that were received at one place alone."""
-    rows = np.concatenate([np.empty(0, SUMS), *(part for part in sums if len(part) and part["day"][0] != without)])
+    rows = np.concatenate(
+        [np.empty(0, POINT_SUMS), *(part for part in sums if len(part) and part["day"][0] != without)]
+    )
     place = np.stack([rows["lat"], rows["lon"]], axis=1)
     all_days = _combined(rows["mac"], rows["weight"], place, rows["spread"], (rows["low"], rows["high"]), without)
     low, high = all_days["low"].T, all_days["high"].T
@@ -132,13 +134,13 @@ def scan_positions(scans: Scans, points: Rows) -> ScanPositions:
     strongest = order[np.searchsorted(scan[order], scan, side="right") - 1]
     # agreed [m] from the strongest access point's position within which another agrees
     agrees = _distance(lat, lon, lat[strongest], lon[strongest]) <= 200.0
-    weight = np.where(agrees, _strength(rssi) / (spread + REACH**2), 0)
+    weight = np.where(agrees, _strength(rssi) / (spread + ACCESS_POINT_SIGMA**2), 0)
     total, number = np.bincount(scan, weight), np.bincount(scan, agrees)
-    chosen = np.flatnonzero(number >= FEWEST)
+    chosen = np.flatnonzero(number >= FEWEST_POINTS)
     sums = [np.bincount(scan, weight * x) for x in (lat - lat[0], lon - lon[0])]
     mean = [x / np.maximum(total, 1e-300) + first for x, first in zip(sums, (lat[0], lon[0]), strict=True)]
     scatter = _distance(lat, lon, mean[0][scan], mean[1][scan]) ** 2 / 2  # of the access points about their mean
-    variance = np.bincount(scan, weight**2 * (spread + REACH**2 + scatter))[chosen] / total[chosen] ** 2
+    variance = np.bincount(scan, weight**2 * (spread + ACCESS_POINT_SIGMA**2 + scatter))[chosen] / total[chosen] ** 2
     return ScanPositions(chosen, mean[0][chosen], mean[1][chosen], np.sqrt(variance))
 
 
@@ -154,7 +156,7 @@ def sigma_factor(days: Iterator[tuple[Scans, ScanPositions, int]], sums: Sequenc
         errors.append(_distance(found.lat[ours], found.lon[ours], places.lat[theirs], places.lon[theirs]))
         sigmas.append(found.sigma[ours])
         known.append(places.sigma[theirs])
-        cells.append(np.rint(np.stack([places.lat[theirs], places.lon[theirs]], axis=1) * METRES / CELL))
+        cells.append(np.rint(np.stack([places.lat[theirs], places.lon[theirs]], axis=1) * METRES / PLACE_CELL))
     error, sigma, place = (np.concatenate(parts) for parts in (errors, sigmas, known))
     _, of, number = np.unique(np.concatenate(cells), axis=0, return_inverse=True, return_counts=True)
     if not len(number):
@@ -189,7 +191,7 @@ def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Row
 def _combined(mac: Array, weight: Array, place: Array, spread: Array, limits: tuple[Array, Array], day: int) -> Rows:
     """The sums of each access point over parts that each have a weight, a mean place, a variance and limits."""
     names, of = np.unique(mac, return_inverse=True)
-    sums = np.zeros(len(names), SUMS)
+    sums = np.zeros(len(names), POINT_SUMS)
     if not len(names):
         return sums
     sums["mac"], sums["day"] = names, day

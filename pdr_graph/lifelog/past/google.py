@@ -31,7 +31,7 @@ from pdr_graph.lifelog.past.past_rows import (
 from pdr_graph.types import Array
 
 SEMANTIC, TIMELINE = "Google Semantic Location History", "Google Timeline"
-RADIOS = {"GPS": GPS, "WIFI": GOOGLE_WIFI, "CELL": GOOGLE_CELL}
+GOOGLE_RADIOS = {"GPS": GPS, "WIFI": GOOGLE_WIFI, "CELL": GOOGLE_CELL}
 NAN = float("nan")
 
 
@@ -52,14 +52,14 @@ class Location(
     milliseconds: str | int = ""
 
 
-DECODE = msgspec.json.Decoder(list[Location]).decode
+DECODE_LOCATIONS = msgspec.json.Decoder(list[Location]).decode
 
 
 def records(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Every position that a phone reported, up to gigabytes; Google's guesses of the activity are not read."""
     for piece in pieces(stream, where):
         if piece.key == "locations":
-            locations, bad = decoded(piece, DECODE, Location)
+            locations, bad = decoded(piece, DECODE_LOCATIONS, Location)
             batch = _record_batch(locations)
             yield Batch(batch.positions, left_out=+(batch.left_out + Counter({"unreadable": bad})))
 
@@ -69,7 +69,7 @@ def _record_batch(locations: Sequence[Location]) -> Batch:
     time = unix_times([location.timestamp or location.milliseconds for location in locations])
     lat = _unwrapped(np.array([location.latitude for location in locations])) / E7
     lon = _unwrapped(np.array([location.longitude for location in locations])) / E7
-    source = np.array([RADIOS.get(location.source, PHONE) for location in locations], np.uint8)
+    source = np.array([GOOGLE_RADIOS.get(location.source, PHONE) for location in locations], np.uint8)
     return valid_positions(time, lat, lon, np.array([location.accuracy for location in locations]), source)
 
 
@@ -153,7 +153,12 @@ def _position(position: Any) -> Iterator[Point]:
     if isinstance(position, dict):
         place = coordinates(position)
         accuracy, radio = float_of(position.get("accuracyMeters")), position.get("source")
-        yield position.get("timestamp"), place, accuracy, RADIOS.get(radio, PHONE) if isinstance(radio, str) else PHONE
+        yield (
+            position.get("timestamp"),
+            place,
+            accuracy,
+            GOOGLE_RADIOS.get(radio, PHONE) if isinstance(radio, str) else PHONE,
+        )
 
 
 def _sightings(found: Sequence[Any]) -> Rows:

@@ -34,12 +34,12 @@ FORMATS = (
     tracks.OVERLAND,
     google.IOS_TIMELINE,
     tracks.OWNTRACKS,
-    tracks.GPX,
+    tracks.GPX_TRACKS,
     tracks.KML,
 )
 HEAD = 65_536  # [bytes] of a file by which it is recognised
 LARGEST = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
-MOST_FILES, DEEPEST = 100_000, 8  # a Takeout has other products beside the timeline
+MOST_FILES, DEEPEST_FOLDER = 100_000, 8  # a Takeout has other products beside the timeline
 # What a file is that comes with a timeline and is none
 OTHERS = (
     (
@@ -51,7 +51,7 @@ OTHERS = (
         "an encrypted backup, which only the phone can read",
     ),
 )
-EXPECTED = "a timeline: " + ", ".join(form.name for form in FORMATS)
+EXPECTED_TIMELINE = "a timeline: " + ", ".join(form.name for form in FORMATS)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], l
     found, skipped, notes, refused = list[PastFile](), 0, list[str](), list[str]()
     for path in dict.fromkeys(paths):
         try:
-            source = Source(path, "timeline", LARGEST, MOST_FILES, DEEPEST)
+            source = Source(path, "timeline", LARGEST, MOST_FILES, DEEPEST_FOLDER)
             lines = list[str]()
             before = len(found)
             for name in source.names:
@@ -116,7 +116,7 @@ def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], l
                     lines += [str(error)] if source.single or "expected a timeline: " not in str(error) else []
             (notes if len(found) > before else refused).extend(lines)
             if len(found) == before and not lines:
-                raise InputError(path, "", f"{len(source.names)} files, none of them a timeline", EXPECTED)
+                raise InputError(path, "", f"{len(source.names)} files, none of them a timeline", EXPECTED_TIMELINE)
         except InputError as error:
             refused.append(str(error))
         except OSError as error:
@@ -136,7 +136,7 @@ def _recognized(source: Source, name: str) -> PastFile:
     other = next((what for sign, what in OTHERS if sign.search(head)), "")
     if other:
         raise InputError(where, "", other, "a timeline")
-    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED)
+    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
 
 
 Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all

@@ -22,10 +22,10 @@ from pdr_graph.io.validation import float_of
 from pdr_graph.lifelog.past.past_rows import Batch, Format
 from pdr_graph.types import Index
 
-PIECE = 4_000_000  # [bytes] read at a time
-LONGEST_ELEMENT = 64_000_000  # [bytes] of one element; real ones have up to a megabyte
+PIECE_SIZE = 4_000_000  # [bytes] read at a time
+LONGEST_JSON_ELEMENT = 64_000_000  # [bytes] of one element; real ones have up to a megabyte
 MOST_ARRAYS = 1000  # in one document; real ones have three
-MARKS = bytes(c in b'"{}[]' for c in range(256))
+JSON_MARKS = bytes(c in b'"{}[]' for c in range(256))
 BLANK = b" \t\r\n,"
 DECODE_ERRORS = (msgspec.DecodeError, RecursionError, ValueError)
 Element = TypeVar("Element")
@@ -85,7 +85,7 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
     Raises InputError if an element is too long, the document is neither a list nor an object, is cut off, or if
     something follows its end.
     """
-    text = stream.read(PIECE)
+    text = stream.read(PIECE_SIZE)
     text = text.removeprefix(b"\xef\xbb\xbf").lstrip()
     if text[:1] not in (b"{", b"["):
         raise InputError(where, "", repr(text[:20]), "JSON: a list or an object")
@@ -100,12 +100,14 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
                 yield Piece(state.key, text[begin : int(end[-1])], end - begin)
         closing = brackets[0][brackets[1] == 0]
         if len(closing):
-            _check_end(text[int(closing[0]) + 1 :] + stream.read(PIECE), where)
+            _check_end(text[int(closing[0]) + 1 :] + stream.read(PIECE_SIZE), where)
             return
         text = text[consumed:]
-        if len(text) > LONGEST_ELEMENT:
-            raise InputError(where, state.key, f"an element of more than {LONGEST_ELEMENT // 10**6} MB", "a timeline")
-        more = stream.read(max(PIECE, len(text)))
+        if len(text) > LONGEST_JSON_ELEMENT:
+            raise InputError(
+                where, state.key, f"an element of more than {LONGEST_JSON_ELEMENT // 10**6} MB", "a timeline"
+            )
+        more = stream.read(max(PIECE_SIZE, len(text)))
         if not more:
             raise InputError(where, state.key, "an end in the middle", "the whole file: was the download cut off?")
         text += more
@@ -119,7 +121,7 @@ def _check_end(text: bytes, where: str) -> None:
 
 def _brackets(text: bytes, depth: int) -> tuple[Index, Index, Index]:
     """Places of the brackets outside strings, the depth after each, and +1 or -1 for opening or closing."""
-    place = np.flatnonzero(np.frombuffer(text.translate(MARKS), bool))
+    place = np.flatnonzero(np.frombuffer(text.translate(JSON_MARKS), bool))
     mark = np.frombuffer(text, np.uint8)[place]
     quote = mark == ord('"')
     if b"\\" in text:

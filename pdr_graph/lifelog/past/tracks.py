@@ -24,7 +24,7 @@ from pdr_graph.lifelog.past.past_rows import Batch, Format, Point, batch_of, gue
 
 AT_ONCE = 20_000  # points in a batch
 LONGEST_ELEMENT = 50_000_000  # [bytes] from one XML element to the next, whose tree takes 1 GB of memory
-UNKNOWN = float("nan")  # accuracy in KML: the format has none
+NO_RADIUS = float("nan")  # accuracy in KML: the format has none
 
 
 def elements(stream: BinaryIO, where: str, tag: str) -> Iterator[etree._Element]:
@@ -107,11 +107,11 @@ def _placemark_points(element: etree._Element) -> Iterator[Point]:
         times = [when.text or "" for when in track.iterfind("{*}when")]
         places = [coord.text or "" for coord in track.iterfind("{*}coord")]
         for time, place in zip(times, places, strict=False):
-            yield _iso(time), _lat_lon(place.split()), UNKNOWN, TRACK
+            yield _iso(time), _lat_lon(place.split()), NO_RADIUS, TRACK
     time = element.findtext("{*}TimeStamp/{*}when")
     place = element.findtext(".//{*}Point/{*}coordinates")
     if time and place:
-        yield _iso(time), _lat_lon(place.split(",")), UNKNOWN, TRACK
+        yield _iso(time), _lat_lon(place.split(",")), NO_RADIUS, TRACK
 
 
 def _placemark_guesses(element: etree._Element) -> Iterator[Guess]:
@@ -245,5 +245,5 @@ FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
 OVERLAND = lists_format("Overland", rb'"locations"\s*:\s*\[\s*\{.*"Feature"', {"locations": _overland})
 # The Recorder's .rec files: a line per message with UTC time, kind and JSON
 OWNTRACKS = Format("OwnTracks Recorder", re.compile(rb"\A\s*\d{4}-\d\d-\d\dT[\d:.]+Z\s+\S+\s+\{"), _owntracks)
-GPX = Format("GPX", re.compile(rb"\A.{0,2044}<gpx", re.DOTALL), _gpx)
+GPX_TRACKS = Format("GPX", re.compile(rb"\A.{0,2044}<gpx", re.DOTALL), _gpx)
 KML = Format("KML", re.compile(rb"\A.{0,2044}<kml", re.DOTALL), _kml)
