@@ -19,7 +19,6 @@ from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import is_located, is_usual, teaches_profile, verdict
-from pdr_graph.estimation.sources import position_sources
 from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
@@ -27,6 +26,7 @@ from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
 from pdr_graph.report.library import packed_library
+from pdr_graph.report.sources import position_sources
 from pdr_graph.second_core import ForkedCall, in_background
 from pdr_graph.types import Estimate, Steps, Trajectory
 from pdr_graph.walk_options import Options

@@ -67,11 +67,11 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (29, 4161),
+    ".": (29, 4045),
     "cli": (12, 985),
-    "estimation": (17, 2966),
+    "estimation": (16, 2868),
     "estimation/ambiguity": (7, 541),
-    "estimation/factors": (14, 2396),
+    "estimation/factors": (14, 2311),
     "estimation/live": (20, 2203),
     "evaal": (5, 551),
     "floor": (10, 1233),
@@ -83,14 +83,14 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lifelog/past": (21, 1055),
     "online": (12, 1151),
     "papers": (6, 567),
-    "report": (8, 702),
+    "report": (9, 779),
     "serve": (28, 2907),
     "simulation": (11, 1454),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (42, 7224),
-    "online.navigator": (93, 13960),
+    "estimation.smoother": (42, 7020),
+    "online.navigator": (93, 13750),
 }
 
 
