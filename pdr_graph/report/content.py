@@ -12,7 +12,6 @@ import numpy as np
 from pdr_graph.errors import percent, printable
 from pdr_graph.estimation.gps_track import without_data
 from pdr_graph.estimation.results import is_usual
-from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest
@@ -38,6 +37,7 @@ from pdr_graph.report.page import (
     thinned,
     track,
 )
+from pdr_graph.report.sources import PositionSource
 from pdr_graph.types import Array, Estimate, FixReport, OneLineRepr, Recording, Steps, Trajectory, time_span
 
 CAUSAL = "#2fa37d"  # colour of causal tracks

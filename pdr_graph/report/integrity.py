@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import protection_level
 from pdr_graph.report.charts_and_tables import CHART_ROWS, Table, line, table
 from pdr_graph.report.evaluation import error_text, evaluate
 from pdr_graph.report.page import RADIO, TRACK, maps_of, thinned, track
+from pdr_graph.report.sources import PositionSource
 from pdr_graph.types import Trajectory
 
 COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order

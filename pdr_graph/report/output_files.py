@@ -17,10 +17,10 @@ from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.results import is_located, is_usual, teaches_profile
-from pdr_graph.estimation.sources import position_sources
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.io import gpx, writers
 from pdr_graph.report.evaluation import circular_error, coverage, evaluate, pair
+from pdr_graph.report.sources import position_sources
 from pdr_graph.types import Estimate, Trajectory
 from pdr_graph.walk import Evidence, Options, Result, estimate, observe, read
 from pdr_graph.whole_files import output_folder
