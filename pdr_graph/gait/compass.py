@@ -64,7 +64,7 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
     return int(among[np.argmin(np.abs(turned))])
 
 
-PIECE = 50.0  # [s] of a recording between evaluations: three for a stretch, within the magnetometer's history
+PIECE = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
