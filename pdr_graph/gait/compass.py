@@ -40,19 +40,21 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
     expect("magnetic_headings, frame", frame, Frame, instead="FloorPlan.frame or frame_of(fixes)")
     expect("magnetic_headings, near", near, np.ndarray, instead="fixes.position[0]")
     whole = recording if isinstance(recording, Recording) else recording[0].recording
-    if not frame.georeferenced or None in (whole.accelerometer, whole.gyroscope, whole.magnetometer):
+    field = whole.magnetometer
+    if not frame.georeferenced or field is None or whole.accelerometer is None or whole.gyroscope is None:
         return Headings.none()
-    compass, time, used = LiveCompass(reach=2 * COMPASS.longest_stretch), whole.magnetometer.time, 0
+    compass, used = LiveCompass(reach=2 * COMPASS.longest_stretch), 0
     compass.locate(frame, near, whole.epoch)
     of_stretch: dict[int, LiveHeading] = {}
     for gait in gait_signals(recording):
         for piece in gait.pieces(PIECE):
-            before, used = used, int(np.searchsorted(time, piece.attitude.time[-1], side="right")) + 1
-            compass.push(time[before:used], whole.magnetometer.values[before:used])
+            before, used = used, int(np.searchsorted(field.time, piece.attitude.time[-1], side="right")) + 1
+            compass.push(field.time[before:used], field.values[before:used])
             compass.update(piece)
             of_stretch |= {found.stretch: found for found in compass.advance()}
     rows = [(found.time, found.heading, found.sigma) for found in of_stretch.values() if np.isfinite(found.sigma)]
-    return Headings(*np.array(rows).reshape(-1, 3).T)
+    time, heading, sigma = np.array(rows).reshape(-1, 3).T
+    return Headings(time, heading, sigma)
 
 
 def straightest(heading: Array, among: Index, reach: int) -> int:
@@ -61,7 +63,7 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
     return int(among[np.argmin(np.abs(turned))])
 
 
-PIECE = 50.0  # [s] of a recording between evaluations: three for a stretch, within the magnetometer's history
+PIECE = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
