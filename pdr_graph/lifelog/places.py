@@ -9,6 +9,7 @@ after a time without data.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -106,9 +107,8 @@ def places_of(visits: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()) 
     clusters: list[_Cluster] = []
     located = [(visit, on_sphere(np.array([[visit.longitude, visit.latitude]]))[0]) for visit in visits]
     for visit, middle in sorted(located, key=lambda pair: (_sigma(pair[0]), pair[0].start)):
-        near = [
-            (distance, n) for n, own in enumerate(clusters) if (distance := own.distance(visit, middle)) is not None
-        ]
+        sigma, name = _sigma(visit), plan_name(visit)
+        near = [(far, n) for n, own in enumerate(clusters) if (far := own.distance(middle, sigma, name)) is not None]
         if near:
             clusters[min(near)[1]].append(visit, middle)
         else:
@@ -143,14 +143,14 @@ class _Cluster:
         self._weight += _weight(visit)
         self._sum = self._sum + _weight(visit) * middle
 
-    def distance(self, visit: TimelineEntry, middle: Array) -> float | None:
+    def distance(self, middle: Array, sigma: float, name: str) -> float | None:
         """Distance of a visit at this place [m], by its name on a plan 0 if unknown; None if it is elsewhere."""
-        off, name = middle - self._sum / self._weight, plan_name(visit)
+        off = middle - self._sum / self._weight
         far = float(np.sqrt(off @ off))
         if name or self._name:
             # widest place [m] between visits of one name on a plan
             return float(np.nan_to_num(far)) if self._name == name and not far > 500.0 else None
-        return far if far <= PLACE_RADIUS + min(_sigma(visit), PLACE_RADIUS) else None
+        return far if far <= PLACE_RADIUS + min(sigma, PLACE_RADIUS) else None
 
     def place(self, number: int, named: Sequence[NamedArea]) -> Place:
         """The place of the visits."""
@@ -168,7 +168,7 @@ class _Cluster:
 
 def _sigma(visit: TimelineEntry) -> float:
     """Standard deviation per axis of a visit [m], 0 if unknown."""
-    return float(np.nan_to_num(visit.sigma))
+    return 0.0 if math.isnan(visit.sigma) else float(visit.sigma)
 
 
 def _weight(visit: TimelineEntry) -> float:
