@@ -1,5 +1,7 @@
 # The public names, each once: `__init__.py` loads them from here on first use, type checkers read this file as it is.
 
+from .apps.report.evaluation import evaluate as evaluate
+from .apps.report.plotting import plot as plot
 from .errors import InputError as InputError
 from .estimation.factors import register as register
 from .estimation.factors.base import FactorBlock as FactorBlock
@@ -22,6 +24,8 @@ from .geometry import dead_reckon as dead_reckon
 from .io.loading import load as load
 from .io.tables import read_fixes as read_fixes
 from .io.tables import read_trajectory as read_trajectory
+from .lab.simulation.scenario import Scenario as Scenario
+from .lab.simulation.simulate import simulate as simulate
 from .online.interface import Event as Event
 from .online.interface import Mode as Mode
 from .online.interface import Pose as Pose
@@ -31,10 +35,6 @@ from .online.interface import events_of as events_of
 from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
 from .online.status import Status as Status
-from .report.evaluation import evaluate as evaluate
-from .report.plotting import plot as plot
-from .simulation.scenario import Scenario as Scenario
-from .simulation.simulate import simulate as simulate
 from .types import LONLAT as LONLAT
 from .types import Calibration as Calibration
 from .types import Contradiction as Contradiction

@@ -14,7 +14,7 @@ def main() -> None:
     try:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, _interrupt)
-        from pdr_graph.cli import main as run
+        from pdr_graph.apps.cli import main as run
 
         run()
     except Interrupted as interruption:

@@ -1,7 +1,7 @@
 """From files to the most probable walk: ``read(files) -> Evidence``, ``observe``, ``estimate -> Result``.
 
-Every use of a walk is a page on top of these three: `report.output_files` (``smooth``), `online.replay`, a day of the
-lifelog, a trial. A recording and the files beside it are checked once, in `read`.
+Every use of a walk is a page on top of these three: `apps.report.output_files` (``smooth``), `apps.replay`, a day of
+the lifelog, a trial. A recording and the files beside it are checked once, in `read`.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from tables import table
 
 from pdr_graph import evaluate, smooth
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario, UserFixes
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.walk import Options, observe, read
 
 CORNERS = [[10.5, 12.5], [73.5, 12.5], [73.5, 47.5], [10.5, 47.5]]  # of the corridors of maps/mall

@@ -32,11 +32,11 @@ from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.papers.attitude_filters import METHODS, switching
+from pdr_graph.lab.papers.attitude_filters import METHODS, switching
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import PARTICLES, changed
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Recording, Signal, Steps
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -131,7 +131,7 @@ def command_rows():
         out = Path(folder)
         write(simulate(Scenario.of(given)), out)
         recording = out / "walk.txt"
-        start = [sys.executable, "-c", "from pdr_graph.cli import main; main()"]
+        start = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()"]
         arguments = [
             "smooth",
             recording,

@@ -13,9 +13,9 @@ from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
-from pdr_graph.papers import step_detectors
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers import step_detectors
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 EIGHT = Path(__file__).resolve().parents[1] / "maps" / "figure_eight.geojson"
 MANNERS = ("normal", "fast", "narrow", "wide")

@@ -7,9 +7,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
-from pdr_graph.papers.attitude_filters import below_threshold, rest_threshold, strapdown, switching
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers.attitude_filters import below_threshold, rest_threshold, strapdown, switching
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Signal
 
 LEARNT_FOR = 30.0  # [s] at rest

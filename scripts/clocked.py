@@ -17,7 +17,7 @@ START = "interpreter and imports"
 REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
     "reading the recording": ("pdr_graph.walk:load",),
-    "plan, fixes, frame": ("pdr_graph.report.output_files:read",),
+    "plan, fixes, frame": ("pdr_graph.apps.report.output_files:read",),
     "attitude": ("pdr_graph.gait.steps:attitude_of",),
     "steps": (
         "pdr_graph.walk:gait_signals",
@@ -40,10 +40,10 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
         "pdr_graph.io.writers:write_summary",
         "pdr_graph.io.gpx:write",
     ),
-    "picture": ("pdr_graph.report.output_files:_write_picture",),
+    "picture": ("pdr_graph.apps.report.output_files:_write_picture",),
     "report: filter": ("pdr_graph.walk:kalman_filter",),
-    "report: page": ("pdr_graph.report.output_files:write_report",),
-    "summary": ("pdr_graph.report.output_files:summarize",),
+    "report: page": ("pdr_graph.apps.report.output_files:write_report",),
+    "summary": ("pdr_graph.apps.report.output_files:summarize",),
 }
 GRAPH = ("graph, built", "graph, particles", "graph, solved", "graph, covariance")
 
@@ -79,7 +79,7 @@ def clocked(arguments):
         for function in functions:
             module, name = function.split(":")
             clocks.around(importlib.import_module(module), name, stage)
-    from pdr_graph import cli
+    from pdr_graph.apps import cli
 
     sys.argv[1:] = arguments
     at_start = np.array([time.process_time(), time.time() - _born()])

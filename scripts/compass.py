@@ -16,11 +16,11 @@ from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
+from pdr_graph.lab.papers.heading_methods import principal_axis
+from pdr_graph.lab.simulation.carrying import with_grip_change
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
-from pdr_graph.papers.heading_methods import principal_axis
-from pdr_graph.simulation.carrying import with_grip_change
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with

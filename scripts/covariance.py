@@ -12,7 +12,7 @@ from tables import publish, table
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.errors import read_toml
 from pdr_graph.geometry import unit
-from pdr_graph.simulation.scenario import Scenario, scenario_file
+from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
 from pdr_graph.types import Fixes
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,8 +12,8 @@ from pdr_graph import WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.io.loading import load
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes
 
 WIDE = 0.03  # [rad/s] prior sigma of b: ten times what is measured

@@ -14,8 +14,8 @@ from steps import beside, oxford
 from tables import publish, table
 
 from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, kalman_filter, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
-from pdr_graph.report.evaluation import circular_error, pair
 
 PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
 COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]

@@ -20,6 +20,8 @@ from reproduce import DATA
 from tables import publish, table
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
+from pdr_graph.apps.lifelog import reconstruct
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors import base as loss_functions
 from pdr_graph.estimation.factors import fixes as fix_factors
@@ -27,9 +29,7 @@ from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
-from pdr_graph.lifelog import reconstruct
 from pdr_graph.priors import FIXES, LOSSES, MOTION, changed
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Closures, Trajectory
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"

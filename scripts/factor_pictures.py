@@ -18,6 +18,9 @@ from simulations import simulated
 from tables import DOCS
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
+from pdr_graph.apps.lifelog.multi_day import CarriedPhone, encounters
+from pdr_graph.apps.lifelog.sessions import STANDING_SIGMA
+from pdr_graph.apps.report.plotting import draw_plan
 from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
 from pdr_graph.estimation.factors import chain as chains
 from pdr_graph.estimation.factors.base import POSE, State
@@ -34,11 +37,8 @@ from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
-from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
-from pdr_graph.lifelog.sessions import STANDING_SIGMA
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.priors import BEACONS, COMPASS, LOSSES, MOTION
-from pdr_graph.report.plotting import draw_plan
-from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Closures, Fixes, Levels, Sightings, Steps, Trajectory, take
 
 INK, GREY, PALE = "#2b2f36", "#8a8a8a", "#c9cdd4"

@@ -5,12 +5,12 @@ from recorded import WAYPOINT_NOISE, gaps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import REGION_90
 from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.io.loading import load
 from pdr_graph.priors import SCANS
-from pdr_graph.report.evaluation import REGION_90
 from pdr_graph.types import Fixes
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given to a walk of the map

@@ -9,9 +9,9 @@ from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.attitude import runs
 from pdr_graph.io.loading import load
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Signal
 
 SEEDS = range(200, 240)  # the settings were chosen on others

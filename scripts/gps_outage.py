@@ -12,7 +12,7 @@ from tables import DOCS, publish, table
 
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.types import Trajectory
 
 WALKS = 20

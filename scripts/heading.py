@@ -11,15 +11,15 @@ from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.papers.attitude_filters import imu_filter
-from pdr_graph.papers.heading_methods import (
+from pdr_graph.lab.papers.attitude_filters import imu_filter
+from pdr_graph.lab.papers.heading_methods import (
     PrincipalDirection,
     acceleration_axis,
     accumulate_turn,
     angular_rate_axis,
 )
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import LONLAT
 
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")

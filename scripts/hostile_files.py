@@ -29,7 +29,7 @@ from hostile_recordings import RECORDINGS
 from hostile_tables import TABLES
 from hostile_timelines import TIMELINES
 
-from pdr_graph import cli
+from pdr_graph.apps import cli
 
 GUARD = 12_000_000_000  # [bytes] of address space of a child process: beyond, it fails
 MEMORY = 600, 27  # [MB] for any input, and more per MB of it (unpacked up to the stated limit of a recording)

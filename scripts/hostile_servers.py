@@ -17,25 +17,27 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from hostile_server import ATTACKS, attacking, body
 
 LIMIT = 400.0  # [s] after which a client hangs
-SHORT = "import pdr_graph.evaal.client as c; c.SILENCE, c.LONGEST_CALL = 2.0, 10.0; "  # the same with smaller limits
-SHORT_STUDY = "import pdr_graph.serve.study as s; s.DOWNLOAD = 20.0\n"
-MAIN = "from pdr_graph.cli import main; main()"
+SHORT = (
+    "import pdr_graph.apps.evaal.client as c; c.SILENCE, c.LONGEST_CALL = 2.0, 10.0; "  # the same with smaller limits
+)
+SHORT_STUDY = "import pdr_graph.apps.serve.study as s; s.DOWNLOAD = 20.0\n"
+MAIN = "from pdr_graph.apps.cli import main; main()"
 ROWS = "".join(f"ACCE;{1 + n / 100:.3f};{1 + n / 100:.3f};0.1;0.2;9.8;3\n" for n in range(50)).encode()
 STATE = b"1.0,-1,1.0,20.0,0.0,0.5,1.0,0.0;0.0;0"
 GOOD_ANSWERS = 3  # requests for rows before the attack on them
 STUDY = """
-import asyncio, sys; from pathlib import Path; from pdr_graph.serve.study import *
+import asyncio, sys; from pathlib import Path; from pdr_graph.apps.serve.study import *
 upload = Upload("study", "upload", "code")
 try: fetch(sys.argv[1], upload, Path("recording.zip"))
 except CloudError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 PHONE = """
-import sys; from pdr_graph.serve.phyphox_polling import *
+import sys; from pdr_graph.apps.serve.phyphox_polling import *
 try: list(messages_of(PhyphoxPhone(sys.argv[1]).poll(), 0))
 except PhoneError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 TILES = """
-import sys; import numpy as np; from pdr_graph.lifelog.maps import *
+import sys; import numpy as np; from pdr_graph.apps.lifelog.maps import *
 try: list(tiles(sys.argv[1], MercatorFrame(48.0, 11.0), np.array([[-500.0, -500.0], [500.0, 500.0]]), 1500))
 except OSError as error: print(error, file=sys.stderr); sys.exit(2)
 """

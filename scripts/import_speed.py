@@ -50,7 +50,7 @@ def main():
         number = write_records(file, size * 10**6, "compact" in sys.argv)
         for run in ("first import", "second import"):
             begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-            command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "import"]
+            command = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()", "lifelog", "import"]
             done = subprocess.run([*command, store, file], capture_output=True, text=True, check=True)
             took = time.perf_counter() - begin
             used = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from tables import table
 
+from pdr_graph.apps.report.evaluation import REGION_90, pair
 from pdr_graph.geometry import interpolate
-from pdr_graph.report.evaluation import REGION_90, pair
 
 TIMES, SLACK = 1.25, 0.3  # [-], [m]: no harm if the error is at most TIMES that without the source, plus SLACK
 RADII = 3.0  # stated 95 % radii beyond which an error is a broken promise

@@ -15,9 +15,9 @@ from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, rotation, unit
 from pdr_graph.io.beacons import SURVEY_SIGMA
-from pdr_graph.simulation.body import Body
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.sensors import (
+from pdr_graph.lab.simulation.body import Body
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.sensors import (
     BLUETOOTH,
     FLOOR_LOSS,
     RandomPattern,
@@ -26,7 +26,7 @@ from pdr_graph.simulation.sensors import (
     gnss_fixes,
     receptions,
 )
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory
 
 PLANS = ("mall", "arcade", "campus")  # of maps/, one walk after the other

@@ -6,13 +6,13 @@ import numpy as np
 from recorded import WAYPOINT_NOISE, gaps, given, rest
 from tables import publish, table
 
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.reconstruct import estimate_walk
+from pdr_graph.apps.lifelog.sessions import Session
+from pdr_graph.apps.lifelog.store import RecordingOptions
 from pdr_graph.estimation.fingerprinting import revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.io.loading import load
-from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import estimate_walk
-from pdr_graph.lifelog.sessions import Session
-from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = ("site1/B1", "site1/F1", "site2/F1")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from tables import publish, table
 
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.stays import follow_positions
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.stays import follow_positions
 from pdr_graph.walk import read
 
 ROOT = Path(__file__).resolve().parents[1]

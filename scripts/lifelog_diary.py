@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from tables import publish, table
 
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.stays_and_legs import SHORTEST_VISIT
-from pdr_graph.lifelog.store import Store
-from pdr_graph.lifelog.timeline import STAY
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("PDR_GRAPH_DATA", ROOT.parent / "shared" / "data"))

@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 from tables import table
 
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 FIRST = datetime(2024, 5, 1, 9, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
 DAY, DAYS, WALKS = 86_400.0, 30, 3
@@ -63,7 +63,7 @@ def shifted(line, seconds):
 
 def measured(*arguments):
     """Time on the wall [s], CPU time [s], and the largest memory of one process and of all [MB] of a command."""
-    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", *map(str, arguments)]
+    command = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()", "lifelog", *map(str, arguments)]
     before, began = os.times(), time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     largest = [0.0, 0.0]

@@ -20,15 +20,15 @@ import numpy as np
 from tables import table
 
 from pdr_graph import dead_reckon
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.cache import content_hash
+from pdr_graph.apps.lifelog.observation import Observation, observe
+from pdr_graph.apps.lifelog.store import Entry, Store
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.cache import content_hash
-from pdr_graph.lifelog.observation import Observation, observe
-from pdr_graph.lifelog.store import Entry, Store
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Headings, Steps
 
 FIRST = datetime(2024, 5, 1, 7, tzinfo=UTC).timestamp()  # [s] Unix time of the first walk

@@ -13,20 +13,20 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
+from pdr_graph.apps.lifelog.day import Stay
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.reconstruct import estimate_walk
+from pdr_graph.apps.lifelog.sessions import Session
+from pdr_graph.apps.lifelog.stays import stays_of
+from pdr_graph.apps.lifelog.store import RecordingOptions
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
-from pdr_graph.lifelog.day import Stay
-from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import estimate_walk
-from pdr_graph.lifelog.sessions import Session
-from pdr_graph.lifelog.stays import stays_of
-from pdr_graph.lifelog.store import RecordingOptions
-from pdr_graph.simulation.itinerary import FRONT
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.itinerary import FRONT
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 MALL = Path(__file__).resolve().parents[1] / "maps" / "mall.geojson"
 ENTRANCE = {"mall": (42.0, 12.5), "market": (70.0, 25.0)}  # [m]

@@ -29,10 +29,10 @@ from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario, scenario_file
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Recording, Trajectory
 from pdr_graph.walk import Options, read
 

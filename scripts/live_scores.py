@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from recorded import gaps
 
-from pdr_graph.report.evaluation import circular_error, heading_error, pair
+from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
 
 NEAR, POINTED = 5.0, 0.5  # [m] and [rad] within which a place and a direction are right
 MINUTE = 60.0  # [s]

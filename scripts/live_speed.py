@@ -15,10 +15,10 @@ from synthetic_walks import held_by_walls, walk
 from tables import table
 
 from pdr_graph import FloorPlan
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Steps
 
 LOOP = Path(__file__).resolve().parent.parent / "maps" / "loop.geojson"

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
 from pdr_graph import FloorPlan, Headings, WalkGraph, detect_steps, smooth
+from pdr_graph.apps.report.plotting import draw_plan
 from pdr_graph.geometry import dead_reckon, interpolate, length_along
-from pdr_graph.papers.map_matching import correct, match, straightened
-from pdr_graph.report.plotting import draw_plan
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers.map_matching import correct, match, straightened
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes
 
 LOOP = Path(__file__).resolve().parents[1] / "maps" / "loop.geojson"

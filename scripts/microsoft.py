@@ -7,9 +7,9 @@ from recorded import WAYPOINT_NOISE, Walk, fixes_as_track, gaps, helped
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, kalman_filter, kalman_smoother, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.loading import load
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Fixes
 
 HELP = {

@@ -9,9 +9,9 @@ from simulations import simulated
 from tables import publish, table
 
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.geometry import unit
-from pdr_graph.report.evaluation import circular_error, pair
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.scenario import Scenario
 
 SHARES = (0.1, 0.2, 0.3, 0.4)
 NEAR, FAR = 50.0, 500.0  # [m] that a wild fix is off

@@ -22,13 +22,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from pdr_graph.simulation.scenario import scenario_file
+from pdr_graph.lab.simulation.scenario import scenario_file
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = [0, 1, 100, *(1000 * 2**n for n in range(14))]  # [bytes] of the largest file that may be written
 FREE = [0, 4096, 20_000, 100_000, 1_000_000, 30_000_000]  # [bytes] on a small disk
 # What commands import
-MODULES = ["cli", "lifelog.build", "online.replay", "report.output_files", "report.plotting", "report.content"]
+MODULES = ["cli", "lifelog.build", "replay", "report.output_files", "report.plotting", "report.content"]
 LONGEST = 600  # [s] of one command, on a busy machine
 WALK = ["walk", "--map", "walk/plan.geojson", "--fixes", "walk/fixes.csv"]
 ROUTE = str(ROOT / "maps/figure_eight.geojson")
@@ -304,5 +304,5 @@ def main():
 
 if __name__ == "__main__":
     for module in MODULES:
-        import_module(f"pdr_graph.{module}")
+        import_module(f"pdr_graph.apps.{module}")
     main()

@@ -4,7 +4,7 @@ from recorded import coverage, fixes_as_track, ipin21_walks, ipin2023_walks, nju
 from tables import publish, table
 
 from pdr_graph import WalkGraph, smooth
-from pdr_graph.report.evaluation import circular_error, pair
+from pdr_graph.apps.report.evaluation import circular_error, pair
 
 
 def ipin21(data):

@@ -31,17 +31,17 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "lifelog")]
 import made_tracks  # noqa: E402
 from made_days import STANDING, VEHICLE, WALKING, outing, stay  # noqa: E402
 
-from pdr_graph.frames import Frame, enu  # noqa: E402
-from pdr_graph.lifelog.day import (  # noqa: E402
+from pdr_graph.apps.lifelog.day import (  # noqa: E402
     GAP,
     Day,
     Outing,
     rows_of,
 )
-from pdr_graph.lifelog.export import CSV, GEOJSON, GPX, PARQUET, SECRET, export_days  # noqa: E402
-from pdr_graph.lifelog.privacy import SQUARE_SIDE, PrivatePlace, nested_squares, private_places  # noqa: E402
-from pdr_graph.lifelog.revision import forget, state_not_me  # noqa: E402
-from pdr_graph.lifelog.store import Store  # noqa: E402
+from pdr_graph.apps.lifelog.export import CSV, GEOJSON, GPX, PARQUET, SECRET, export_days  # noqa: E402
+from pdr_graph.apps.lifelog.privacy import SQUARE_SIDE, PrivatePlace, nested_squares, private_places  # noqa: E402
+from pdr_graph.apps.lifelog.revision import forget, state_not_me  # noqa: E402
+from pdr_graph.apps.lifelog.store import Store  # noqa: E402
+from pdr_graph.frames import Frame, enu  # noqa: E402
 
 FORMATS = (GPX, GEOJSON, CSV, PARQUET)
 MIDNIGHT = datetime(2024, 5, 1, tzinfo=UTC).timestamp()

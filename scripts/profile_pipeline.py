@@ -15,9 +15,9 @@ import numpy as np
 from clocked import GRAPH
 from tables import table
 
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 CLOCKED = Path(__file__).with_name("clocked.py")
 MAPS = Path(__file__).resolve().parent.parent / "maps"

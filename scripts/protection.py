@@ -9,8 +9,8 @@ from recorded import WAYPOINT_NOISE, ipin21_walks, ipin2023_walks, nju_walks
 from tables import publish, table
 
 from pdr_graph import smooth
+from pdr_graph.apps.report.evaluation import pair
 from pdr_graph.geometry import along_and_across, protection_level
-from pdr_graph.report.evaluation import pair
 
 LEVELS = (0.95, 0.999)
 QUANTILES = (0.95, 0.999)

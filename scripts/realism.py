@@ -14,9 +14,9 @@ from pdr_graph import dead_reckon, detect_steps
 from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.loading import load
-from pdr_graph.simulation.carrying import HOLDS
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.carrying import HOLDS
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
 
 BANDS = ((0.3, 1.4), (1.4, 2.4), (2.4, 4.5), (4.5, 8.0), (8.0, 15.0))  # [Hz] stride, step, its harmonics, shocks

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph import FloorPlan, detect_steps, magnetic_headings, read_fixes
+from pdr_graph.apps.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.frames import enu
@@ -12,7 +13,6 @@ from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
-from pdr_graph.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.types import Fixes, Headings, Levels, Steps, Trajectory
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given

@@ -109,7 +109,7 @@ def _run(environment: Environment, out: Path, command: str) -> str:
         [
             sys.executable,
             "-c",
-            "from pdr_graph.cli import main; main()",
+            "from pdr_graph.apps.cli import main; main()",
             *command.format(**names, workers=workers).split(),
         ],
         cwd=environment.folder or out,

@@ -34,12 +34,12 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.io import loading
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
-from pdr_graph.simulation.streaming import batches, message
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.lab.simulation.streaming import batches, message
 
-SERVE = "from pdr_graph.cli import main; main()"
+SERVE = "from pdr_graph.apps.cli import main; main()"
 SESSION = "SESSIONSESSION"
 PATIENCE = 60.0  # [s]
 START = 20.0  # [s] over which the phones begin: the first seconds of a walk cost most
@@ -447,7 +447,7 @@ def _status(url: str, body: bytes) -> int:
 
 
 def _check_log(folder: Path, acknowledged: int) -> None:
-    from pdr_graph.serve.message_log import read_body, read_entries
+    from pdr_graph.apps.serve.message_log import read_body, read_entries
 
     log = folder / "sessions" / "walk0001" / "messages.log"
     entries = list(read_entries(log)) if log.exists() else []

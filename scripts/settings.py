@@ -18,10 +18,10 @@ from simulations import simulated
 from tables import publish, published, table
 
 from pdr_graph import FloorPlan, priors, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.priors import changed, entries, tables
-from pdr_graph.report.evaluation import circular_error, pair
-from pdr_graph.simulation.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 SAME = (0.03, 0.05, 3.0)  # change of CE50 and CE95, as share, and of the coverage, in points, that counts as none

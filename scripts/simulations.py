@@ -10,8 +10,8 @@ from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Trajectory
 
 EVERY = 1.0  # [s] at which their truth is told

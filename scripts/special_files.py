@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 LIMIT, MEMORY = 60.0, 2 << 30  # [s] and [bytes] of a command
-PROGRAM = [sys.executable, "-c", "from pdr_graph.cli import main; main()"]
+PROGRAM = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()"]
 COMMANDS = [  # @ is the special file
     "smooth @ --out o",
     "smooth sim --map @ --out o",

@@ -17,9 +17,9 @@ from synthetic_walks import held_by_walls
 from pdr_graph import FloorPlan
 from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.gait.step_chunks import gap
+from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Event, Samples, Scan, events_of
-from pdr_graph.simulation.scenario import Scenario, scenario_file
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Recording, Sightings, Steps
 
 MAPS = Path(__file__).resolve().parents[1] / "maps"

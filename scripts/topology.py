@@ -14,8 +14,8 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smo
 from pdr_graph.floor.network import Network
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, length_along
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
 MAPS = Path(__file__).resolve().parents[1] / "maps"

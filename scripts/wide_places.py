@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
 from pdr_graph import FloorPlan
+from pdr_graph.apps.report.plotting import draw_plan
 from pdr_graph.geometry import dead_reckon, interpolate
-from pdr_graph.papers.map_matching import correct, match, straightened
-from pdr_graph.report.plotting import draw_plan
+from pdr_graph.lab.papers.map_matching import correct, match, straightened
 from pdr_graph.types import Fixes
 
 CAMPUS = Path(__file__).resolve().parents[1] / "maps" / "campus.geojson"

@@ -1,4 +1,4 @@
-"""How far a GPS track leads by the recipes of others, for tests and tables: no line of it is of `pdr_graph.lifelog`.
+"""How far a GPS track leads by the recipes of others, for tests and tables: it calls nothing of the lifelog.
 
 1. Wild fixes go: the track is cut where its speed is impossible, and parts of a few fixes are left out (Zheng,
    "Trajectory data mining: an overview", ACM TIST 6(3), 2015, Section 3.1, heuristics-based outlier detection).

@@ -10,8 +10,8 @@ import drawn_plans
 import shapely
 from recorders import EXPORTS, phyphox, sample
 
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 SAMPLES = 80
 NUMBERS = (

@@ -231,11 +231,11 @@ def lifelog_ages(folder):
     """A lifelog of five days after each of its builds, and in the middle of them; the last one is killed in a build."""
     import days_standin as standin
 
-    from pdr_graph.lifelog.build import build
-    from pdr_graph.lifelog.diary import digest_of
-    from pdr_graph.lifelog.facts import AT, Correction, Guess
-    from pdr_graph.lifelog.ingest import add
-    from pdr_graph.lifelog.store import ZONE, Store
+    from pdr_graph.apps.lifelog.build import build
+    from pdr_graph.apps.lifelog.diary import digest_of
+    from pdr_graph.apps.lifelog.facts import AT, Correction, Guess
+    from pdr_graph.apps.lifelog.ingest import add
+    from pdr_graph.apps.lifelog.store import ZONE, Store
 
     ages = []
     (folder / "store").mkdir()
@@ -277,7 +277,7 @@ def lifelog_content(log):
 
 def shown(store):
     """The content of a lifelog, or nothing and why it is refused, in one line."""
-    from pdr_graph.lifelog.store import Store
+    from pdr_graph.apps.lifelog.store import Store
 
     try:
         with Store(store) as log:
@@ -296,8 +296,8 @@ def store_target(folder, killed=True):
     def reopen(damaged):
         import days_standin as standin
 
-        from pdr_graph.lifelog.build import build
-        from pdr_graph.lifelog.ingest import add
+        from pdr_graph.apps.lifelog.build import build
+        from pdr_graph.apps.lifelog.ingest import add
 
         with Said() as said:
             before, refusal = shown(damaged / "log")
@@ -325,8 +325,8 @@ def content_of(age, folder, build_it=False):
     """The content of a lifelog at an age; build_it: after a build."""
     import days_standin as standin
 
-    from pdr_graph.lifelog.build import build
-    from pdr_graph.lifelog.store import Store
+    from pdr_graph.apps.lifelog.build import build
+    from pdr_graph.apps.lifelog.store import Store
 
     shutil.rmtree(folder, ignore_errors=True)
     put(folder, age)
@@ -345,9 +345,9 @@ def beside_target(folder):
     """The files beside the database: observations of recordings and digests of days."""
     import days_standin as standin
 
-    from pdr_graph.lifelog.build import build
-    from pdr_graph.lifelog.diary import digest_of
-    from pdr_graph.lifelog.store import Store
+    from pdr_graph.apps.lifelog.build import build
+    from pdr_graph.apps.lifelog.diary import digest_of
+    from pdr_graph.apps.lifelog.store import Store
 
     ages = lifelog_ages(folder)
     final = content_of(ages[-1], folder / "scratch", build_it=True)
@@ -381,7 +381,7 @@ def messages():
     import numpy as np
     from simulated import walk_along
 
-    from pdr_graph.simulation.streaming import batches, message
+    from pdr_graph.lab.simulation.streaming import batches, message
     from pdr_graph.types import Recording, Signal
 
     walk = walk_along(np.array([[0.0, 0.0], [12.0, 0.0]]), seed=3)
@@ -395,7 +395,7 @@ def walker(folder):
     import numpy as np
     from standin import StandIn
 
-    from pdr_graph.serve.live_walk import LiveWalk, Session
+    from pdr_graph.apps.serve.live_walk import LiveWalk, Session
 
     session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
     walk = LiveWalk(folder, session, lambda epoch: StandIn())
@@ -406,8 +406,8 @@ def walker(folder):
 
 def session_target(folder):
     """A live walk whose server ended without closing its files."""
-    from pdr_graph.serve.live_walk import LOG
-    from pdr_graph.serve.message_log import MessageLog, read_entries
+    from pdr_graph.apps.serve.live_walk import LOG
+    from pdr_graph.apps.serve.message_log import MessageLog, read_entries
 
     bodies, ages, store = messages(), [], folder / "store"
     store.mkdir()
@@ -453,9 +453,9 @@ def of_session(walk):
 
 def published_target(folder):
     """What is known of a finished session, and shown of it."""
-    from pdr_graph.serve.hub import Hub
-    from pdr_graph.serve.live_walk import PUBLISHED, SESSION, Session, write_session
-    from pdr_graph.serve.reception import Reception, blank_pose
+    from pdr_graph.apps.serve.hub import Hub
+    from pdr_graph.apps.serve.live_walk import PUBLISHED, SESSION, Session, write_session
+    from pdr_graph.apps.serve.reception import Reception, blank_pose
 
     session = Session("id", "key", "phone", "ann", "sensorlogger", "android", EPOCH)
     pose, ages = blank_pose(session) | {"state": "finished", "x": 1.25}, []

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from plans import MAPS
 
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 RATE = 50.0  # [Hz]
 START = 1.7e9  # Unix time [s]

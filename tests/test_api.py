@@ -99,7 +99,7 @@ def test_the_public_surface_is_what_was_promised():
 def test_names_load_when_first_used():
     """The package and its command line, for which ``--help`` waits, import no array library."""
     slow = "{'numpy', 'gtsam', 'scipy', 'shapely', 'matplotlib'}"
-    code = f"import sys, pdr_graph.cli; assert not {slow} & set(sys.modules), {slow} & set(sys.modules)"
+    code = f"import sys, pdr_graph.apps.cli; assert not {slow} & set(sys.modules), {slow} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
     with pytest.raises(AttributeError, match="smoothe"):
         _ = pdr.smoothe
@@ -140,7 +140,7 @@ def test_the_version_is_said_once():
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     """A short simulated walk as its files, the plan beside them."""
-    from pdr_graph.simulation.recorders import write
+    from pdr_graph.lab.simulation.recorders import write
 
     folder = tmp_path_factory.mktemp("walk")
     scenario = pdr.Scenario.load("arcade")

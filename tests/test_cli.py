@@ -13,9 +13,9 @@ from commands import run
 from typer.testing import CliRunner
 
 import pdr_graph
-from pdr_graph import cli
+from pdr_graph.apps import cli
 from pdr_graph.io.loading import READERS
-from pdr_graph.simulation import scenario
+from pdr_graph.lab.simulation import scenario
 
 ROOT = Path(__file__).parent.parent
 MAPS = ROOT / "maps"
@@ -366,7 +366,7 @@ def test_evaluating_with_another_clock_is_an_error(folder, result, tmp_path):
 def test_if_the_graph_cannot_be_solved_the_filter_is_written(folder, tmp_path, monkeypatch):
     """Everything else is written, and the summary lists what is missing."""
     from pdr_graph import walk
-    from pdr_graph.report.output_files import smooth_recording
+    from pdr_graph.apps.report.output_files import smooth_recording
 
     def indeterminate(graph):
         raise RuntimeError("Indeterminant linear system detected\nmore lines of it")
@@ -409,8 +409,8 @@ def test_a_plan_without_a_floor_label_is_used(folder, tmp_path):
 
 def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     """Made from recordings and results of smooth; in another frame it is an error of one line."""
-    from pdr_graph.simulation.recorders import write
-    from pdr_graph.simulation.simulate import simulate
+    from pdr_graph.lab.simulation.recorders import write
+    from pdr_graph.lab.simulation.simulate import simulate
 
     more = {"recorder": "sensor_logger", "wifi": {"access_points": 15}, "fixes": {"period": 5.0}}
     for seed in (1, 2):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
+from pdr_graph.apps.report.evaluation import circular_accuracy, evaluate, pair, table
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation
-from pdr_graph.report.evaluation import circular_accuracy, evaluate, pair, table
 from pdr_graph.types import Trajectory
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import pdr_graph as pdr
-from pdr_graph.simulation.recorders import write
+from pdr_graph.lab.simulation.recorders import write
 
 APP = Path(__file__).resolve().parent.parent / "docs" / "examples" / "live_app.py"
 LONGEST = 60  # lines

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.report import evaluation
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.report import evaluation
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = ROOT / "maps" / "two_floors.geojson"

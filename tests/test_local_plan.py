@@ -11,15 +11,15 @@ import simulated
 from test_cli import ARCADE, ROUTE
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.serve.plan_layers import plan_layers
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import own_format
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.serve.plan_layers import plan_layers
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.walk import Options, read
 
 

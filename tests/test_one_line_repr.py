@@ -5,15 +5,15 @@ import pytest
 from plans import MAPS
 
 from pdr_graph import FloorPlan, detect_steps
+from pdr_graph.apps.report.evaluation import pair
 from pdr_graph.io.delimited import table
 from pdr_graph.io.gpx import Points, Track
 from pdr_graph.io.source import Source
-from pdr_graph.papers.attitude_filters import Navigation, Samples
-from pdr_graph.papers.map_matching import correct, match
-from pdr_graph.report.evaluation import pair
-from pdr_graph.simulation.pedestrian import walk_path
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers.attitude_filters import Navigation, Samples
+from pdr_graph.lab.papers.map_matching import correct, match
+from pdr_graph.lab.simulation.pedestrian import walk_path
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 WALK = simulate(Scenario.of({"route": [[14.85, 1.25], [30, 1.25]], "gnss": {}, "phone": {"rate": 50}}))
 LOOP = FloorPlan.load(MAPS / "loop.geojson")

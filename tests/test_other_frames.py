@@ -12,12 +12,12 @@ from test_cli import ARCADE
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.cli import app
-from pdr_graph.evaal.trial import PositionFormat
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.evaal.trial import PositionFormat
+from pdr_graph.apps.replay import navigator_of
+from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu, projected
-from pdr_graph.online.replay import navigator_of
-from pdr_graph.serve.serving import Settings, build
 from pdr_graph.walk import Options
 
 TWO_FLOORS = MAPS / "two_floors.geojson"

@@ -6,7 +6,7 @@
 import pytest
 from power_loss import CHANGED, DAMAGES, FAILED, TARGETS, UNNOTICED, count
 
-import pdr_graph.cli
+import pdr_graph.apps.cli
 from pdr_graph.recovery import DataLossWarning
 
 
@@ -29,5 +29,5 @@ def test_damaged_files_come_back_with_a_line_or_are_refused_unchanged(target, da
 
 
 def test_the_commands_say_a_loss_in_one_line(capsys):
-    pdr_graph.cli._show_warning(DataLossWarning("log: damaged"), DataLossWarning)
+    pdr_graph.apps.cli._show_warning(DataLossWarning("log: damaged"), DataLossWarning)
     assert capsys.readouterr().err == "pdr-graph: log: damaged\n"

@@ -6,10 +6,10 @@ from scipy.stats import t as student
 from walks import drawn_from_the_model, fixes_on, square_walk
 
 from pdr_graph import dead_reckon, smooth
+from pdr_graph.apps.report.output_files import protection_of
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import FREEDOM, along_and_across, protection_level, rotation
 from pdr_graph.online.interface import Pose
-from pdr_graph.report.output_files import protection_of
 
 
 def covariances(heading, along=3.0, across=1.0):

@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pytest
 
+from pdr_graph.apps.replay import navigator_of
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
-from pdr_graph.online.replay import navigator_of
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.walk import Options, estimate, observe, read
 
 # Most modules; the aim is 25 from the files to the result, and 28 from a sample to a pose

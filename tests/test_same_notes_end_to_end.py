@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import simulated
 
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.reconstruct import reconstruct
+from pdr_graph.apps.lifelog.store import RecordingOptions
+from pdr_graph.apps.replay import replay_recording
+from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import reconstruct
-from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.online.replay import replay_recording
-from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import Headings
 from pdr_graph.walk import Options, estimate, read
 from pdr_graph.walk import observe as observe_walk

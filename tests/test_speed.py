@@ -71,11 +71,14 @@ LOADED = "import sys, {}; print(*(name for name in {} if name in sys.modules))"
     ("modules", "slow"),
     [
         (
-            "pdr_graph.cli, pdr_graph.walk, pdr_graph.report.plotting, pdr_graph.report.content",
+            "pdr_graph.apps.cli, pdr_graph.walk, pdr_graph.apps.report.plotting, pdr_graph.apps.report.content",
             SLOW_TO_LOAD,
         ),
-        ("pdr_graph.report.output_files, pdr_graph.report.content", ("matplotlib",)),
-        ("pdr_graph.lifelog.show, pdr_graph.lifelog.revision", ("scipy", "vqf", "matplotlib", "pdr_graph.walk")),
+        ("pdr_graph.apps.report.output_files, pdr_graph.apps.report.content", ("matplotlib",)),
+        (
+            "pdr_graph.apps.lifelog.show, pdr_graph.apps.lifelog.revision",
+            ("scipy", "vqf", "matplotlib", "pdr_graph.walk"),
+        ),
     ],
 )
 def test_a_command_loads_nothing_that_takes_long_and_is_not_needed(modules, slow):
@@ -90,7 +93,7 @@ def test_the_garbage_of_a_walk_is_not_frozen_with_the_modules():
     code = """
         import gc
         from pdr_graph.batch import keep_modules
-        from pdr_graph.report.output_files import keep_modules
+        from pdr_graph.apps.report.output_files import keep_modules
 
         keep_modules()
         before = gc.get_freeze_count()

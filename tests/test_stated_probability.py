@@ -7,11 +7,11 @@ import pytest
 import simulated
 from test_cli import ARCADE, ROUTE
 
+from pdr_graph.apps.replay import replay_recording
+from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.errors import percent
 from pdr_graph.estimation.results import stated_probability
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.online.replay import replay_recording
-from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import Estimate, FixReport, Trajectory
 from pdr_graph.walk import Options
 

@@ -12,9 +12,9 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, interpolate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import WALKER
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
 
 EIGHT = MAPS / "figure_eight.geojson"

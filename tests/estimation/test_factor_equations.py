@@ -12,6 +12,7 @@ import pytest
 import shapely
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
 
+from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.estimation.factors import base as losses
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
@@ -26,7 +27,6 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
-from pdr_graph.lifelog import multi_day
 from pdr_graph.priors import LOSSES, MOTION, RECEIVERS
 from pdr_graph.types import Closures, Headings, Levels, Sightings
 

@@ -12,10 +12,10 @@ from pdr_graph.estimation import fingerprinting
 from pdr_graph.estimation.fingerprinting import RadioMap, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import SCANS
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Recording, Sightings, Trajectory
 
 ROUND = [[0, 0], {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}]

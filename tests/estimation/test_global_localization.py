@@ -16,8 +16,8 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Recording, Steps
 from pdr_graph.walk import Evidence, estimate, observe
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph import FloorPlan, Recording
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 INERTIAL = ("accelerometer", "gyroscope")

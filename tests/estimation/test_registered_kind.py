@@ -16,16 +16,16 @@ from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from walks import drawn_from_the_model
 
 import pdr_graph as pdr
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.observation import observe, read_observation
+from pdr_graph.apps.lifelog.store import RecordingOptions, Store
+from pdr_graph.apps.report import output_files as outputs
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.observation import observe, read_observation
-from pdr_graph.lifelog.store import RecordingOptions, Store
-from pdr_graph.report import output_files as outputs
 from pdr_graph.walk import Options, estimate, read
 from pdr_graph.walk import observe as evidence_of
 

@@ -10,11 +10,11 @@ from evaal.evaal_server import Trial, serving
 from evaal.trials import Echo, assert_same_as_loaded, received, rows_of, run, summary
 from recorders import G, get_sensor_data, sample
 
-from pdr_graph import cli
+from pdr_graph.apps import cli
+from pdr_graph.apps.evaal.client import CSV, TRIES, Api, State
+from pdr_graph.apps.evaal.row_stream import FIRST_SECOND, RowStream
+from pdr_graph.apps.evaal.trial import INTERVAL, PositionFormat, run_trial
 from pdr_graph.errors import InputError
-from pdr_graph.evaal.client import CSV, TRIES, Api, State
-from pdr_graph.evaal.row_stream import FIRST_SECOND, RowStream
-from pdr_graph.evaal.trial import INTERVAL, PositionFormat, run_trial
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, Scan
@@ -262,7 +262,7 @@ def test_texts_of_the_server_are_printed_without_control_characters(tmp_path, lo
 
 
 def test_a_too_long_answer_raises(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("pdr_graph.evaal.client.MAXIMUM_ROWS", 3000)
+    monkeypatch.setattr("pdr_graph.apps.evaal.client.MAXIMUM_ROWS", 3000)
     with serving(t=Trial(log)) as url, pytest.raises(InputError, match="more than 3000 bytes"):
         Api(url, "t").next_data("0", "", 20.0)
 

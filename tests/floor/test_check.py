@@ -9,7 +9,7 @@ from plans import MAPS
 from typer.testing import CliRunner
 
 from pdr_graph import FloorPlan, InputError
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu

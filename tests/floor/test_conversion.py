@@ -10,7 +10,7 @@ import shapely
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
 from pdr_graph.floor.formats.conversion import TiePoints, convert, scale_of_two_points
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu

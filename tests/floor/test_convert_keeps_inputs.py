@@ -8,7 +8,7 @@ from plans import MAPS
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
 
 
 def convert(*arguments):

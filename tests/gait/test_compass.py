@@ -8,8 +8,8 @@ import pytest
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame, projected
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Signal
 
 HERE = np.zeros(2)

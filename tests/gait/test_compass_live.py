@@ -13,10 +13,10 @@ from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.magnetometer import fit_iron
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.priors import COMPASS, LIVE_COMPASS
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Signal
 
 HERE = np.zeros(2)

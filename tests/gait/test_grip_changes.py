@@ -5,10 +5,10 @@ import pytest
 
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.lab.simulation.carrying import with_grip_change
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import GRIP
-from pdr_graph.simulation.carrying import with_grip_change
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 
 ROUND = [[30, 0], [30, 20], [0, 20], [0, 0]]
 

@@ -9,8 +9,8 @@ from scipy.signal import StateSpace, lsim
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.step_detection import StepDetector, walking_steps
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 RATE = 50.0
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")

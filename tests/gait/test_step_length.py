@@ -8,9 +8,9 @@ import pytest
 from pdr_graph.gait import step_length
 from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.steps import gait_signals
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import STRIDES
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 
 
 def features(**values):

@@ -15,9 +15,9 @@ from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import MOTION
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
 
 ROUTE = [[0, 0], {"stand": 3}, {"to": [[12, 0], [12, 8]]}, {"stand": 14}, {"to": [[0, 8], [0, 0]]}, {"stand": 2}]

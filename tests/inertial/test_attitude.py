@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pdr_graph.inertial.attitude import at_rest, bias_from_rests
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 PERIOD = 0.02
 

@@ -12,12 +12,12 @@ from threading import get_ident
 
 import numpy as np
 
+from pdr_graph.apps.lifelog import workers
+from pdr_graph.apps.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
+from pdr_graph.apps.lifelog.day import Day as OneDay
+from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.geolife import DAY, EPOCH_1899
-from pdr_graph.lifelog import workers
-from pdr_graph.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
-from pdr_graph.lifelog.day import Day as OneDay
-from pdr_graph.lifelog.observation import observe
 from pdr_graph.types import Trajectory
 
 FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay
+from pdr_graph.apps.lifelog.local_time import period_of
+from pdr_graph.apps.lifelog.overview import overview
+from pdr_graph.apps.lifelog.timeline import timeline
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay
-from pdr_graph.lifelog.diary import Diary, DiaryDay
-from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.overview import overview
-from pdr_graph.lifelog.timeline import timeline
 from pdr_graph.types import Trajectory
 
 MIDNIGHT = 1_714_536_000.0  # Unix time of 2024-05-01T00:00 in Santiago, four hours behind

@@ -10,9 +10,9 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay, rows_of
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.frames import enu
-from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay, rows_of
-from pdr_graph.lifelog.store import Store
 from pdr_graph.types import Trajectory
 
 PERIOD = 20.0  # [s] between rows

@@ -5,8 +5,8 @@ import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pdr_graph.lifelog.past.importing import import_past
-from pdr_graph.lifelog.store import Store
+from pdr_graph.apps.lifelog.past.importing import import_past
+from pdr_graph.apps.lifelog.store import Store
 
 NOON = 1_714_564_800  # [s] 2024-05-01T12:00:00Z
 LAT, LON = 52.5, 13.4

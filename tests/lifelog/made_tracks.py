@@ -4,10 +4,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.frames import enu
 from pdr_graph.io.geolife import DAY, EPOCH_1899
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
 
 MORNING = datetime(2024, 5, 1, 8, tzinfo=UTC).timestamp()  # [s] Unix time
 HOUR = 3600.0

@@ -3,7 +3,7 @@
 import numpy as np
 from made_past import LAT, LON, NOON, position, scan
 
-from pdr_graph.lifelog.past.access_points import METRES
+from pdr_graph.apps.lifelog.past.access_points import METRES
 
 EAST = METRES * np.cos(np.radians(LAT))  # [m] per degree of longitude
 DAY = 86_400

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from walks import drawn_from_the_model
 
+from pdr_graph.apps.lifelog.observation import Ends, Observation
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.observation import Ends, Observation
 from pdr_graph.types import Fixes, Headings, Steps
 
 HERE = enu(48.1, 11.6)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from streets import DAY, NOISE, PACE, SIGMA, USUAL, gauss_markov, logged, seen, streets
 from walks import steps_of
 
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.stays import LONGEST_PAUSE, follow_positions, segments_of
 from pdr_graph.gait.step_chunks import append_steps as then
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.geometry import dead_reckon, length_along
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.stays import LONGEST_PAUSE, follow_positions, segments_of
 from pdr_graph.types import Fixes, Steps
 
 

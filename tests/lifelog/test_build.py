@@ -16,10 +16,10 @@ import days_standin as standin
 import pytest
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build, reconstruct_days
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.store import ZONE, RecordingOptions, Store
+from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.build import BuildResult, DayChain, PlannedDay, build, reconstruct_days
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.store import ZONE, RecordingOptions, Store
 
 HERE = Path(__file__).parent
 
@@ -333,7 +333,7 @@ CHILD = """
 import os, sys, pathlib
 sys.path.insert(0, sys.argv[2])
 import days_standin, test_build
-import pdr_graph.lifelog.observation
+import pdr_graph.apps.lifelog.observation
 log = pathlib.Path(sys.argv[1])
 def report(*done):
     os.write(1, b".")

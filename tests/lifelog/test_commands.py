@@ -12,7 +12,7 @@ import days_standin as standin
 import pytest
 from test_ingest import phyphox
 
-from pdr_graph.lifelog.ingest import add
+from pdr_graph.apps.lifelog.ingest import add
 
 
 def run(*arguments):
@@ -96,7 +96,7 @@ def test_a_full_disk_is_one_line(tmp_path):
     limited = f"""
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
-from pdr_graph.cli import main
+from pdr_graph.apps.cli import main
 import sys
 sys.argv = ["pdr-graph", "lifelog", "build", {str(log)!r}]
 main()
@@ -123,7 +123,7 @@ def test_begins_is_the_start_of_a_recording_without_a_clock(tmp_path):
 def test_a_progress_bar_is_shown_on_a_terminal_only(tmp_path):
     log, walk = tmp_path / "days.db", standin.recording(tmp_path / "walk.plt")
     main, terminal = os.openpty()
-    adding = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "add", log, walk]
+    adding = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()", "lifelog", "add", log, walk]
     done = subprocess.run(adding, stderr=terminal, stdout=subprocess.PIPE, timeout=60)
     os.close(terminal)
     assert done.stdout.decode() == f"1 added -> {log}\n"

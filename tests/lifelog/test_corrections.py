@@ -18,19 +18,19 @@ from typer.testing import CliRunner
 from walks import drawn_from_the_model, steps_of
 
 from pdr_graph import InputError, cli
+from pdr_graph.apps.lifelog import cache, revision
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.multi_day import estimate_together
+from pdr_graph.apps.lifelog.observation import without_times
+from pdr_graph.apps.lifelog.reconstruct import reconstruct
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.geometry import horizontal_sigma, interpolate
-from pdr_graph.lifelog import cache, revision
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.multi_day import estimate_together
-from pdr_graph.lifelog.observation import without_times
-from pdr_graph.lifelog.reconstruct import reconstruct
-from pdr_graph.lifelog.store import Store
-from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.types import Fixes, Headings, Sightings, Signal
 
 DATE = "2024-05-01"

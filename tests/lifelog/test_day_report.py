@@ -8,10 +8,10 @@ import pytest
 from browser import Page, chromium
 from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.report import content
-from pdr_graph.lifelog.timeline import STAY, TimelineEntry
-from pdr_graph.report.page import page
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.report import content
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.apps.report.page import page
 
 ZONE = ZoneInfo("America/Santiago")
 HOUR = 3600.0

@@ -10,15 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_days import outing
 
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.facts import ALWAYS, NAME, Correction
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.places import likely_home
+from pdr_graph.apps.lifelog.store import ZONE, Store
+from pdr_graph.apps.lifelog.timeline import STAY, timeline
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.facts import ALWAYS, NAME, Correction
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.places import likely_home
-from pdr_graph.lifelog.store import ZONE, Store
-from pdr_graph.lifelog.timeline import STAY, timeline
 
 EAST, WEST, NORTH = 0.0, np.pi, np.pi / 2
 HOUR = 3600.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.lifelog.multi_day import ENCOUNTER_PERIOD, MIN_RSSI, MIN_SIGMA, CarriedPhone, encounters
+from pdr_graph.apps.lifelog.multi_day import ENCOUNTER_PERIOD, MIN_RSSI, MIN_SIGMA, CarriedPhone, encounters
 from pdr_graph.types import Sightings
 
 PHONES = {"anna's": "anna", "ben's": "ben"}

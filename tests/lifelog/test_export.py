@@ -16,14 +16,14 @@ from lxml import etree
 from made_days import HERE, NOWHERE, day, outing, stay
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
+from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported
+from pdr_graph.apps.lifelog.show import Choice, show
+from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
-from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported
-from pdr_graph.lifelog.show import Choice, show
-from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 
 WAY = [(WALKING, 100.0, 0.0), (GAP, 300.0, 0.5), (VEHICLE, 60.0, 1.0), (STANDING, 200.0, 1.0), (WALKING, 50.0, 2.0)]
 KIOSK = stay(460, 660, (600.0, 700.0), [("Kiosk <1>", 0.8), ("Bank", 0.1)], floor="F1", sigma=3.0)

@@ -15,13 +15,13 @@ from made_tracks import at, clock, place
 from observations import walk
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import cache, revision
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.facts import Guess
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.observation import observe, read_observation
-from pdr_graph.lifelog.store import Store
+from pdr_graph.apps.lifelog import cache, revision
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.facts import Guess
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.observation import observe, read_observation
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.types import Ranges, Sightings, Signal
 
 DATE = "2024-05-01"

@@ -9,13 +9,13 @@ from made_days import HERE, NOWHERE, day, outing, stay
 from made_month import HOME, OFFICE, made_month, made_store
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.export import export_days, parquet_tables
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.diary import diary
-from pdr_graph.lifelog.export import export_days, parquet_tables
-from pdr_graph.lifelog.store import Store
 
 geopandas = pytest.importorskip("geopandas", reason="the extra geo")
 pytest.importorskip("pyarrow", reason="the extra geo")

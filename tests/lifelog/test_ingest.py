@@ -10,9 +10,9 @@ import pytest
 import recorders
 
 from pdr_graph import InputError
-from pdr_graph.lifelog.ingest import AddResult, add, find_recordings, time_of
-from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
+from pdr_graph.apps.lifelog.ingest import AddResult, add, find_recordings, time_of
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 
 
 def entries(path):

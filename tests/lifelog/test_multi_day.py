@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from observations import NOON, observation, walk
 
-from pdr_graph.lifelog.multi_day import PersonDay, reconstruct_together
-from pdr_graph.lifelog.reconstruct import reconstruct
+from pdr_graph.apps.lifelog.multi_day import PersonDay, reconstruct_together
+from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.types import Sightings
 
 PHONES = {"ben's": "ben"}

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from made_month import made_month, made_store
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog.day import GAP, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.local_time import period_of
+from pdr_graph.apps.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
+from pdr_graph.apps.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
+from pdr_graph.apps.lifelog.show import Choice, show
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog.day import GAP, VEHICLE, WALKING
-from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
-from pdr_graph.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
-from pdr_graph.lifelog.show import Choice, show
-from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 
 DAY = 86_400.0
 HOUR = 3600.0

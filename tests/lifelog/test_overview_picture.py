@@ -16,18 +16,18 @@ from made_month import made_store
 from matplotlib.image import imsave
 from typer.testing import CliRunner
 
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog import maps
+from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, rows_of
+from pdr_graph.apps.lifelog.local_time import period_of
+from pdr_graph.apps.lifelog.maps import MercatorFrame, check_template, panels, tiles
+from pdr_graph.apps.lifelog.picture import offset_text, picture
+from pdr_graph.apps.lifelog.report import page
+from pdr_graph.apps.lifelog.show import Choice, show
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import length_along
-from pdr_graph.lifelog import maps
-from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING, rows_of
-from pdr_graph.lifelog.local_time import period_of
-from pdr_graph.lifelog.maps import MercatorFrame, check_template, panels, tiles
-from pdr_graph.lifelog.picture import offset_text, picture
-from pdr_graph.lifelog.report import page
-from pdr_graph.lifelog.show import Choice, show
-from pdr_graph.lifelog.store import Store
-from pdr_graph.report.plotting import picture_bytes
 
 FILES = {"overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_past import LAT, LON, NOON, content, imported, iso, location, position, records, rows, timeline, zipped
 
+from pdr_graph.apps.lifelog.past import past_json, tracks
+from pdr_graph.apps.lifelog.past.past_json import pieces
+from pdr_graph.apps.lifelog.past.past_rows import unix_time, unix_times
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog.past import past_json, tracks
-from pdr_graph.lifelog.past.past_json import pieces
-from pdr_graph.lifelog.past.past_rows import unix_time, unix_times
-from pdr_graph.lifelog.store import Store
 
 E7 = {"latE7": round(LAT * 1e7), "lngE7": round(LON * 1e7)}
 
@@ -121,7 +121,7 @@ def test_fit_activities_of_more_messages_than_days_of_riding_have_are_refused(tm
     fit = pytest.importorskip("garmin_fit_sdk")
     if not hasattr(fit, "Encoder"):
         pytest.skip("this version writes no files")
-    monkeypatch.setattr("pdr_graph.lifelog.past.tracks.MOST_MESSAGES", 20)
+    monkeypatch.setattr("pdr_graph.apps.lifelog.past.tracks.MOST_MESSAGES", 20)
     for length, refused in (15, 0), (25, 1):
         encoder = fit.Encoder()
         for n in range(length):

@@ -24,16 +24,16 @@ from made_past import (
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.cli import app
+from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
+from pdr_graph.apps.lifelog.past import past_rows
+from pdr_graph.apps.lifelog.past.past_days import cut_past
+from pdr_graph.apps.lifelog.past.past_rows import DaySpill, day_of, merged_positions
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.io.loading import load
 from pdr_graph.io.past_day import GOOGLE_PATH, POSITION, from_text, to_text
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.facts import FORGOTTEN, Correction
-from pdr_graph.lifelog.past import past_rows
-from pdr_graph.lifelog.past.past_days import cut_past
-from pdr_graph.lifelog.past.past_rows import DaySpill, day_of, merged_positions
-from pdr_graph.lifelog.store import Store
 
 
 def a_walk(number=20, start=NOON, **options):

@@ -5,10 +5,10 @@ import pytest
 from made_past import LAT, LON, NOON, content, imported, position, scan, timeline
 from made_wifi import EAST, METRES, Town, errors
 
+from pdr_graph.apps.lifelog.past.access_points import access_points, day_sums, known_places, scan_positions, scans_of
+from pdr_graph.apps.lifelog.past.past_rows import valid_positions
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.io.past_day import GPS, SIGHTING
-from pdr_graph.lifelog.past.access_points import access_points, day_sums, known_places, scan_positions, scans_of
-from pdr_graph.lifelog.past.past_rows import valid_positions
-from pdr_graph.lifelog.store import Store
 
 
 def all_rows(store):

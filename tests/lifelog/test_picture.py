@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
-from pdr_graph.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.maps import ENLARGED_SHARE, panels
-from pdr_graph.lifelog.picture import picture
+from pdr_graph.apps.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.maps import ENLARGED_SHARE, panels
+from pdr_graph.apps.lifelog.picture import picture
 
 MALL = "maps/mall.geojson"
 HOUR = 3600.0

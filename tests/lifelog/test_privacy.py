@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
 
+from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
+from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx
+from pdr_graph.apps.lifelog.privacy import PrivatePlace, nested_squares, private_places, without_private_places
+from pdr_graph.apps.lifelog.timeline import timeline, timeline_csv
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
-from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
-from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
-from pdr_graph.lifelog.privacy import PrivatePlace, nested_squares, private_places, without_private_places
-from pdr_graph.lifelog.timeline import timeline, timeline_csv
 from pdr_graph.types import Trajectory
 
 SECRET, RADIUS = b"of one lifelog", 143.0  # [m] in a square of 250 m, the least that hides it

@@ -8,18 +8,18 @@ import pytest
 import simulated
 from observations import HERE, NOON, observation, positions, walk
 
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.multi_day import PersonDay, reconstruct_together
+from pdr_graph.apps.lifelog.observation import read_observation
+from pdr_graph.apps.lifelog.reconstruct import reconstruct
+from pdr_graph.apps.lifelog.sessions import join
+from pdr_graph.apps.lifelog.store import RecordingOptions, Store
+from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.multi_day import PersonDay, reconstruct_together
-from pdr_graph.lifelog.observation import read_observation
-from pdr_graph.lifelog.reconstruct import reconstruct
-from pdr_graph.lifelog.sessions import join
-from pdr_graph.lifelog.store import RecordingOptions, Store
-from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.types import Fixes, Ranges, concatenate
 from pdr_graph.walk import Options
 

@@ -5,9 +5,9 @@ import pytest
 import shapely
 from plans import plan
 
+from pdr_graph.apps.lifelog import stays
+from pdr_graph.apps.lifelog.stays import VisiblePlaces
 from pdr_graph.geometry import rotation, unit
-from pdr_graph.lifelog import stays
-from pdr_graph.lifelog.stays import VisiblePlaces
 
 NORTH, EAST, SOUTH = np.pi / 2, 0.0, -np.pi / 2
 AISLE = (  # of 4 m along x, shops of 8 m on either side

@@ -9,11 +9,11 @@ from observations import HERE, NOON, observation, positions, walk
 from walks import drawn_from_the_model
 
 from pdr_graph import dead_reckon
+from pdr_graph.apps.lifelog.day import GAP, KINDS, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.geometry import interpolate, length_along
-from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, WALKING
-from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.types import Fixes
 
 

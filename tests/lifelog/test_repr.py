@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 from made_days import MIDNIGHT, overview_of
 
+from pdr_graph.apps.lifelog.day import Day, Outing, Segment, Stay
+from pdr_graph.apps.lifelog.maps import panels
+from pdr_graph.apps.lifelog.multi_day import PersonDay
+from pdr_graph.apps.lifelog.observation import Ends, Observation
+from pdr_graph.apps.lifelog.privacy import HiddenRows, private_places
+from pdr_graph.apps.lifelog.sessions import Session
+from pdr_graph.apps.lifelog.stays import VisiblePlaces
+from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, StoredDay
+from pdr_graph.apps.lifelog.timeline import timeline
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
-from pdr_graph.lifelog.maps import panels
-from pdr_graph.lifelog.multi_day import PersonDay
-from pdr_graph.lifelog.observation import Ends, Observation
-from pdr_graph.lifelog.privacy import HiddenRows, private_places
-from pdr_graph.lifelog.sessions import Session
-from pdr_graph.lifelog.stays import VisiblePlaces
-from pdr_graph.lifelog.store import Entry, RecordingOptions, StoredDay
-from pdr_graph.lifelog.timeline import timeline
 from pdr_graph.types import Fixes, Headings, Trajectory
 
 MAPS = Path(__file__).parents[2] / "maps"

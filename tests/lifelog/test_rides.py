@@ -8,10 +8,10 @@ from streets import NOISE, SIGMA, USUAL, seen, streets
 from walks import steps_of
 
 from pdr_graph import smooth
+from pdr_graph.apps.lifelog.day import VEHICLE
+from pdr_graph.apps.lifelog.stays import detect_rides, segments_of, without_rides
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.lifelog.day import VEHICLE
-from pdr_graph.lifelog.stays import detect_rides, segments_of, without_rides
 from pdr_graph.types import Fixes, Steps
 
 

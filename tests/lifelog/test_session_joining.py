@@ -7,8 +7,8 @@ import pytest
 from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
+from pdr_graph.apps.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, restart_closures, turn_by_field
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, restart_closures, turn_by_field
 from pdr_graph.priors import MOTION
 from pdr_graph.types import Beacons
 

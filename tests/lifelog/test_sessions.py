@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from observations import HERE, NOON, observation, positions, walk
 
+from pdr_graph.apps.lifelog.sessions import LONGEST_SESSION_GAP, sessions_of
 from pdr_graph.frames import Frame
-from pdr_graph.lifelog.sessions import LONGEST_SESSION_GAP, sessions_of
 
 
 def named(*ones):

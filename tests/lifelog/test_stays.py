@@ -7,14 +7,14 @@ import pytest
 import shapely
 from walks import steps_of
 
+from pdr_graph.apps.lifelog.day import STANDING, WALKING, Segment
+from pdr_graph.apps.lifelog.stays import stays_of, stays_of_positions
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.lifelog.day import STANDING, WALKING, Segment
-from pdr_graph.lifelog.stays import stays_of, stays_of_positions
 from pdr_graph.types import Fixes, Trajectory
 
 SIGMA, SIGMA_HEADING = 0.3, 0.1  # [m], [rad]

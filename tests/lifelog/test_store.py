@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from pdr_graph import InputError
+from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.day import Day, rows_of
+from pdr_graph.apps.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
+from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
-from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import Day, rows_of
-from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
-from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.recovery import DataLossWarning
 from pdr_graph.storage import decompress
 from pdr_graph.types import Beacons, Headings, Ranges, Sightings, Signal, Steps, Trajectory
@@ -244,7 +244,7 @@ def test_a_store_of_format_5_is_upgraded_and_loses_nothing(tmp_path):
 
 
 def test_one_process_at_a_time_opens_a_store(tmp_path):
-    script = "import sys, pathlib; from pdr_graph.lifelog.store import Store; Store(pathlib.Path(sys.argv[1]))"
+    script = "import sys, pathlib; from pdr_graph.apps.lifelog.store import Store; Store(pathlib.Path(sys.argv[1]))"
     with Store(tmp_path / "log", new=True):
         other = subprocess.run([sys.executable, "-c", script, tmp_path / "log"], capture_output=True, text=True)
     assert "found a lifelog that another process writes" in other.stderr.splitlines()[-1]

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, stay
 
-from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.overview import as_text
-from pdr_graph.lifelog.timeline import PASSING, STAY, TIMELINE_HEADER, duration_text, timeline, timeline_csv
+from pdr_graph.apps.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.overview import as_text
+from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TIMELINE_HEADER, duration_text, timeline, timeline_csv
 
 ZONE = ZoneInfo("America/Santiago")
 NINE = MIDNIGHT + 9 * 3600

@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from observations import NOON, walk
 
-from pdr_graph.estimation.fingerprinting import _alike
-from pdr_graph.lifelog import multi_day
-from pdr_graph.lifelog.multi_day import (
+from pdr_graph.apps.lifelog import multi_day
+from pdr_graph.apps.lifelog.multi_day import (
     CONTEXT,
     MAX_CONTEXT_STEPS,
     MAX_STEPS,
@@ -19,6 +18,7 @@ from pdr_graph.lifelog.multi_day import (
     blocks,
     reconstruct_together,
 )
+from pdr_graph.estimation.fingerprinting import _alike
 from pdr_graph.priors import SCANS
 from pdr_graph.types import Sightings
 

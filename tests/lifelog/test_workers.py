@@ -18,10 +18,10 @@ from test_build import added, built, content
 from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import workers
-from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
-from pdr_graph.lifelog.store import StoredDay
-from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, FleetLostError, fleet, pack
+from pdr_graph.apps.lifelog import workers
+from pdr_graph.apps.lifelog.build import BuildResult, DayChain, PlannedDay, build
+from pdr_graph.apps.lifelog.store import StoredDay
+from pdr_graph.apps.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, FleetLostError, fleet, pack
 
 FORKED = {"distributed.worker.multiprocessing-method": "forkserver"}  # of a process that has imported Dask: at once
 
@@ -303,7 +303,7 @@ def test_processes_that_freeze_are_ended(tmp_path, monkeypatch, hurry):
 
 
 def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
-    code = "import time; from pdr_graph.lifelog.workers import limited; list(limited(map(time.sleep, {}), 3.0))"
+    code = "import time; from pdr_graph.apps.lifelog.workers import limited; list(limited(map(time.sleep, {}), 3.0))"
     alone = [begun_alone(code.format(sleeps)) for sleeps in ([0.7] * 5, [0.1, 600])]
     assert [(process.communicate(timeout=300)[1], process.returncode) for process in alone] == [(b"", 0), (b"", 1)]
 
@@ -311,7 +311,7 @@ def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
 def test_the_earliest_deadline_of_several_threads_counts():
     code = """
 import threading, time
-from pdr_graph.lifelog.workers import limited
+from pdr_graph.apps.lifelog.workers import limited
 threading.Thread(target=lambda: list(limited(map(time.sleep, [600]), 2.0)), daemon=True).start()
 list(limited(map(time.sleep, [0.1] * 3000), 600.0))
 """

@@ -9,10 +9,10 @@ import pytest
 
 from pdr_graph import FloorPlan, evaluate
 from pdr_graph.io.beacons import drawn_beacons
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Sightings
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,10 +8,10 @@ import pytest
 from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.barometer import with_stair_lengths
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes
 
 

@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import MAPS, Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import MAPS, Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
 
 JUMP = 3600.0  # [s]
@@ -309,7 +309,7 @@ def test_a_killed_replay_ends_the_same(tmp_path):
     write(simulate(short), folder)
 
     def replay(out):
-        command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "replay", str(folder)]
+        command = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()", "replay", str(folder)]
         options = ["--fixes", str(folder / "fixes.csv"), "--journal", str(tmp_path / f"{out}.journal")]
         with (tmp_path / f"{out}.log").open("w") as log:
             return subprocess.Popen([*command, *options, "--out", str(tmp_path / out)], stderr=log, stdout=log)

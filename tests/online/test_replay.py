@@ -11,13 +11,12 @@ from standin import Metronome
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.cli import app
-from pdr_graph.cli.summary_text import live_lines
+from pdr_graph.apps.cli import app, replay
+from pdr_graph.apps.cli.summary_text import live_lines
+from pdr_graph.apps.replay import Latency, replay_recording
+from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_trajectory
-from pdr_graph.online import replay
-from pdr_graph.online.replay import Latency, replay_recording
-from pdr_graph.report.evaluation import coverage
 from pdr_graph.types import Trajectory
 from pdr_graph.walk import Options
 
@@ -122,7 +121,7 @@ def test_latency_of_a_replay(result):
 
 
 def test_long_walks_have_as_many_memory_measurements_as_short_ones(monkeypatch):
-    monkeypatch.setattr("pdr_graph.online.replay._resident", lambda: 100.0)
+    monkeypatch.setattr("pdr_graph.apps.replay._resident", lambda: 100.0)
     latency = Latency()
     for now in range(100_000):
         latency.measure_memory(float(now))

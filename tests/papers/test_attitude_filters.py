@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph import InputError
 from pdr_graph.inertial.attitude import attitude_of, on_one_grid
-from pdr_graph.papers import attitude_filters
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers import attitude_filters
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
 
 NAMES = ("accelerometer", "gyroscope", "magnetometer")

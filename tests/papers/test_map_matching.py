@@ -13,7 +13,7 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.network import Segments
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.papers.map_matching import (
+from pdr_graph.lab.papers.map_matching import (
     CalibratedTrack,
     Turn,
     calibrated_tracks,

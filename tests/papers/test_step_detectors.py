@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.papers import step_detectors
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.papers import step_detectors
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 PERIOD, STEP = 0.02, 0.5
 TIME = np.arange(0.0, 20.0, PERIOD)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.papers.attitude_filters import strapdown
+from pdr_graph.lab.papers.attitude_filters import strapdown
 
 PERIOD = 0.01
 TIME = np.arange(0.0, 8.0, PERIOD)

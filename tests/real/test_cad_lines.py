@@ -8,10 +8,10 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
+from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.report.output_files import smooth_recording
 from pdr_graph.walk import Options, read
 
 SCALE = 4.3197  # [m] per unit

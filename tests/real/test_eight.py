@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Fixes
 
 START_SIGMA = 0.3  # [m] of who stands on a marked place

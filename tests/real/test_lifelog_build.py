@@ -11,9 +11,9 @@ from contextlib import closing, suppress
 
 import pytest
 
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.store import RecordingOptions
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.store import RecordingOptions
 
 FLOOR = ("ms_indoor20", "site1", "B1")  # a walk in four pieces
 
@@ -51,8 +51,8 @@ def test_real_days_are_the_same_whoever_builds_them(data, whole, tmp_path):
 
 CHILD = """
 import os, sys, pathlib
-import pdr_graph.lifelog.reconstruct
-from pdr_graph.lifelog.build import build
+import pdr_graph.apps.lifelog.reconstruct
+from pdr_graph.apps.lifelog.build import build
 while sys.stdin.readline().strip():  # a process for each life: what takes time to load is loaded
     child = os.fork()
     if not child:

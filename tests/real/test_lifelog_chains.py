@@ -6,13 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.reconstruct import estimate_walk
+from pdr_graph.apps.lifelog.sessions import Session, sessions_of, turn_by_field
+from pdr_graph.apps.lifelog.store import RecordingOptions
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.io.loading import load
-from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import estimate_walk
-from pdr_graph.lifelog.sessions import Session, sessions_of, turn_by_field
-from pdr_graph.lifelog.store import RecordingOptions
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = {"site1/B1": 4, "site1/F1": 6, "site2/F1": 2}

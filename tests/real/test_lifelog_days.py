@@ -9,9 +9,9 @@ import pytest
 from cleaned_track import cleaned_length, raw_length
 
 from pdr_graph import Walker, detect_steps
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.stays import detect_rides, follow_positions, segments_of, without_rides
 from pdr_graph.geometry import dead_reckon, interpolate
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.stays import detect_rides, follow_positions, segments_of, without_rides
 from pdr_graph.types import Fixes, Steps
 from pdr_graph.walk import read
 

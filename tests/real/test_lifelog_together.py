@@ -5,11 +5,11 @@ from contextlib import closing
 
 import pytest
 
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.multi_day import estimate_together
+from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.io.loading import load
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.multi_day import estimate_together
-from pdr_graph.lifelog.store import RecordingOptions, Store
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.estimation.factors.base import extract
 from pdr_graph.io.loading import load
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Fixes, Trajectory
 
 LENGTHS = {  # [m] between waypoints, from the data page

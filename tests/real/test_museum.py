@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from pdr_graph.apps.report.evaluation import circular_error, pair
+from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.report.evaluation import circular_error, pair
-from pdr_graph.report.output_files import smooth_recording
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.priors import SCANS
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Fixes
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.frames import enu, projected
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import LONLAT
 
 UTM_32 = 32632

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.past.importing import import_past
+from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.io.loading import load
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.past.importing import import_past
-from pdr_graph.lifelog.store import Store
 
 # Sample: positions and guesses in it, counted by hand
 SAMPLES = {

@@ -4,11 +4,11 @@ import numpy as np
 from walks import fixes_on, steps_of
 
 from pdr_graph import dead_reckon, kalman_filter, smooth
+from pdr_graph.apps.report.content import WalkReport
+from pdr_graph.apps.report.output_files import summarize
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
-from pdr_graph.report.content import WalkReport
-from pdr_graph.report.output_files import summarize
 from pdr_graph.types import Fixes, Recording, Signal
 from pdr_graph.walk import Evidence, Result
 

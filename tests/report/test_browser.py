@@ -15,11 +15,11 @@ from browser import Page, chromium
 from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
 
+from pdr_graph.apps.replay import replay_recording
+from pdr_graph.apps.report.content import content
+from pdr_graph.apps.report.output_files import smooth_recording
+from pdr_graph.apps.report.page import page
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.online.replay import replay_recording
-from pdr_graph.report.content import content
-from pdr_graph.report.output_files import smooth_recording
-from pdr_graph.report.page import page
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
 from pdr_graph.walk import Options
 

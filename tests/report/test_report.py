@@ -22,13 +22,13 @@ from scipy.stats import chi2
 from walks import steps_of
 
 from pdr_graph import geometry
+from pdr_graph.apps.report import page as page_module
+from pdr_graph.apps.report.charts_and_tables import health, measurement_table, sensor_rows
+from pdr_graph.apps.report.content import CAUSAL, DASHES, content
+from pdr_graph.apps.report.evaluation import evaluate
+from pdr_graph.apps.report.output_files import smooth_recording
+from pdr_graph.apps.report.page import GREY, MAXIMUM_ROWS, OTHER, TRACK, TRUTH, column, page, runs, thinned
 from pdr_graph.estimation.factors.heading_prior import HeadingReport
-from pdr_graph.report import page as page_module
-from pdr_graph.report.charts_and_tables import health, measurement_table, sensor_rows
-from pdr_graph.report.content import CAUSAL, DASHES, content
-from pdr_graph.report.evaluation import evaluate
-from pdr_graph.report.output_files import smooth_recording
-from pdr_graph.report.page import GREY, MAXIMUM_ROWS, OTHER, TRACK, TRUTH, column, page, runs, thinned
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
 from pdr_graph.walk import Options
 

@@ -22,7 +22,7 @@ MAP = Path(__file__).parents[2] / "maps" / "arcade.geojson"
 ROUTE = [(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6)]
 START = 40.0  # [s] for the server to accept connections
 PATIENCE = 30.0  # [s] for a pose to arrive
-PROGRAM = "from pdr_graph.cli import main; main()"
+PROGRAM = "from pdr_graph.apps.cli import main; main()"
 NEAR = 3.0  # [px]
 
 

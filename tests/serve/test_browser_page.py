@@ -14,12 +14,12 @@ from browser import chromium
 from live_page import PATIENCE, LivePage, browser_of
 from stand_in_server import QuietHandler, served
 
+from pdr_graph.apps.serve.access import Access
+from pdr_graph.apps.serve.application import Server, application
+from pdr_graph.apps.serve.hub import Hub
+from pdr_graph.apps.serve.plan_layers import METRES_PER_DEGREE, plan_layers
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
-from pdr_graph.serve.access import Access
-from pdr_graph.serve.application import Server, application
-from pdr_graph.serve.hub import Hub
-from pdr_graph.serve.plan_layers import METRES_PER_DEGREE, plan_layers
 
 pytestmark = pytest.mark.timeout(90)
 MAPS = Path(__file__).parents[2] / "maps"

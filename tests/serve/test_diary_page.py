@@ -10,10 +10,10 @@ from starlette.testclient import TestClient
 sys.path.append(str(Path(__file__).parents[1] / "lifelog"))
 from gps_days import gps_day
 
-from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.store import Store
-from pdr_graph.serve.diary_page import application
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.serve.diary_page import application
 
 TOKEN = "t" * 24
 DATE = "2024-05-14"

@@ -8,9 +8,9 @@ import time
 import estimating_standin
 import pytest
 
-from pdr_graph.serve import estimators
-from pdr_graph.serve.estimating import MOST_FAILURES
-from pdr_graph.serve.estimators import Estimators
+from pdr_graph.apps.serve import estimators
+from pdr_graph.apps.serve.estimating import MOST_FAILURES
+from pdr_graph.apps.serve.estimators import Estimators
 
 PATIENCE = 60.0  # [s] on a machine under load
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import simulated
 
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.serve import live_walk
+from pdr_graph.apps.serve.finishing import finish
+from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, Queue, Session
+from pdr_graph.apps.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
-from pdr_graph.lifelog.store import Store
+from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.serve import live_walk
-from pdr_graph.serve.finishing import finish
-from pdr_graph.serve.live_walk import LOG, SESSION, LiveWalk, Queue, Session
-from pdr_graph.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
-from pdr_graph.simulation.streaming import batches, message
 from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 SECONDS = 20

@@ -11,9 +11,9 @@ import time
 import pytest
 from mqtt_broker import Broker, running
 
+from pdr_graph.apps.serve import mqtt
+from pdr_graph.apps.serve.mqtt import TOPIC, broker_of, subscribe
 from pdr_graph.errors import InputError
-from pdr_graph.serve import mqtt
-from pdr_graph.serve.mqtt import TOPIC, broker_of, subscribe
 
 aiomqtt = pytest.importorskip("aiomqtt")
 pytestmark = pytest.mark.timeout(30)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from phyphox_phone import Phone, serving
 
-from pdr_graph.errors import InputError
-from pdr_graph.serve import phyphox_polling
-from pdr_graph.serve.phyphox_polling import (
+from pdr_graph.apps.serve import phyphox_polling
+from pdr_graph.apps.serve.phyphox_polling import (
     HISTORY,
     Input,
     PhoneError,
@@ -21,7 +20,8 @@ from pdr_graph.serve.phyphox_polling import (
     rows_of,
     stored_of,
 )
-from pdr_graph.serve.sensor_messages import parse, tables_of
+from pdr_graph.apps.serve.sensor_messages import parse, tables_of
+from pdr_graph.errors import InputError
 
 pytestmark = pytest.mark.timeout(20)
 UNIX = 1_700_000_000.0

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from pdr_graph.apps.serve.positions import parse
 from pdr_graph.errors import InputError
-from pdr_graph.serve.positions import parse
 
 OWNTRACKS = {"_type": "location", "tid": "ne", "lat": 48.8584, "lon": 2.2945, "tst": 1_700_000_000, "acc": 15, "vel": 5}
 OVERLAND = {

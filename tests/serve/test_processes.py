@@ -15,13 +15,13 @@ import pytest
 import simulated
 from commands import run
 
+from pdr_graph.apps.serve.message_log import read_entries
 from pdr_graph.frames import enu
-from pdr_graph.serve.message_log import read_entries
-from pdr_graph.simulation.streaming import batches, message
+from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 PATIENCE = 30.0  # [s]
-SERVE = "from pdr_graph.cli import main; main()"
+SERVE = "from pdr_graph.apps.cli import main; main()"
 TOKEN = "a-token-for-tests-01234"
 
 
@@ -241,6 +241,8 @@ def test_without_the_extra_the_command_names_it(tmp_path):
 
 
 def test_other_commands_do_not_import_the_server():
-    code = "import sys, pdr_graph.cli, pdr_graph.walk; print({'starlette', 'uvicorn', 'segno'} & sys.modules.keys())"
+    code = (
+        "import sys, pdr_graph.apps.cli, pdr_graph.walk; print({'starlette', 'uvicorn', 'segno'} & sys.modules.keys())"
+    )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert ended.stdout.strip() == "set()"

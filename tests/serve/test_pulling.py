@@ -13,12 +13,12 @@ from mqtt_broker import Broker, running
 from phyphox_phone import Phone, serving
 from starlette.testclient import TestClient
 
+from pdr_graph.apps.serve.mqtt import TOPIC, broker_of
+from pdr_graph.apps.serve.pulling import Sources
+from pdr_graph.apps.serve.serving import Settings, build
+from pdr_graph.apps.serve.study import StudyReports
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
-from pdr_graph.serve.mqtt import TOPIC, broker_of
-from pdr_graph.serve.pulling import Sources
-from pdr_graph.serve.serving import Settings, build
-from pdr_graph.serve.study import StudyReports
 
 pytestmark = pytest.mark.timeout(60)
 PATIENCE = 30.0  # [s]

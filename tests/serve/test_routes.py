@@ -10,14 +10,14 @@ import simulated
 from starlette.testclient import TestClient
 
 import pdr_graph
+from pdr_graph.apps.serve import openapi
+from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
+from pdr_graph.apps.serve.reception import Limits
+from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
-from pdr_graph.serve import openapi
-from pdr_graph.serve.access import OWNER, is_foreign, load_tokens
-from pdr_graph.serve.reception import Limits
-from pdr_graph.serve.serving import Settings, build
-from pdr_graph.simulation.streaming import batches, message
+from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 PATIENCE = 30.0  # [s]

@@ -6,15 +6,15 @@ import json
 import numpy as np
 import pytest
 
+from pdr_graph.apps.serve.intake import Intake
+from pdr_graph.apps.serve.sensor_messages import parse
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import Samples, Scan, events_of
-from pdr_graph.serve.intake import Intake
-from pdr_graph.serve.sensor_messages import parse
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
-from pdr_graph.simulation.streaming import batches, message
 from pdr_graph.types import STANDARD_GRAVITY, Fixes, Recording, Signal
 
 

@@ -11,10 +11,10 @@ import pytest
 import recorders
 from stand_in_server import QuietHandler, served
 
+from pdr_graph.apps.serve import study
+from pdr_graph.apps.serve.study import StudyReports, Upload, upload_of
+from pdr_graph.apps.serve.study_report import MOST_LINES, plain, refusal, report
 from pdr_graph.errors import InputError
-from pdr_graph.serve import study
-from pdr_graph.serve.study import StudyReports, Upload, upload_of
-from pdr_graph.serve.study_report import MOST_LINES, plain, refusal, report
 
 pytestmark = pytest.mark.timeout(60)
 PATIENCE = 30.0  # [s] for a report

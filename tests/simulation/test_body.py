@@ -7,8 +7,8 @@ import pytest
 
 from pdr_graph import FloorPlan
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.scenario import Scenario, names
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario, names
+from pdr_graph.lab.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, evaluate, smooth
-from pdr_graph.simulation.scenario import Scenario, UserFixes
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
+from pdr_graph.lab.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 

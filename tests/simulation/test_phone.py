@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.simulation import sensors
-from pdr_graph.simulation.carrying import HOLDS
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation import sensors
+from pdr_graph.lab.simulation.carrying import HOLDS
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 ROUTE = [[0, 0], {"stand": 4}, {"to": [[25, 0], [25, 15]]}, {"stand": 4}]
 CARRIED = [hold for hold in HOLDS if hold != "cart"]

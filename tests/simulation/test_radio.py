@@ -5,8 +5,8 @@ import pytest
 from plans import MAPS
 
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 MALL = MAPS / "mall.geojson"
 ROUTE = [[0, 0], {"to": [[150, 0], [150, 100], [0, 100]]}]

@@ -9,9 +9,9 @@ from commands import run
 from pdr_graph import InputError, evaluate, read_fixes, read_trajectory
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
-from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"seed": 5, "route": [[0, 0], {"stand": 2}, {"to": [[12, 0], [12, 6]]}], "phone": {"rate": 50}}

@@ -1,0 +1,1 @@
+"""What people start: the command line, the lifelog, the server, the report and the competition protocol."""

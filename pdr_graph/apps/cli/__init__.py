@@ -1,0 +1,334 @@
+"""The command line: a function for each command. Each imports what it uses, so that ``--help`` is instant."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import pdr_graph
+from pdr_graph.apps.cli.compare import compare
+from pdr_graph.apps.cli.learning import calibrate, radio_map
+from pdr_graph.apps.cli.lifelog import lifelog as lifelog_commands
+from pdr_graph.apps.cli.options import (
+    AsJson,
+    Coordinates,
+    Force,
+    Height,
+    MapPath,
+    Method,
+    OutputOptions,
+    Pairing,
+    PlanScale,
+    Quiet,
+    Rate,
+    RecordingPath,
+    WalkerPath,
+    WalkOptions,
+    lag_seconds,
+    path_named_after,
+    with_groups,
+)
+from pdr_graph.apps.cli.plain_help import App
+from pdr_graph.apps.cli.plans import maps
+from pdr_graph.apps.cli.serve import serve
+from pdr_graph.apps.cli.summary_text import print_summary
+from pdr_graph.apps.cli.terminal import echo, echo_result
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable, shows_progress
+from pdr_graph.whole_files import check_replaceable
+
+
+class Commands(TyperGroup):
+    """The commands of pdr-graph."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Resolve a command as every group does; if a path is given first, raise InputError that suggests one."""
+        if args[0] not in self.commands and Path(args[0]).exists():
+            raise InputError(args[0], "", "a path and no command", f"a command before it: pdr-graph smooth {args[0]}")
+        return super().resolve_command(ctx, args)
+
+
+app = App(
+    cls=Commands,
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+)
+app.add_typer(maps, name="map")
+app.add_typer(lifelog_commands, name="lifelog")
+app.command()(serve)
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        echo(f"pdr-graph {pdr_graph.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Reconstruct the most probable walk from a phone's sensor log and a floor plan.
+
+    \b
+    pdr-graph smooth walk.zip              a recording of any supported app -> walk-smoothed/report.html
+    pdr-graph simulate arcade              a simulated walk with its truth -> arcade/
+    """
+
+
+@app.command()
+@with_groups
+def smooth(
+    recording: RecordingPath,
+    walk: WalkOptions,
+    output: OutputOptions,
+    method: Annotated[
+        Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
+    ] = Method.graph,
+    rate: Rate = None,
+) -> None:
+    """Reconstruct a walk from a recording.
+
+    \b
+    pdr-graph smooth walk.zip
+    pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
+    """
+    from pdr_graph.apps.report.output_files import smooth_recording
+
+    folder = output.folder(recording, "-smoothed", walk.files)
+    options = walk.options(method=str(method), rate=rate)
+    missing = smooth_recording(recording, folder, options, output.report)
+    print_summary(folder, missing, output.json)
+
+
+@app.command()
+@with_groups
+def replay(
+    recording: RecordingPath,
+    walk: WalkOptions,
+    output: OutputOptions,
+    rate: Rate = None,
+    lag: Annotated[
+        str, typer.Option(metavar="SECONDS", help="Finalise steps older than this; inf or none: never.")
+    ] = "60",
+    journal: Annotated[
+        Path | None,
+        typer.Option("--journal", metavar="FILE", help="Save the walk in this file, or resume the walk in it."),
+    ] = None,
+) -> None:
+    """Estimate a recording as if it were live.
+
+    Each pose is estimated from earlier data only; the computing time of each step is measured.
+
+    \b
+    pdr-graph replay walk.zip
+    pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
+    """
+    from pdr_graph.apps.replay import replay_recording
+    from pdr_graph.walk import LIVE
+
+    of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
+    folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
+    options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
+    print_summary(folder, replay_recording(recording, folder, options, report=output.report), output.json)
+
+
+app.command()(compare)
+
+
+@app.command()
+def steps(
+    recording: RecordingPath,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="CSV", help="Default: here, named after the recording.")
+    ] = None,
+    walker: WalkerPath = None,
+    height: Height = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the detected steps, as input of other back ends.
+
+    One row per step: time,length,turn,sigma_length,sigma_turn.
+
+    \b
+    pdr-graph steps walk.zip
+    """
+    from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.io.loading import load
+    from pdr_graph.io.writers import write_steps
+    from pdr_graph.walk import Options
+
+    walk, person = load(recording), Options(walker=walker, height=height).person()
+    detected = detect_steps(walk, person)
+    file = out or path_named_after(recording, "-steps.csv")
+    write_steps(file, detected, walk.clock_origin)
+    echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
+
+
+app.command()(calibrate)
+app.command("radio-map")(radio_map)
+
+
+@app.command()
+def evaal(
+    url: Annotated[str, typer.Argument(metavar="URL", help="The server's base URL, which ends in /evaalapi/.")],
+    trial: Annotated[str, typer.Argument(metavar="TRIAL", help="The trial's name.")],
+    map_: MapPath = None,
+    scale: PlanScale = None,
+    format_: Annotated[
+        Coordinates, typer.Option("--format", help="Positions as lon,lat,floor or as x,y,floor in the output frame.")
+    ] = Coordinates.lonlat,
+    ignore_initial: Annotated[
+        bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
+    ] = False,
+    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="The list of beacons, as of smooth.")] = None,
+    walker: WalkerPath = None,
+    height: Height = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Output folder; default: evaal-TRIAL.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take part in a competition over the EvAAL API.
+
+    The same command resumes an interrupted trial (same --out).
+
+    \b
+    pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
+    """
+    from urllib.parse import quote
+
+    from pdr_graph.apps.evaal.client import Api
+    from pdr_graph.apps.evaal.trial import run_trial
+    from pdr_graph.walk import Options
+
+    api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
+    check_replaceable(folder, "requests.log", force)
+    options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
+
+    def show(text: str) -> None:
+        typer.echo(f"\r{printable(text)} ", nl=False, err=True)
+
+    lonlat, progress = format_ is Coordinates.lonlat, show if shows_progress() else None
+    ending = run_trial(api, folder, options, lonlat, ignore_initial, progress)
+    echo(f"{ending.text} -> {folder}", err=not ending.normal)
+    if not ending.normal:
+        for part in ending.missing:
+            echo(f"pdr-graph: without {part}", err=True)
+        raise typer.Exit(EXIT_DEGRADED)
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[
+        Path,
+        typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, any CSV with time,x,y[,heading][,floor], or TUM."),
+    ],
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor], or TUM.")],
+    map_: Annotated[
+        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for the obstacle error OE.")
+    ] = None,
+    scale: PlanScale = None,
+    pairing: Annotated[
+        Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
+    ] = Pairing.linear,
+    json_: AsJson = False,
+) -> None:
+    """Score a trajectory against ground truth.
+
+    CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/results/metrics.md).
+
+    \b
+    pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
+    """
+    from pdr_graph.apps.report import evaluation
+    from pdr_graph.floor.plan_files import Building
+    from pdr_graph.io.tables import read_trajectory
+
+    floor = Building.load(map_, scale) if map_ else None
+    tracks = read_trajectory(trajectory), read_trajectory(truth)
+    if not len(evaluation.pair(*tracks, str(pairing)).time):
+        raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
+    scores = evaluation.evaluate(*tracks, floor, str(pairing))
+    echo_result(json.dumps(scores) if json_ else evaluation.table(scores))
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[
+        Path,
+        typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready scenario."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder of recording, truth and plan; default: SCENARIO's name, here."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, metavar="N", help="Replaces the scenario's seed: another walk.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate the recording of a walk, with its truth.
+
+    Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
+    outdoors stairs two_floors.
+
+    \b
+    pdr-graph simulate arcade --out walk
+    pdr-graph smooth walk --map walk/plan.geojson --fixes walk/fixes.csv
+    """
+    from pdr_graph.lab.simulation.recorders import write
+    from pdr_graph.lab.simulation.scenario import Scenario
+    from pdr_graph.lab.simulation.simulate import simulate as simulated
+
+    loaded = Scenario.load(scenario)
+    folder = out or Path(loaded.name)
+    check_replaceable(folder, "events.csv", force)
+    walk = simulated(loaded if seed is None else replace(loaded, seed=seed))
+    write(walk, folder)
+    body = walk.body
+    echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
+
+
+_PYTHONS = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> None:
+    """Print what a power cut has cost on one line."""
+    from pdr_graph.recovery import DataLossWarning  # it takes numpy, long to import
+
+    if issubclass(kind, DataLossWarning):
+        echo(f"pdr-graph: {message}", err=True)
+    else:
+        _PYTHONS(message, kind, *rest)
+
+
+def main() -> None:
+    """Run a command. Bad input ends with one line of text and exit code 2, never with a traceback."""
+    warnings.showwarning = _show_warning
+    try:
+        app()
+    except InputError as error:
+        echo(f"pdr-graph: {error}", err=True)
+        sys.exit(EXIT_REFUSED)
+    except (FileExistsError, NotADirectoryError) as error:
+        echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
+        sys.exit(EXIT_REFUSED)
+    except OSError as error:
+        echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        sys.exit(EXIT_REFUSED)

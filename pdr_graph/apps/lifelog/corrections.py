@@ -1,0 +1,233 @@
+"""Apply a person's corrections: to the observations that a day is estimated from, and to the entries of its timeline.
+
+A stated place becomes position fixes in place of the recorded ones, a stated activity a constraint; "not me" and
+deleted times are masked. Merging, splitting and naming change only the timeline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_graph.apps.lifelog.day import GAP, STANDING
+from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, MODES, NAME, NOT_ME, SPLIT, Correction
+from pdr_graph.apps.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
+from pdr_graph.apps.lifelog.sessions import is_located
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.frames import enu
+from pdr_graph.types import Array, Fixes
+
+NOT_MINE = "part of this recording is masked: not this person's"
+# Fixes of a stated place: often enough that the smoother sees no gap (`TRACK.longest`), and enough of them that it
+# accepts a jump to them (`TRACK.jump`)
+FIX_INTERVAL, FEWEST_FIXES = 45.0, 22  # [s]
+SLIVER = 60.0  # [s] shortest piece of an entry that a correction leaves beside it; chosen by hand
+CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions, from which a note says the distance
+# [s] at either end of a stated stay in which a walk with steps may go to the place and back, and [m/s] how fast: slower
+# than `FIXES.driven`; chosen by hand
+FREE_TIME, FREE_SPEED = 60.0, 20.0
+
+
+def apply_to_observations(
+    observations: Mapping[str, Observation], corrections: Sequence[Correction]
+) -> dict[str, Observation]:
+    """The observations of a day, by content hash, as corrected; those of which nothing remains are left out."""
+    found, masked = dict(observations), [c.span for c in corrections if c.kind in (FORGOTTEN, NOT_ME)]
+    for kind, note in ((FORGOTTEN, DELETED), (NOT_ME, NOT_MINE)):
+        spans = [c.span for c in corrections if c.kind == kind]
+        cut = {name: without_times(part, spans, note) for name, part in found.items()} if spans else found
+        found = {name: part for name, part in cut.items() if part is not None and is_usable(part)}
+    for correction in corrections:
+        if correction.kind == AT:
+            found = _with_place(found, correction, masked)
+        if correction.kind in (AT, MODE):
+            kind = STANDING if correction.kind == AT else MODES[correction.text("mode")]
+            activity = correction.start, correction.end, kind
+            found = {
+                name: replace(part, stated=(*part.stated, activity)) if _covers(part, correction) else part
+                for name, part in found.items()
+            }
+    return found
+
+
+def _covers(part: Observation, correction: Correction) -> bool:
+    """True if a correction touches the time of an observation."""
+    return correction.touches(part.epoch, part.epoch + part.duration)
+
+
+def _with_place(
+    observations: Mapping[str, Observation], correction: Correction, masked: Sequence[tuple[float, float]]
+) -> dict[str, Observation]:
+    """The observations with fixes at the stated place instead of all positions recorded in that time.
+
+    masked: times without any data. Together the fixes state the place once, with its sigma: they share one error.
+    """
+    number = max(FEWEST_FIXES, int((correction.end - correction.start) / FIX_INTERVAL) + 1)
+    time, sigma = np.linspace(correction.start, correction.end, number), correction.radius * np.sqrt(number)
+    time = time[~np.any([(time > start) & (time < end) for start, end in masked], axis=0)] if masked else time
+    found = dict(observations)
+    for name, part in sorted(found.items(), key=lambda item: (item[1].steps is None, item[1].epoch, item[0])):
+        if not _covers(part, correction):
+            continue
+        inside = (time >= part.epoch) & (time <= part.epoch + part.duration)
+        found[name] = _with_fixes(part, correction, time[inside], sigma)
+        time = time[~inside]
+    return found
+
+
+def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: float) -> Observation:
+    """The observation with fixes at the stated place at times (Unix times [s]), instead of the recorded ones."""
+    frame, (latitude, longitude) = part.frame, correction.place
+    if not frame.georeferenced and not part.plan and not is_located(part):
+        frame = enu(latitude, longitude)
+    if not frame.georeferenced:
+        note = "a place by latitude and longitude that was stated could not be used: the plan has no latitude"
+        return replace(part, notes=(*part.notes, note))
+    place = frame.from_lonlat(np.array([[longitude, latitude]]))
+    seconds = part.epoch + part.fixes.time
+    replaced = (seconds >= correction.start) & (seconds <= correction.end)
+    stated = Fixes(time - part.epoch, np.repeat(place, len(time), axis=0), np.full(len(time), sigma))
+    recorded = part.fixes[replaced]
+    away = float(np.hypot(*(np.median(recorded.position, axis=0) - place[0]))) if len(recorded) else 0.0
+    notes = (*part.notes, *_contradiction(recorded, away, correction.radius))
+    fixes = Fixes.concatenate([part.fixes[~replaced], stated])
+    part = replace(part, frame=frame, fixes=fixes, notes=notes)
+    return _freed(part, correction, away) if away > correction.radius else part
+
+
+def _freed(part: Observation, correction: Correction, away: float) -> Observation:
+    """The observation without the steps just after the start and before the end of a stay that was stated `away` [m]
+    from the positions: else the steps would drag the walk before and after to the place.
+    """
+    steps, looks = part.steps, part.looks
+    long = min(max(FREE_TIME, away / FREE_SPEED), (correction.end - correction.start) / 3)
+    for start in (correction.start - part.epoch, correction.end - part.epoch - long):
+        if steps is not None:
+            steps, looks = steps_without(steps, looks, start, start + long)
+    if steps is None:
+        return part
+    free = steps.is_gap & (steps.time > correction.start - part.epoch)
+    free &= steps.time - steps.duration < correction.end - part.epoch
+    sigma = np.where(free, np.maximum(steps.sigma_length, away), steps.sigma_length)
+    return replace(part, steps=replace(steps, sigma_length=sigma), looks=looks)
+
+
+def _contradiction(recorded: Fixes, away: float, radius: float) -> list[str]:
+    """A note if the positions recorded during a stated stay are far `away` [m] from the stated place."""
+    if not len(recorded):
+        return []
+    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
+    sigma = np.hypot(radius, max(20.0, float(np.median(recorded.sigma))))
+    if away <= CONTRADICTION * sigma:
+        return []
+    number = len(recorded)
+    return [f"corrected by the person, against {number} recorded positions: their median is {_far(away)} away"]
+
+
+def _far(metres: float) -> str:
+    return f"{metres / 1000:.1f} km" if metres >= 1000 else f"{metres:.0f} m"
+
+
+def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Correction]) -> tuple[TimelineEntry, ...]:
+    """The entries of a person's timeline as corrected, in time order; a later correction overrules an earlier one."""
+    found = list(entries)
+    for correction in corrections:
+        if correction.kind == NAME or not found:
+            continue
+        start, end = _bounds(found, correction)
+        found = _split_at(_split_at(found, start), end)
+        if correction.kind == SPLIT:
+            found = [replace(e, corrected=True) if start in (e.start, e.end) else e for e in found]
+            continue
+        inside = [e for e in found if e.start >= start and e.end <= end]
+        if inside:
+            first = found.index(inside[0])
+            found[first : first + len(inside)] = [_stated(inside, correction)]
+    return tuple(found)
+
+
+def place_names(corrections: Iterable[Correction]) -> list[tuple[float, float, float, str]]:
+    """Latitude, longitude [deg], radius [m] and name of each place that the person has named, in the order stated."""
+    named = [c for c in corrections if c.kind == NAME]
+    return [(*c.place, c.radius, c.text("name")) for c in named]
+
+
+def _bounds(entries: Sequence[TimelineEntry], correction: Correction) -> tuple[float, float]:
+    """Start and end of a correction, moved to those of entries within SLIVER: a rebuilt day has slightly other ones."""
+    if correction.kind in (SPLIT, NOT_ME, FORGOTTEN):
+        return correction.span
+    edges = np.array([entries[0].start, *(e.end for e in entries)])
+    start, end = (float(edges[np.argmin(np.abs(edges - time))]) for time in correction.span)
+    start = start if abs(start - correction.start) <= SLIVER else correction.start
+    end = end if abs(end - correction.end) <= SLIVER else correction.end
+    return (start, end) if start < end else correction.span
+
+
+def _split_at(entries: Sequence[TimelineEntry], time: float) -> list[TimelineEntry]:
+    """The entries, with that which contains a time in two; its distance is divided by time."""
+    found: list[TimelineEntry] = []
+    for entry in entries:
+        if not entry.start < time < entry.end:
+            found.append(entry)
+            continue
+        share = (time - entry.start) / (entry.end - entry.start)
+        parts = _split_at(entry.parts, time)
+        before, after = (tuple(p for p in parts if (p.start < time) == first) for first in (True, False))
+        found.append(replace(entry, end=time, distance=share * entry.distance, parts=before))
+        found.append(replace(entry, start=time, distance=(1 - share) * entry.distance, parts=after))
+    return found
+
+
+def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> TimelineEntry:
+    """The one entry that a correction makes of consecutive entries."""
+    start, end = inside[0].start, max(e.end for e in inside)
+    blank = TimelineEntry(GAP, start, end, offset=inside[0].offset)
+    if correction.kind in (NOT_ME, FORGOTTEN):
+        return replace(blank, corrected=correction.kind == NOT_ME)
+    observed = sum(e.observed * (e.end - e.start) for e in inside) / max(end - start, 1e-9)
+    blank = replace(blank, corrected=True, observed=observed)
+    if correction.kind == AT:
+        return _stay_at(blank, inside, correction)
+    if correction.kind == MERGE:
+        return _merged_stay(blank, inside)
+    mode, kind = correction.text("mode"), MODES[correction.text("mode")]
+    if kind == STANDING:
+        return replace(_merged_stay(blank, inside), mode=mode)
+    floor = tuple(dict.fromkeys(label for e in inside for label in e.floor))
+    return replace(blank, kind=kind, mode=mode, floor=floor, distance=sum(e.distance for e in inside))
+
+
+def _merged_stay(blank: TimelineEntry, inside: Sequence[TimelineEntry]) -> TimelineEntry:
+    """A stay at the mean place of the entries, weighted by time; floor and places faced are those of the longest."""
+    located = [e for e in inside if np.isfinite(e.latitude) or np.isfinite(e.x)]
+    located = [e for e in located if e.kind in (STAY, STANDING)] or located
+    if not located:
+        return replace(blank, kind=STAY)
+    longest = max(located, key=lambda e: e.end - e.start)
+    alike = [e for e in located if np.isfinite(e.latitude) == np.isfinite(longest.latitude)]
+    share = np.array([max(e.end - e.start, 1e-9) for e in alike])
+    columns = ("x", "y", "latitude", "longitude", "sigma")
+    mean = {name: float(np.average([getattr(e, name) for e in alike], weights=share)) for name in columns}
+    if np.isfinite(longest.latitude) and len(alike) > 1:
+        mean["x"] = mean["y"] = np.nan  # outings may have different frames
+    others = {"floor": longest.floor, "facing": longest.facing, "place": longest.place}
+    return replace(blank, kind=STAY, **mean, **others, place_number=longest.place_number)
+
+
+def _stay_at(blank: TimelineEntry, inside: Sequence[TimelineEntry], correction: Correction) -> TimelineEntry:
+    """A stay at the stated place: the estimate of it where that agrees, else the place as it was stated."""
+    latitude, longitude = correction.place
+    stay = _merged_stay(blank, inside)
+    if distance(latitude, longitude, stay.latitude, stay.longitude) <= CONTRADICTION * correction.radius:
+        return replace(stay, place=correction.text("name") or stay.place)
+    at = {"latitude": latitude, "longitude": longitude, "sigma": correction.radius}
+    return replace(blank, kind=STAY, **at, place=correction.text("name"))
+
+
+def distance(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:
+    """Distance between two places given in degrees [m], NaN if one is unknown."""
+    if not np.isfinite([latitude, longitude, other_latitude, other_longitude]).all():
+        return float("nan")
+    return float(np.hypot(*enu(latitude, longitude).from_lonlat(np.array([[other_longitude, other_latitude]]))[0]))

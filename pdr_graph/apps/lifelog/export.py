@@ -1,0 +1,572 @@
+"""Export days of a lifelog as GPX 1.1, GeoJSON (RFC 7946), CSV or GeoParquet, without private places.
+
+Exports have no paths of recordings and plans. A line ends at each gap.
+
+The GeoParquet tables ``positionfixes``, ``triplegs``, ``staypoints`` and ``locations`` are trackintel's model (Martin
+et al., "Trackintel: an open-source Python library for human mobility analysis", Computers, Environment and Urban
+Systems 101, 2023), also read by movingpandas. Their rows are those of the diary, with the ids that join the tables;
+positions are longitude and latitude (EPSG:4326), times are UTC.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import shapely
+
+from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.day import (
+    VEHICLE,
+    WALKING,
+    Day,
+    Outing,
+    Segment,
+    Stay,
+    clipped,
+    floors_visited,
+    split_at_gaps,
+)
+from pdr_graph.apps.lifelog.diary import corrected_rows, with_places, without_overlaps
+from pdr_graph.apps.lifelog.facts import Correction
+from pdr_graph.apps.lifelog.local_time import zone_of_outings
+from pdr_graph.apps.lifelog.places import Place
+from pdr_graph.apps.lifelog.privacy import PrivatePlace, private_places, without_private_places
+from pdr_graph.apps.lifelog.stays_and_legs import Track
+from pdr_graph.apps.lifelog.store import ZONE, Store
+from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, timeline, timeline_csv
+from pdr_graph.errors import InputError, install
+from pdr_graph.geometry import horizontal_sigma
+from pdr_graph.io import gpx
+from pdr_graph.io.validation import RADIUS_68
+from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
+from pdr_graph.types import Array, Index, Trajectory
+from pdr_graph.whole_files import output_folder, write_file
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+
+TRAJECTORY_TABLE_HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
+
+
+def not_exported(days: Sequence[Day]) -> list[str]:
+    """A line per outing without an absolute position, which GPX and GeoJSON cannot represent."""
+    return [
+        f"{day.person}, {day.date}: outing {n} left out: no absolute position"
+        for day in days
+        for n, outing in enumerate(day.outings, 1)
+        if not outing.frame.georeferenced
+    ]
+
+
+def as_gpx(days: Sequence[Day]) -> bytes:
+    """GPX: a track per outing, a track segment per part without a gap, a waypoint per stay."""
+    tracks, places = [], []
+    for day, number, outing in _numbered_outings(days):
+        if not outing.frame.georeferenced:
+            continue
+        lines = tuple(_points(outing, track) for track, _ in split_at_gaps(outing))
+        tracks.append(gpx.Track(f"{day.person} {day.date}, {number}", lines))
+        places += [(_stay_name(stay), _stay_point(outing, stay)) for stay in outing.stays if not stay.passing]
+    return gpx.document(tracks, places)
+
+
+def _numbered_outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
+    """All outings as (day, number within the day, outing)."""
+    return ((day, n, outing) for day in days for n, outing in enumerate(day.outings, 1))
+
+
+def _points(outing: Outing, track: Trajectory) -> gpx.Points:
+    radius = None if track.covariance is None else RADIUS_68 * horizontal_sigma(track.covariance)
+    return gpx.Points(outing.frame.to_lonlat(track.position), outing.epoch + track.time, radius)
+
+
+def _stay_point(outing: Outing, stay: Stay) -> gpx.Points:
+    """The position of a stay, at the time of its start."""
+    lonlat = outing.frame.to_lonlat(stay.position[None])
+    return gpx.Points(
+        lonlat, np.array([outing.epoch + stay.start]), RADIUS_68 * horizontal_sigma(stay.covariance[None])
+    )
+
+
+def _stay_name(stay: Stay) -> str:
+    """The name of the most probable place of a stay, with its probability."""
+    return f"{stay.facing[0][0]} ({stay.facing[0][1]:.0%})" if stay.facing else STAY
+
+
+def as_geojson(days: Sequence[Day]) -> bytes:
+    """A LineString for each segment, with the times and covariances of its points, and a Point for each stay."""
+    features = [
+        feature
+        for day, number, outing in _numbered_outings(days)
+        if outing.frame.georeferenced
+        for feature in _features(outing, {"person": day.person, "date": day.date, "outing": number})
+    ]
+    collection = {"type": "FeatureCollection", "features": features}
+    return json.dumps(collection, ensure_ascii=False, allow_nan=False).encode()
+
+
+def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for track, segments in split_at_gaps(outing):
+        for segment in segments:
+            line = clipped(track, segment.start, segment.end)
+            if len(line):
+                yield _line(outing, segment, line, about)
+    for stay in outing.stays:
+        yield _point(outing, stay, about)
+
+
+def _line(outing: Outing, segment: Segment, line: Trajectory, about: dict[str, Any]) -> dict[str, Any]:
+    """A segment as a LineString, or as a Point if it has a single row."""
+    lonlat = np.round(outing.frame.to_lonlat(line.position), 8).tolist()
+    properties = about | {"kind": segment.kind, **_times(outing, segment), "distance": round(segment.distance, 2)}
+    properties |= {"floors": list(floors_visited(line)), "times": np.round(outing.epoch + line.time, 3).tolist()}
+    if line.covariance is not None:
+        properties["covariances"] = [_covariance(own) for own in line.covariance]
+    if len(lonlat) == 1:
+        return _feature("Point", lonlat[0], properties)
+    return _feature("LineString", lonlat, properties)
+
+
+def _point(outing: Outing, stay: Stay, about: dict[str, Any]) -> dict[str, Any]:
+    lonlat = np.round(outing.frame.to_lonlat(stay.position[None])[0], 8).tolist()
+    facing = [{"name": name, "probability": round(p, 4)} for name, p in stay.facing]
+    heading = round(stay.heading, 4) if np.isfinite(stay.heading) else None
+    properties = about | {"kind": PASSING if stay.passing else STAY, **_times(outing, stay), "floor": stay.floor}
+    properties |= {"heading": heading, "covariance": _covariance(stay.covariance), "facing": facing}
+    return _feature("Point", lonlat, properties)
+
+
+def _times(outing: Outing, what: Segment | Stay) -> dict[str, Any]:
+    """Start and end in ISO 8601, and the duration [s]."""
+    moments = {"start": _utc(outing.epoch + what.start), "end": _utc(outing.epoch + what.end)}
+    return {**moments, "duration": round(what.end - what.start, 3)}
+
+
+def _utc(time: float) -> str:
+    return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _covariance(matrix: Array) -> list[float]:
+    """Variance east, covariance and variance north [m²], to six digits."""
+    return [float(f"{value:.6g}") for value in (matrix[0, 0], matrix[0, 1], matrix[1, 1])]
+
+
+def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}
+
+
+def as_csv(day: Day) -> bytes:
+    """All rows of a day as CSV: ``trajectory.csv`` in Unix time with the number of the outing.
+
+    x and y are in the frame of the outing. Latitude and longitude are empty without an absolute position; gaps have no
+    rows.
+    """
+    lines = [TRAJECTORY_TABLE_HEADER]
+    for _, number, outing in _numbered_outings([day]):
+        for track, _ in split_at_gaps(outing):
+            lines += _rows(number, outing, track)
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
+    lonlat = outing.frame.to_lonlat(track.position) if outing.frame.georeferenced else np.full((len(track), 2), np.nan)
+    for row, (lon, lat) in zip(trajectory_rows(track, outing.epoch), lonlat, strict=True):
+        yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"
+
+
+TABLE_NAMES = ("positionfixes", "triplegs", "staypoints", "locations")  # of PARQUET
+GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
+DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
+SECRET, SECRET_BYTES = "secret", 32  # setting that determines how private areas are moved, and its length
+
+
+def export_days(
+    path: Path,
+    out: Path,
+    file_format: str,
+    person: str | None = None,
+    since: str = "",
+    until: str = "",
+    cut: Sequence[str] = (),
+    blur: Sequence[str] = (),
+) -> tuple[list[Path], list[str]]:
+    """Write days of a lifelog to one file, or to a folder with files per day (CSV) or tables (PARQUET).
+
+    file_format: GPX, GEOJSON, CSV or PARQUET; out: a file if its suffix is the format, else a folder; person: None for
+    all; since, until: first and last date, "" for all; cut, blur: places to keep private, as of `private_places`.
+    Returns the files, and notes on what was left out, a line each. Raises InputError if a choice cannot be used.
+    """
+    single = out.suffix.lower() == f".{file_format}" and not out.is_dir()
+    if single and file_format in (CSV, PARQUET):
+        raise InputError("--out", "", str(out), f"a folder: {file_format} has several files")
+    notes, written = list[str](), list[Path]()
+    with Store(path) as log:
+        zone = log.setting(ZONE)
+        wanted = _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until))
+        places = _private_places(log, cut), _private_places(log, blur)
+        days = _public_days(log, wanted, file_format, places, notes)
+        if single:
+            written = _write_one_file(out, file_format, list(days))
+        else:
+            with output_folder(out, private=True) as staged:
+                for target, content in (
+                    _tables(staged, days, log, bool(cut or blur))
+                    if file_format == PARQUET
+                    else _files_by_day(staged, file_format, days, zone)
+                ):
+                    cache.write(target, content)
+                    written.append(out / target.relative_to(staged))
+    if cut or blur:
+        possible = [out] if single else _possible_files(out, file_format, wanted)
+        notes += _without_earlier(path for path in possible if path not in written)
+    return written, notes
+
+
+def _possible_files(out: Path, file_format: str, wanted: Sequence[tuple[str, str]]) -> list[Path]:
+    """The files that an export of some days to a folder can have."""
+    if file_format == PARQUET:
+        return [out / f"{name}.parquet" for name in TABLE_NAMES]
+    return [file for person, day in wanted for file in _day_files(out, file_format, person, day)]
+
+
+def _without_earlier(files: Iterable[Path]) -> Iterator[str]:
+    """Remove files of an earlier export, which would show what is private now; yields a note for each."""
+    for file in files:
+        if file.is_file():
+            file.unlink()
+            yield f"{file}: of an earlier export, removed: nothing is left for it now"
+
+
+def _checked_date(option: str, text: str) -> str:
+    """The date in ISO 8601, "" if none is given. Raises InputError for another text."""
+    try:
+        return date.fromisoformat(text).isoformat() if text else ""
+    except ValueError:
+        raise InputError(option, "", repr(text), "a date such as 2024-05-01") from None
+
+
+def _selected_days(log: Store, person: str | None, since: str, until: str) -> list[tuple[str, str]]:
+    """Person and date of the days of a choice. Raises InputError if there is none."""
+    days = [key for key in log.days() if person in (None, key[0])]
+    if not days:
+        expected = "a built lifelog: run pdr-graph lifelog build" if person is None else "a person with days"
+        raise InputError(log.path, "" if person is None else person, "no day", expected)
+    wanted = [key for key in days if (not since or key[1] >= since) and (not until or key[1] <= until)]
+    if not wanted:
+        dates = sorted(date for _, date in days)
+        raise InputError(
+            log.path, f"{since or '…'} to {until or '…'}", "no day", f"days from {dates[0]} to {dates[-1]}"
+        )
+    return wanted
+
+
+def _private_places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
+    """The places that some texts describe; names are looked up on all plans of the lifelog."""
+    plans = sorted({str(entry.options.plan) for entry in log.entries() if entry.options.plan})
+    return private_places(texts, plans, _secret(log)) if texts else ()
+
+
+def _secret(log: Store) -> bytes:
+    """The secret of the lifelog. It must stay the same: averaging over exports would reveal a private place."""
+    return bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(SECRET_BYTES)))
+
+
+def _public_days(
+    log: Store,
+    wanted: Sequence[tuple[str, str]],
+    file_format: str,
+    places: tuple[Sequence[PrivatePlace], Sequence[PrivatePlace]],
+    notes: list[str],
+) -> Iterator[Day]:
+    """Yield the days with private places removed, if anything is left; notes are appended to ``notes``."""
+    for person, day in wanted:
+        stored = log.day(person, day)
+        left, lines = without_private_places([stored] if stored else [], *places)
+        notes += lines if file_format == CSV else [*lines, *not_exported(left)]
+        if any(file_format == CSV or outing.frame.georeferenced for own in left for outing in own.outings):
+            yield from left
+        else:
+            notes.append(f"{person}, {day}: nothing left to export")
+
+
+def _write_one_file(out: Path, file_format: str, days: Sequence[Day]) -> list[Path]:
+    """Write all days to one file; returns it, nothing without a day."""
+    if not days:
+        return []
+    cache.make_folder(out.parent)
+    write_file(out, DOCUMENTS[file_format](days), private=True)
+    return [out]
+
+
+def _tables(out: Path, days: Iterator[Day], log: Store, private: bool) -> Iterator[tuple[Path, bytes]]:
+    """One table of each kind, of all days."""
+    yield from ((out / name, content) for name, content in parquet_tables(days, log.corrections(), private).items())
+
+
+def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[Path, bytes]]:
+    for day in days:
+        first, *others = _day_files(out, file_format, day.person, day.date)
+        yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day])
+        for file in others:
+            yield file, timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
+
+
+def _day_files(out: Path, file_format: str, person: str, date: str) -> list[Path]:
+    """The file of a day, or its ``trajectory.csv`` and ``timeline.csv``."""
+    endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (f".{file_format}",)
+    return [out / f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
+
+
+TRACKINTEL_MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
+WGS84 = "EPSG:4326"
+EXTENT_SIGMAS = 2.0  # sigmas around the visits that belong to the extent of a location
+LEAST_EXTENT = 10.0  # [m]
+NO_ID = -1
+
+
+@dataclass(frozen=True)
+class PersonRows:
+    """A person's rows. stays and legs of the diary; places; track: all positions of `outings`; private: as of
+    `parquet_tables`.
+    """
+
+    person: str
+    stays: tuple[TimelineEntry, ...]
+    legs: tuple[TimelineEntry, ...]
+    places: tuple[Place, ...]
+    track: Track
+    outings: tuple[Outing, ...]
+    private: bool
+
+
+def parquet_tables(
+    days: Iterable[Day], corrections: Sequence[Correction] = (), private: bool = False
+) -> dict[str, bytes]:
+    """The tables of days as GeoParquet files by name; a table without rows is left out.
+
+    corrections: of all persons. private: True for days from which private places were removed: their stays are not
+    joined over what was cut out, and no correction is used. Raises InputError without the extra `geo`.
+    """
+    _require_libraries()
+    ordered = sorted(days, key=lambda day: (day.person, day.date))
+    grouped = [(who, list(own)) for who, own in groupby(ordered, key=lambda day: day.person)]
+    people = [
+        _private_rows(who, own) if private else _diary_rows(who, own, [c for c in corrections if c.person == who])
+        for who, own in grouped
+    ]
+    frames = {
+        "positionfixes": _positionfixes(people),
+        "triplegs": _triplegs(people),
+        "staypoints": _staypoints(people),
+        "locations": _locations(people),
+    }
+    return {f"{name}.parquet": _bytes(frame) for name, frame in frames.items() if len(frame)}
+
+
+def _require_libraries() -> None:
+    """Raise InputError without geopandas or pyarrow."""
+    try:
+        import geopandas  # noqa: F401  # pyright: ignore[reportUnusedImport]
+        import pyarrow  # noqa: F401  # pyright: ignore[reportUnusedImport]
+    except ImportError as error:
+        raise InputError("--format parquet", "", f"no {error.name}", install("geo")) from None
+
+
+def _bytes(frame: GeoDataFrame) -> bytes:
+    buffer = io.BytesIO()
+    frame.to_parquet(buffer)
+    return buffer.getvalue()
+
+
+def _diary_rows(person: str, days: Sequence[Day], corrections: Sequence[Correction]) -> PersonRows:
+    """The rows of a person's diary, as corrected."""
+    track = Track.of(_located(days))
+    return _person_rows(person, days, track, *corrected_rows(_fine(days), track, corrections), False)
+
+
+def _private_rows(person: str, days: Sequence[Day]) -> PersonRows:
+    """The rows of a person's days without private places."""
+    return _person_rows(person, days, Track.of(_located(days)), *with_places(_fine(days)), True)
+
+
+def _fine(days: Sequence[Day]) -> list[TimelineEntry]:
+    return without_overlaps([entry for day in days for entry in timeline(day)])
+
+
+def _located(days: Sequence[Day]) -> tuple[Outing, ...]:
+    return tuple(outing for day in days for outing in day.outings if outing.frame.georeferenced)
+
+
+def _person_rows(
+    person: str,
+    days: Sequence[Day],
+    track: Track,
+    rows: Sequence[TimelineEntry],
+    places: tuple[Place, ...],
+    private: bool,
+) -> PersonRows:
+    stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
+    legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
+    return PersonRows(person, stays, legs, places, track, _located(days), private)
+
+
+def _line_of(track: Track, row: TimelineEntry) -> Array | None:
+    """Longitudes and latitudes ``(n, 2)`` of a track during a row, with interpolated ends; None for a single point."""
+    if not len(track.time):
+        return None
+    begin, after = (int(np.searchsorted(track.time, time, side="right")) for time in (row.start, row.end))
+    near = slice(max(begin - 1, 0), after + 1)  # with the rows from which the ends are interpolated
+    time, lonlat = track.time[near], track.lonlat[near]
+    first, last = np.column_stack([np.interp([row.start, row.end], time, axis) for axis in lonlat.T])
+    line = np.vstack([first, lonlat[(time > row.start) & (time < row.end)], last])
+    return line if np.any(line != line[0]) else None
+
+
+def _positionfixes(people: Sequence[PersonRows]) -> GeoDataFrame:
+    """A row per position; track_id: of a part without gaps."""
+    columns: dict[str, list[Any]] = {name: [] for name in ("user_id", "time", "lonlat", "track_id", "sigma", "floor")}
+    stays, legs, track_id = list[Index](), list[Index](), 0
+    first_stay = first_leg = 0
+    for own in people:
+        for outing in own.outings:
+            for track, _ in split_at_gaps(outing):
+                time = track.time + outing.epoch
+                nan = np.full(len(track), np.nan)
+                columns["user_id"].append(np.full(len(track), own.person, dtype=object))
+                columns["time"].append(time)
+                columns["lonlat"].append(outing.frame.to_lonlat(track.position))
+                columns["track_id"].append(np.full(len(track), track_id))
+                columns["sigma"].append(nan if track.covariance is None else horizontal_sigma(track.covariance))
+                columns["floor"].append(np.array(track.floor, dtype=object))
+                stays.append(_ids_at(time, own.stays, first_stay))
+                legs.append(_ids_at(time, own.legs, first_leg))
+                track_id += 1
+        first_stay, first_leg = first_stay + len(own.stays), first_leg + len(own.legs)
+    if not track_id:
+        return _frame({"user_id": []}, [])
+    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    about = {"user_id": whole["user_id"], "tracked_at": _timestamps(whole["time"]), "track_id": whole["track_id"]}
+    about |= {"staypoint_id": _ids(np.concatenate(stays)), "tripleg_id": _ids(np.concatenate(legs))}
+    about |= {"sigma": whole["sigma"], "floor": whole["floor"]}
+    return _frame(about, shapely.points(whole["lonlat"]))
+
+
+def _ids_at(time: Array, rows: Sequence[TimelineEntry], first: int) -> Index:
+    """The id of the row at each time, NO_ID for none. first: id of the first row."""
+    starts, ends = (np.array([getattr(row, end) for row in rows]) for end in ("start", "end"))
+    if not len(rows):
+        return np.full(len(time), NO_ID)
+    n = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
+    return np.where((time >= starts[n]) & (time <= ends[n]), first + n, NO_ID)
+
+
+def _triplegs(people: Sequence[PersonRows]) -> GeoDataFrame:
+    """A row per walk or ride."""
+    rows = [(own, leg) for own in people for leg in own.legs]
+    about = _about(rows) | {
+        "mode": [TRACKINTEL_MODES[leg.kind] for _, leg in rows],
+        "distance": [leg.distance for _, leg in rows],
+        "observed": [leg.observed for _, leg in rows],
+    }
+    lines = [_line_of(own.track, leg) for own, leg in rows]
+    return _frame(about, [shapely.linestrings(line) for line in lines if line is not None])
+
+
+def _staypoints(people: Sequence[PersonRows]) -> GeoDataFrame:
+    """A row per stay."""
+    rows = [(own, stay) for own in people for stay in own.stays]
+    number = _location_ids(people)
+    location = [number.get((own.person, stay.place_number), NO_ID) for own, stay in rows]
+    about = _about(rows) | {
+        "location_id": _ids(np.array(location, dtype=np.intp)),
+        "name": [stay.place or (stay.facing[0][0] if stay.facing else "") for _, stay in rows],
+        "observed": [stay.observed for _, stay in rows],
+        "sigma": [stay.sigma for _, stay in rows],
+        "floor": [" > ".join(stay.floor) for _, stay in rows],
+    }
+    return _frame(about, [shapely.Point(stay.longitude, stay.latitude) for _, stay in rows])
+
+
+def _location_ids(people: Sequence[PersonRows]) -> dict[tuple[str, int], int]:
+    """The id of each place, by person and number."""
+    return {key: n for n, key in enumerate((own.person, place.number) for own in people for place in own.places)}
+
+
+def _locations(people: Sequence[PersonRows]) -> GeoDataFrame:
+    """A row per place with its center, and its extent: the hull of the visits with their uncertainty."""
+    from geopandas import GeoSeries
+
+    rows = [(own, place) for own in people for place in own.places]
+    about: dict[str, Any] = {
+        "user_id": [own.person for own, _ in rows],
+        "name": [place.name for _, place in rows],
+        "visits": [len(place.visits) for _, place in rows],
+        "duration": [place.duration for _, place in rows],
+        "sigma": [_sigma(own, place) for own, place in rows],
+        "extent": GeoSeries([_extent(own, place) for own, place in rows], crs=WGS84),
+    }
+    return _frame(about, [shapely.Point(place.longitude, place.latitude) for _, place in rows], "center")
+
+
+def _sigma(own: PersonRows, place: Place) -> float:
+    """Standard deviation per axis of a place [m], at least that of its best visit: blurred visits err all alike."""
+    return max(place.sigma, min(visit.sigma for visit in place.visits) if own.private else 0.0)
+
+
+def _extent(own: PersonRows, place: Place) -> shapely.Geometry:
+    """The convex hull of the visits to a place, widened by EXTENT_SIGMAS."""
+    visits = [stay for stay in own.stays if stay.place_number == place.number]
+    middle = np.array([place.longitude, place.latitude])
+    # metres per degree of latitude; approximate, for extents
+    metres = 111_195.0 * np.array([np.cos(np.radians(place.latitude)), 1.0])
+    discs = [
+        shapely.Point((np.array([stay.longitude, stay.latitude]) - middle) * metres).buffer(
+            max(EXTENT_SIGMAS * stay.sigma, LEAST_EXTENT), quad_segs=4
+        )
+        for stay in visits
+    ]
+    hull = shapely.convex_hull(shapely.union_all(discs))
+    return shapely.transform(hull, lambda corners: corners / metres + middle)
+
+
+def _about(rows: Sequence[tuple[PersonRows, TimelineEntry]]) -> dict[str, Any]:
+    """The columns that triplegs and staypoints share."""
+    return {
+        "user_id": [own.person for own, _ in rows],
+        "started_at": _timestamps(np.array([row.start for _, row in rows])),
+        "finished_at": _timestamps(np.array([row.end for _, row in rows])),
+    }
+
+
+def _timestamps(unix: Array) -> Any:
+    """UTC times of Unix times [s], in milliseconds."""
+    from pandas import to_datetime
+
+    return to_datetime(np.round(unix * 1000).astype(np.int64), unit="ms", utc=True)
+
+
+def _ids(numbers: Index) -> Any:
+    """Ids as integers, with a missing value for NO_ID."""
+    from pandas import NA, Series
+
+    return Series(numbers, dtype="Int64").replace(NO_ID, NA)
+
+
+def _frame(columns: dict[str, Any], geometry: Any, name: str = "geom") -> GeoDataFrame:
+    """A table with an index `id` and one active geometry column."""
+    from geopandas import GeoDataFrame
+
+    frame = GeoDataFrame(columns | {name: list(geometry)}, geometry=name, crs=WGS84)
+    frame.index.name = "id"
+    return frame

@@ -1,0 +1,171 @@
+"""Local time: the time zone where the person was, the midnights there, and periods of local days.
+
+Zones come from the boundaries of the IANA time zones (tzfpy, data of timezone-boundary-builder), so a diary follows its
+person abroad and through daylight saving time. A lifelog whose zone was chosen keeps that zone everywhere.
+"""
+
+from __future__ import annotations
+
+import calendar
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta, tzinfo
+from functools import lru_cache
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from pdr_graph.apps.lifelog.day import Outing
+from pdr_graph.errors import InputError
+from pdr_graph.types import Array
+
+
+def zone_at(latitude: float, longitude: float) -> str:
+    """Name of the time zone at a place; "" where it is unknown."""
+    return _zone_near(round(latitude, 3), round(longitude, 3)) if np.isfinite(latitude + longitude) else ""
+
+
+@lru_cache(maxsize=4096)
+def _zone_near(latitude: float, longitude: float) -> str:
+    from tzfpy import get_tz  # loads 7 MB of boundaries
+
+    return get_tz(longitude, latitude)
+
+
+@lru_cache(maxsize=256)
+def zone_named(name: str) -> tzinfo:
+    """The time zone of a name; UTC for "" and for names that the time zone database lacks."""
+    try:
+        return ZoneInfo(name) if name and name != "UTC" else UTC
+    except (OSError, ValueError, LookupError):
+        return UTC
+
+
+LOCAL = "local"  # name of "the zone of each place" on the command line
+
+
+def checked_zone(name: str) -> str:
+    """The setting of a time zone: its name, "" for LOCAL. Raises InputError for an unknown name."""
+    if name in (LOCAL, "UTC"):
+        return "" if name == LOCAL else name
+    try:
+        ZoneInfo(name)
+        return name
+    except (OSError, ValueError, LookupError):
+        raise InputError("--zone", "", repr(name), "a time zone, as Europe/Berlin, or local") from None
+
+
+def zone_of_outings(setting: str, outings: Sequence[Outing]) -> tzinfo:
+    """The time zone of a setting; for "", of the first known position; UTC without any."""
+    located = (o for o in outings if o.frame.georeferenced and len(o.trajectory))
+    names = (zone_at(*o.frame.to_lonlat(o.trajectory.position[:1])[0, ::-1].tolist()) for o in located)
+    return zone_named(setting or next(names, ""))
+
+
+class LocalClock:
+    """The clock on the wall where a person was.
+
+    zone: name of a fixed zone, "" for the zone of the nearest position in time;
+    time ``(n,)`` Unix times [s], in order, and lonlat ``(n, 2)`` [deg]: the known positions.
+    """
+
+    def __init__(self, zone: str, time: Array, lonlat: Array):
+        self._fixed, self._time, self._lonlat = zone, time, lonlat
+
+    def zone(self, time: float) -> tzinfo:
+        """The time zone where the person was at a Unix time [s]; UTC without any position."""
+        if self._fixed or not len(self._time):
+            return zone_named(self._fixed)
+        after = int(np.searchsorted(self._time, time))
+        beside = [n for n in (after - 1, after) if 0 <= n < len(self._time)]
+        longitude, latitude = self._lonlat[min(beside, key=lambda n: abs(self._time[n] - time))].tolist()
+        return zone_named(zone_at(latitude, longitude))
+
+    def at(self, time: float) -> datetime:
+        """Local time and date at a Unix time [s]."""
+        return datetime.fromtimestamp(time, self.zone(time))
+
+    def offset(self, time: float) -> float:
+        """Offset of local time from UTC at a Unix time [s]."""
+        offset = self.at(time).utcoffset()
+        return 0.0 if offset is None else offset.total_seconds()
+
+    def next_midnight(self, time: float) -> float:
+        """Unix time [s] of the first midnight after a time, by the zone of that time."""
+        here = self.at(time)
+        day = (here.replace(tzinfo=None) + timedelta(days=1)).replace(hour=0, minute=0, second=0, microsecond=0)
+        return day.replace(tzinfo=here.tzinfo).timestamp()
+
+    def midnight_before(self, time: float) -> float:
+        """Unix time [s] of the midnight before a time, or at it, by the zone of that time."""
+        return self.at(time).replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+
+
+DAY, WEEK, MONTH, YEAR, ALL = "day", "week", "month", "year", "all"
+LAST_DATE = date.max - timedelta(days=7)  # so that a week after it can be computed
+
+
+@dataclass(frozen=True)
+class Period:
+    """Consecutive dates, first and last included. kind: DAY, WEEK, MONTH, YEAR or ALL; name: as the user writes it."""
+
+    kind: str
+    name: str
+    first: date
+    last: date
+
+    @property
+    def dates(self) -> Iterator[date]:
+        """Every date of the period."""
+        return (self.first + timedelta(days=n) for n in range((self.last - self.first).days + 1))
+
+    def __len__(self) -> int:
+        return (self.last - self.first).days + 1
+
+
+def period_of(day: str = "", week: str = "", month: str = "", year: str = "") -> Period | None:
+    """The period that one of the texts describes: 2024-05-01, 2024-W18, 2024-05, 2024; None if all are empty.
+
+    Raises InputError for a text of another form, and for more than one text.
+    """
+    options = {"--date": day, "--week": week, "--month": month, "--year": year}
+    texts = {option: text for option, text in options.items() if text}
+    if len(texts) > 1:
+        raise InputError(" and ".join(texts), "", f"{len(texts)} periods", "one of them")
+    for option, text in texts.items():
+        kind, read, example = _FORMS[option]
+        try:
+            first, last = read(text)
+        except (ValueError, OverflowError):
+            raise InputError(option, "", repr(text), f"a {kind} such as {example}") from None
+        if last > LAST_DATE:
+            raise InputError(option, "", repr(text), f"a {kind} such as {example}")
+        return Period(kind, text, first, last)
+    return None
+
+
+def _day(text: str) -> tuple[date, date]:
+    return date.fromisoformat(text), date.fromisoformat(text)
+
+
+def _week(text: str) -> tuple[date, date]:
+    year, week = text.upper().split("-W")
+    monday = date.fromisocalendar(int(year), int(week), 1)
+    return monday, monday + timedelta(days=6)
+
+
+def _month(text: str) -> tuple[date, date]:
+    first = date.fromisoformat(f"{text}-01")
+    return first, first.replace(day=calendar.monthrange(first.year, first.month)[1])
+
+
+def _year(text: str) -> tuple[date, date]:
+    return date(int(text), 1, 1), date(int(text), 12, 31)
+
+
+_FORMS = {
+    "--date": (DAY, _day, "2024-05-01"),
+    "--week": (WEEK, _week, "2024-W18"),
+    "--month": (MONTH, _month, "2024-05"),
+    "--year": (YEAR, _year, "2024"),
+}

@@ -1,0 +1,483 @@
+"""The maps of an overview: tracks by kind, and places as dots whose area is the time there; tiles behind them.
+
+One map has everything within 50 km of each other; places on other continents have a map of their own beside it. Of one
+day there are also enlarged maps of small places, and a map per floor of each plan with the stays on it.
+
+Tiles come from the address that the user gives; without one nothing is ever fetched. The address is a template such as
+``https://tile.openstreetmap.org/{z}/{x}/{y}.png`` (Web Mercator). Its server learns which area is drawn.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from urllib.parse import urlsplit
+
+import numpy as np
+from matplotlib.image import imread
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from pdr_graph import __version__
+from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, Outing, Stay, clipped, split_at_gaps
+from pdr_graph.apps.lifelog.diary import DiaryDay
+from pdr_graph.apps.lifelog.local_time import DAY
+from pdr_graph.apps.lifelog.overview import Overview, clock_text, time_text
+from pdr_graph.apps.lifelog.stays import Facing
+from pdr_graph.apps.lifelog.stays_and_legs import on_sphere
+from pdr_graph.apps.lifelog.timeline import PASSING, STAY, duration_text
+from pdr_graph.errors import InputError, count, one_line
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import horizontal_sigma
+from pdr_graph.types import Array, OneLineRepr, Trajectory
+from pdr_graph.web_request import ask, same_host
+
+MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
+# Chosen by hand
+MAX_TILES = 64  # of a map
+TIMEOUT, TILES_TIME = 10.0, 60.0  # [s] of a request; of all tiles of a map
+MAX_FAILURES = 3  # requests that may fail before no other is made
+PNG_HEAD = struct.Struct(">8s8xII")  # signature, width and height
+
+
+@dataclass(frozen=True)
+class MercatorFrame:
+    """Web Mercator about a point [deg], scaled so that lengths there are metres; x is east, y is north."""
+
+    latitude: float
+    longitude: float
+
+    @property
+    def scale(self) -> float:
+        """Metres per radian of longitude."""
+        return MERCATOR_RADIUS * float(np.cos(np.radians(self.latitude)))
+
+    def from_lonlat(self, lonlat: Array) -> Array:
+        """Positions ``(n, 2)`` [m] from longitudes and latitudes ``(n, 2)`` [deg]."""
+        east = (lonlat[:, 0] - self.longitude + 180) % 360 - 180
+        north = _mercator(lonlat[:, 1]) - _mercator(np.array(self.latitude))
+        return self.scale * np.column_stack([np.radians(east), north])
+
+    def to_lonlat(self, position: Array) -> Array:
+        """Longitudes and latitudes ``(n, 2)`` [deg] of positions [m]."""
+        share = self.shares(position)
+        latitude = np.degrees(np.arctan(np.sinh((0.5 - share[:, 1]) * 2 * np.pi)))
+        return np.column_stack([(share[:, 0] - 0.5) * 360.0, latitude])
+
+    def from_frame(self, other: Frame | MercatorFrame, position: Array) -> Array:
+        """Positions ``(n, 2)`` [m] from positions in another frame, which is georeferenced."""
+        return self.from_lonlat(other.to_lonlat(position))
+
+    def shares(self, position: Array) -> Array:
+        """Shares ``(n, 2)`` of the whole map's width and height, from its upper left corner, of positions [m]."""
+        east = np.radians(self.longitude) + position[:, 0] / self.scale
+        north = _mercator(np.array(self.latitude)) + position[:, 1] / self.scale
+        return np.column_stack([0.5 + east / (2 * np.pi), 0.5 - north / (2 * np.pi)])
+
+    def position(self, shares: Array) -> Array:
+        """Positions ``(n, 2)`` [m] from shares of the whole map."""
+        east = (shares[:, 0] - 0.5) * 2 * np.pi - np.radians(self.longitude)
+        north = (0.5 - shares[:, 1]) * 2 * np.pi - _mercator(np.array(self.latitude))
+        return self.scale * np.column_stack([east, north])
+
+
+def _mercator(latitude: Array) -> Array:
+    """Mercator's northing [rad] of latitudes [deg], which are limited to the map's edge."""
+    return np.arcsinh(np.tan(np.radians(np.clip(latitude, -85.05, 85.05))))
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A picture ``(height, width, 3 or 4)`` with its corners ``(2, 2)`` on the map [m]."""
+
+    picture: Array
+    corners: Array
+
+
+def check_template(template: str) -> None:
+    """Raise InputError unless the text is a web address with {z}, {x} and {y}."""
+    if urlsplit(template).scheme not in ("http", "https") or any(
+        part not in template for part in ("{z}", "{x}", "{y}")
+    ):
+        expected = "a web address such as https://tile.openstreetmap.org/{z}/{x}/{y}.png"
+        raise InputError("--tiles", "", repr(template), expected)
+
+
+def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) -> Iterator[Tile]:
+    """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide.
+
+    Stops after MAX_FAILURES failures, or LONGEST seconds; raises OSError if not a single tile was fetched.
+    """
+    low, high = corners
+    (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))
+    zoom = _zoom(west, north, east, south, pixels)
+    number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + TILES_TIME
+    for y in range(max(int(north * number), 0), min(int(south * number), number - 1) + 1):
+        for x in range(int(np.floor(west * number)), int(np.floor(east * number)) + 1):
+            address = _filled_in(template, zoom, x % number, y)
+            try:
+                picture = _fetched(address)
+            except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
+                failures += 1
+                if failures >= MAX_FAILURES or time.monotonic() > end:
+                    if not made:
+                        raise OSError(f"{address}: {error}") from None
+                    return
+                continue
+            made += 1
+            yield Tile(picture, np.sort(frame.position(np.array([[x, y + 1], [x + 1, y]]) / number), axis=0))
+            if time.monotonic() > end:
+                return
+
+
+def _filled_in(template: str, zoom: int, x: int, y: int) -> str:
+    """The address of a tile."""
+    return template.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
+
+
+def _zoom(west: float, north: float, east: float, south: float, pixels: float) -> int:
+    """The zoom at which a tile is drawn about as large as it is, with at most MAX_TILES tiles."""
+    wanted = np.log2(max(pixels, 1) / 256 / max(east - west, 1e-9))  # tile pixels
+    zoom = int(np.clip(np.round(wanted), 0, 19))  # highest zoom
+    while zoom > 0 and ((east - west) * 2**zoom + 1) * ((south - north) * 2**zoom + 1) > MAX_TILES:
+        zoom -= 1
+    return zoom
+
+
+def _fetched(address: str) -> Array:
+    """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
+    most = 2_000_000  # bytes of a tile
+    answer = ask(
+        address, TIMEOUT, TIMEOUT, most, same_host(address), headers={"User-Agent": f"pdr_graph/{__version__}"}
+    )
+    if answer.status != 200:
+        raise OSError(f"status {answer.status}")
+    content = answer.body
+    if len(content) < PNG_HEAD.size:
+        raise ValueError("no picture")
+    _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte
+    if max(width, height) > 1024:  # most side [pixels] of a tile
+        raise ValueError(f"no PNG, or one of {width} × {height} pixels")
+    picture = imread(io.BytesIO(content))
+    return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
+
+
+# Chosen by hand
+NEIGHBOURS = 50_000.0  # [m] between points that share a map
+GROUP_CELL = 5_000.0  # [m] to which points are rounded before they are grouped
+MOST_MAPS = 3  # outdoors
+MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map
+MIN_SIZE_INDOORS, MIN_SIZE_OUTDOORS = 40.0, 150.0  # [m] of a map
+PLACE_SIZE = 2_000.0  # [m] of the map of an overview of one place
+TAILS = 0.02  # share of track points on each side that may lie outside the map of more than a day
+ENLARGED_SHARE = 0.3  # of the whole map's width, below which a place is drawn again on a larger map
+PANEL_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+MAX_NAME_LENGTH = 26  # letters of a label
+
+
+@dataclass(frozen=True)
+class DrawnPart(OneLineRepr):
+    """A part of an outing on a map, of one kind and on one floor; a gap has the rows before and after it.
+
+    Times of the track are Unix times [s].
+    """
+
+    kind: str
+    floor: str
+    track: Trajectory
+
+    def _summary(self) -> list[str]:
+        return [self.kind, *filter(None, [self.floor]), repr(self.track)]
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A place, a stay or a slow pass on a map. position: ``(2,)`` [m]; kind: STAY or PASSING; time: there [s]; label:
+    beside it; text: the whole, lines.
+    """
+
+    position: Array
+    kind: str
+    time: float
+    label: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Panel(OneLineRepr):
+    """One map.
+
+    frame: of all positions; plan: path, "" without one; floor: label, "" for any; corners: ``(2, 2)`` of the shown area
+    [m]; ways: of one day, the tracks without gaps of each outing; starts: positions and local times of their starts;
+    drawn: all tracks by kind and floor, and of one day the gaps; dots; letter: name of the map, "" if it is the only
+    one. Tracks and dots may lie outside the shown area.
+    """
+
+    frame: Frame | MercatorFrame
+    plan: str
+    floor: str
+    corners: Array
+    ways: tuple[tuple[Trajectory, ...], ...]
+    starts: tuple[tuple[Array, str], ...]
+    drawn: tuple[DrawnPart, ...]
+    dots: tuple[Dot, ...]
+    letter: str = ""
+
+    def _summary(self) -> list[str]:
+        names = [name for name in (self.letter, self.floor) if name]
+        return [*names, f"{self.width:.0f} m", count(len(self.ways), "outing"), count(len(self.dots), "dot")]
+
+    @property
+    def width(self) -> float:
+        """The longer side of the shown area [m]."""
+        return float(np.max(self.corners[1] - self.corners[0]))
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A part of an outing without a gap, in the outing's frame with Unix times [s].
+
+    drawn: by kind and floor; start: the local time at which the outing starts with it, else "".
+    """
+
+    outing: Outing
+    track: Trajectory
+    drawn: tuple[DrawnPart, ...]
+    start: str
+
+    @property
+    def lonlat(self) -> Array:
+        """Longitudes and latitudes ``(n, 2)`` [deg] of its rows."""
+        return self.outing.frame.to_lonlat(self.track.position)
+
+
+def panels(shown: Overview) -> tuple[Panel, ...]:
+    """The maps of an overview, that with the most time first."""
+    dots, days = _places(shown), shown.days
+    ways = [way for day in days for outing in day.outings for way in _ways_of(outing, day)]
+    outdoors = [way for way in ways if way.outing.frame.georeferenced]
+    if shown.place:
+        found = [_outdoors(dots[:1], outdoors, False, PLACE_SIZE)] if dots else []
+    elif shown.period.kind == DAY:
+        groups = [(own, tracks) for own, tracks in _groups(dots, outdoors) if not tracks or _leave_plans(tracks)]
+        whole = [_outdoors(*own, True) for own in groups[:MOST_MAPS]]
+        found = [*whole, *(place for panel in whole for place in _enlarged_places(panel)), *_indoors(ways)]
+    else:
+        found = [_outdoors(*own, False) for own in _groups(dots, outdoors)[:MOST_MAPS]]
+    letters = PANEL_LETTERS[: len(found)] if len(found) > 1 else ("",)
+    return tuple(replace(panel, letter=letter) for panel, letter in zip(found, letters, strict=False))
+
+
+def _leave_plans(ways: Sequence[_Way]) -> bool:
+    """True if not all ways are on floor plans."""
+    return any(not way.outing.plan for way in ways)
+
+
+def _ways_of(outing: Outing, day: DiaryDay) -> Iterator[_Way]:
+    """The parts of an outing without gaps that lie in a day."""
+    for n, (track, segments) in enumerate(split_at_gaps(outing)):
+        line = clipped(replace(track, time=track.time + outing.epoch), day.start, day.end)
+        if len(line):
+            spans = [(s.kind, clipped(line, s.start + outing.epoch, s.end + outing.epoch)) for s in segments]
+            drawn = tuple(DrawnPart(kind, own.floor[-1], own) for kind, part in spans for own in _by_floor(part))
+            starts_here = n == 0 and outing.epoch >= day.start
+            yield _Way(outing, line, drawn, clock_text(float(line.time[0]), day.offset) if starts_here else "")
+
+
+def _by_floor(track: Trajectory) -> Iterator[Trajectory]:
+    """The parts of a track on one floor each; both parts share the row of a change."""
+    changes = [n for n, (one, other) in enumerate(pairwise(track.floor), 1) if one != other]
+    for first, last in pairwise([0, *changes, len(track)]):
+        if last > first:
+            yield track[max(first - 1, 0) : last]
+
+
+def _places(shown: Overview) -> list[Dot]:
+    """The places, and stays that belong to no place, most time first; their positions are longitude and latitude."""
+    several = len(shown.persons) > 1
+    named = [(who, place, f"{short_name(place.label)}, {time_text(place.duration)}") for who, place in shown.places]
+    named += [(who, visit, _faced(visit.facing, visit.duration)) for who, visit in shown.visits if not visit.label]
+    dots = [
+        Dot(
+            np.array([own.longitude, own.latitude]),
+            STAY,
+            own.duration,
+            label := f"{short_name(who)}: {text}" if several else text,
+            f"{label}, ± {own.sigma:.0f} m",
+        )
+        for who, own, text in named
+        if np.isfinite(own.latitude)
+    ]
+    return sorted(dots, key=lambda dot: -dot.time)
+
+
+def _groups(dots: Sequence[Dot], ways: Sequence[_Way]) -> list[tuple[list[Dot], list[_Way]]]:
+    """Dots and ways by the map that shows them, that with the most time first."""
+    rows = [way.lonlat for way in ways]
+    points = np.array([*(dot.position for dot in dots), *(own[0] for own in rows)]).reshape(-1, 2)
+    if not len(points):
+        return []
+    every = np.concatenate([points, *rows])
+    cells, cell_of = np.unique(np.round(on_sphere(every) / GROUP_CELL), axis=0, return_inverse=True)
+    pairs = KDTree(cells).query_pairs(NEIGHBOURS / GROUP_CELL, output_type="ndarray")
+    ones = np.ones(len(pairs))
+    _, group_of = connected_components(coo_array((ones, pairs.T), shape=(len(cells), len(cells))), directed=False)
+    group = group_of[cell_of.ravel()[: len(points)]]
+    time = np.bincount(group, [*(dot.time for dot in dots), *(1.0 for _ in ways)])
+    return [
+        (
+            [dot for dot, own in zip(dots, group, strict=False) if own == n],
+            [way for way, own in zip(ways, group[len(dots) :], strict=True) if own == n],
+        )
+        for n in np.argsort(-time, kind="stable")
+        if (group == n).any()
+    ]
+
+
+def _outdoors(dots: Sequence[Dot], ways: Sequence[_Way], is_day: bool, side: float = 0.0) -> Panel:
+    """A map in Web Mercator about the start of a day, or the place with most time.
+
+    side: of the map about that place [m], 0 for one of everything.
+    """
+    lon, lat = (ways[0].lonlat[0] if ways and (is_day or not dots) else dots[0].position).tolist()
+    frame = MercatorFrame(lat, lon)
+    placed = [replace(dot, position=frame.from_lonlat(dot.position[None])[0]) for dot in dots]
+    if not is_day:
+        moving = [replace(way, drawn=tuple(part for part in way.drawn if part.kind != STANDING)) for way in ways]
+        panel = _panel(frame, moving, placed, tails=TAILS)
+        drawn = tuple(part for part in panel.drawn if part.kind not in KINDS_WITHOUT_DATA)
+        panel = replace(panel, ways=(), starts=(), drawn=drawn)
+    else:
+        panel = _panel(frame, ways, placed)
+    return replace(panel, corners=_corners_around(placed[0].position[None], side)) if side else panel
+
+
+def _indoors(ways: Sequence[_Way]) -> Iterator[Panel]:
+    """A map for each outing without an absolute position or plan, and for each floor of each plan, with its stays."""
+    for outing in _outings(way for way in ways if not (way.outing.frame.georeferenced or way.outing.plan)):
+        own = [way for way in ways if way.outing is outing]
+        yield _panel(outing.frame, own, [_dot_of(stay, stay.position) for stay in outing.stays])
+    for plan in dict.fromkeys(way.outing.plan for way in ways if way.outing.plan):
+        own = [way for way in ways if way.outing.plan == plan]
+        frame, outings = own[0].outing.frame, _outings(own)
+        for floor in dict.fromkeys(part.floor for way in own for part in way.drawn):
+            stays = [(o, stay) for o in outings for stay in o.stays if floor in ("", stay.floor)]
+            dots = [_dot_of(stay, frame.from_frame(o.frame, stay.position[None])[0]) for o, stay in stays]
+            yield _panel(frame, own, dots, plan, floor)
+
+
+def _outings(ways: Iterable[_Way]) -> list[Outing]:
+    """The outings of ways, each once."""
+    return list({id(way.outing): way.outing for way in ways}.values())
+
+
+def _dot_of(stay: Stay, position: Array) -> Dot:
+    """The dot of a stay on a floor plan: with the most probable place that it faces, and as text with all of them."""
+    lasted = stay.end - stay.start
+    named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
+    text = "\n".join([f"{duration_text(lasted)}, ± {float(horizontal_sigma(stay.covariance)):.1f} m", *named])
+    return Dot(position, PASSING if stay.passing else STAY, lasted, _faced(stay.facing, lasted), text)
+
+
+def _faced(facing: Facing, lasted: float) -> str:
+    """The duration of a stay [s] as text, after the most probable place that it faces."""
+    return " ".join([*(short_name(name) for name, _ in facing[:1]), duration_text(lasted)])
+
+
+def _panel(
+    frame: Frame | MercatorFrame,
+    ways: Sequence[_Way],
+    dots: Sequence[Dot],
+    plan: str = "",
+    floor: str = "",
+    tails: float = 0.0,
+) -> Panel:
+    """A map of some ways and dots. floor: label of the only floor shown, "" for all; tails: share of track points at
+    each side that may lie outside.
+    """
+
+    def placed(way: _Way, track: Trajectory) -> Trajectory:
+        return replace(track, position=frame.from_frame(way.outing.frame, track.position))
+
+    ordered = sorted(ways, key=lambda way: float(way.track.time[0]))
+    tracks = [placed(way, way.track) for way in ordered]
+    drawn = [replace(d, track=placed(way, d.track)) for way in ordered for d in way.drawn if floor in ("", d.floor)]
+    drawn += [gap for pair in pairwise(tracks) if floor in ("", (gap := _gap(*pair)).floor)]
+    points = [d.track.position for d in drawn if tails == 0.0 or d.kind != GAP]
+    ends = [np.quantile(np.concatenate(points), [tails, 1 - tails], axis=0)] if points else []
+    content = np.concatenate([np.array([dot.position for dot in dots]).reshape(-1, 2), *ends])
+    content = content[np.isfinite(content).all(axis=1)]
+    corners = _corners_around(content, MIN_SIZE_INDOORS if plan else MIN_SIZE_OUTDOORS)
+    by_outing: dict[int, list[Trajectory]] = {}
+    for way, track in zip(ordered, tracks, strict=True):
+        by_outing.setdefault(id(way.outing), []).append(track)
+    begun = [(way.start, track) for way, track in zip(ordered, tracks, strict=True) if way.start]
+    starts = [(track.position[0], start) for start, track in begun if floor in ("", track.floor[0])]
+    return Panel(
+        frame, plan, floor, corners, tuple(map(tuple, by_outing.values())), tuple(starts), tuple(drawn), tuple(dots)
+    )
+
+
+def _gap(before: Trajectory, after: Trajectory) -> DrawnPart:
+    """The gap between two tracks: the last row of one and the first row of the other."""
+    ends = before[-1], after[0]
+    time, position, heading = (np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading"))
+    (one,), (other,) = (end.floor for end in ends)
+    return DrawnPart(GAP, one if one == other else "", Trajectory(time, position, heading, (one, other)))
+
+
+def _enlarged_places(whole: Panel) -> list[Panel]:
+    """Enlarged maps of the small places on a map of a day, without rides."""
+    own = [d for d in whole.drawn if d.kind not in (VEHICLE, GAP)]
+    if not own:
+        return []
+    low, high = (np.array([end(d.track.position, axis=0) for d in own]) for end in (np.min, np.max))
+    gaps = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)  # < 0 for boxes that overlap
+    _, group = connected_components(coo_array(gaps < 300.0))  # place distance [m] between places with maps of their own
+    found = [[d for d, g in zip(own, group, strict=True) if g == n] for n in range(int(group.max()) + 1)]
+    found = [g for g in found if not any(d.floor for d in g)]  # places on a plan are drawn on the plan
+    close = [_enlarged(whole, np.concatenate([d.track.position for d in g])) for g in found]
+    times = [sum(float(np.ptp(d.track.time)) for d in g) for g in found]
+    order = sorted(range(len(found)), key=lambda n: -times[n])
+    # least place time [s] in a place that is drawn again
+    small = [n for n in order if close[n].width < ENLARGED_SHARE * whole.width and times[n] > 300.0]
+    # most places that are drawn again: those with the longest time in them
+    return [close[n] for n in sorted(small[:4])]
+
+
+def _enlarged(whole: Panel, position: Array) -> Panel:
+    """The part of a map about positions ``(n, 2)`` [m], in Web Mercator about their middle."""
+    lon, lat = whole.frame.to_lonlat(position.mean(axis=0)[None])[0].tolist()
+    frame, old = MercatorFrame(lat, lon), whole.frame
+
+    def moved(track: Trajectory) -> Trajectory:
+        return replace(track, position=frame.from_frame(old, track.position))
+
+    return Panel(
+        frame,
+        "",
+        "",
+        _corners_around(frame.from_frame(old, position), MIN_SIZE_OUTDOORS),
+        tuple(tuple(map(moved, own)) for own in whole.ways),
+        tuple((frame.from_frame(old, at[None])[0], text) for at, text in whole.starts),
+        tuple(replace(d, track=moved(d.track)) for d in whole.drawn),
+        tuple(replace(dot, position=frame.from_frame(old, dot.position[None])[0]) for dot in whole.dots),
+    )
+
+
+def _corners_around(position: Array, least: float) -> Array:
+    """Corners ``(2, 2)`` of the shown area about positions ``(n, 2)``, with sides of at least `least` [m]."""
+    low, high = position.min(axis=0), position.max(axis=0)
+    half = np.maximum((high - low) * (0.5 + MARGIN_SHARE), least / 2)
+    return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
+
+
+def short_name(name: str) -> str:
+    """A name on one line, shortened to MAX_NAME_LENGTH letters."""
+    plain = one_line(name)
+    return plain if len(plain) <= MAX_NAME_LENGTH else f"{plain[: MAX_NAME_LENGTH - 1]}…"

@@ -1,0 +1,205 @@
+"""Google's timelines, all five kinds: Takeout until 2024, Android, iOS, and what a timeline was made from."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+
+from pdr_graph.apps.lifelog.facts import Guess
+from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
+from pdr_graph.apps.lifelog.past.past_json import at, coordinates, coordinates_e7, decoded, items, lists_format, pieces
+from pdr_graph.apps.lifelog.past.past_rows import (
+    FIRST_TIME,
+    PATH_ACCURACY,
+    Batch,
+    Format,
+    Point,
+    batch_of,
+    guess,
+    unix_time,
+    unix_times,
+    valid_positions,
+    with_guesses,
+)
+from pdr_graph.io.past_day import E7, GOOGLE_CELL, GOOGLE_PATH, GOOGLE_WIFI, GPS, MS, PHONE, SIGHTING, Rows
+from pdr_graph.io.validation import float_of
+from pdr_graph.types import Array
+
+SEMANTIC, TIMELINE = "Google Semantic Location History", "Google Timeline"
+GOOGLE_RADIOS = {"GPS": GPS, "WIFI": GOOGLE_WIFI, "CELL": GOOGLE_CELL}
+NAN = float("nan")
+
+
+class Location(
+    msgspec.Struct,
+    gc=False,
+    rename={"latitude": "latitudeE7", "longitude": "longitudeE7", "milliseconds": "timestampMs"},
+):
+    """One position of ``Records.json``. latitude, longitude: [1e-7 deg]; accuracy: 68 % radius [m]; timestamp: ISO
+    8601; milliseconds: Unix time [ms] instead, in exports before 2022.
+    """
+
+    latitude: float = NAN
+    longitude: float = NAN
+    accuracy: float = NAN
+    source: str = ""
+    timestamp: str = ""
+    milliseconds: str | int = ""
+
+
+DECODE_LOCATIONS = msgspec.json.Decoder(list[Location]).decode
+
+
+def records(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Every position that a phone reported, up to gigabytes; Google's guesses of the activity are not read."""
+    for piece in pieces(stream, where):
+        if piece.key == "locations":
+            locations, bad = decoded(piece, DECODE_LOCATIONS, Location)
+            batch = _record_batch(locations)
+            yield Batch(batch.positions, left_out=+(batch.left_out + Counter({"unreadable": bad})))
+
+
+def _record_batch(locations: Sequence[Location]) -> Batch:
+    """The positions of some records."""
+    time = unix_times([location.timestamp or location.milliseconds for location in locations])
+    lat = _unwrapped(np.array([location.latitude for location in locations])) / E7
+    lon = _unwrapped(np.array([location.longitude for location in locations])) / E7
+    source = np.array([GOOGLE_RADIOS.get(location.source, PHONE) for location in locations], np.uint8)
+    return valid_positions(time, lat, lon, np.array([location.accuracy for location in locations]), source)
+
+
+def _unwrapped(values: Array) -> Array:
+    """Angles [1e-7 deg] with the sign that exports before 2018 lost: they wrote -1 as 2³² - 1."""
+    return np.where((values > 1.8e9) & (values < 2.0**32), values - 2.0**32, values)
+
+
+def _semantic(found: Sequence[Any], bad: int) -> Batch:
+    """Visits and activities as guesses, and the points of raw paths that have a time."""
+    points = [point for element in found for point in _raw_path(at(element, "activitySegment"))]
+    return with_guesses(batch_of(points, bad), [item for element in found for item in _semantic_guesses(element)])
+
+
+def _semantic_guesses(element: Any) -> Iterator[Guess]:
+    """The visit, with visits inside it, or the activity of an element."""
+    visit, ride = at(element, "placeVisit"), at(element, "activitySegment")
+    if isinstance(visit, dict):
+        for one in (visit, *items(visit, "childVisits")):
+            place = at(one, "location")
+            name = at(place, "name") or at(place, "placeId")
+            share = float_of(at(place, "locationConfidence")) / 100
+            yield guess(SEMANTIC, "visit", _times(one), name, coordinates_e7(place), share)
+    if isinstance(ride, dict):
+        name = at(ride, "activityType") or at(ride, "waypointPath", "travelMode")
+        shares = [at(a, "probability") for a in items(ride, "activities") if at(a, "activityType") == name]
+        share = float_of(shares[0]) / 100 if shares else None
+        yield guess(SEMANTIC, "activity", _times(ride), name, coordinates_e7(at(ride, "startLocation")), share)
+
+
+def _times(value: Any) -> tuple[Any, Any]:
+    """Start and stop of a duration, whose names end in Ms in exports before 2022."""
+    span = at(value, "duration")
+    return tuple(at(span, name) or at(span, f"{name}Ms") for name in ("startTimestamp", "endTimestamp"))
+
+
+def _raw_path(ride: Any) -> Iterator[Point]:
+    """The points of an activity's raw path; way points have no time and are not read."""
+    for point in items(ride, "simplifiedRawPath", "points"):
+        accuracy = max(PATH_ACCURACY, float_of(at(point, "accuracyMeters")))
+        yield at(point, "timestamp") or at(point, "timestampMs"), coordinates_e7(point), accuracy, GOOGLE_PATH
+
+
+def _segments(found: Sequence[Any], bad: int) -> Batch:
+    """Visits and activities of segments as guesses, and the points of the path, as of Android or iOS."""
+    points = [point for element in found for point in _path(element)]
+    return with_guesses(batch_of(points, bad), [item for element in found for item in _segment_guesses(element)])
+
+
+def _segment_guesses(element: Any) -> Iterator[Guess]:
+    """The visit or activity of a segment, with the probability of its most probable place or kind."""
+    times = at(element, "startTime"), at(element, "endTime")
+    visit, ride = at(element, "visit"), at(element, "activity")
+    if isinstance(visit, dict):
+        best = at(visit, "topCandidate")
+        meaning = str(at(best, "semanticType") or "").upper()
+        name = at(best, "placeId") or at(best, "placeID") if meaning in ("", "UNKNOWN") else meaning
+        yield guess(TIMELINE, "visit", times, name, coordinates(at(best, "placeLocation")), at(best, "probability"))
+    if isinstance(ride, dict):
+        best = at(ride, "topCandidate")
+        place = coordinates(at(ride, "start"))
+        yield guess(TIMELINE, "activity", times, at(best, "type"), place, at(best, "probability"))
+
+
+def _path(element: Any) -> Iterator[Point]:
+    """The points of a segment's path: Android has their times, iOS minutes from the segment's start."""
+    start = unix_time(at(element, "startTime"))
+    for point in items(element, "timelinePath"):
+        time = at(point, "time") or start + 60 * float_of(at(point, "durationMinutesOffsetFromStartTime"))
+        yield time, coordinates(at(point, "point")), PATH_ACCURACY, GOOGLE_PATH
+
+
+def _raw_signals(found: Sequence[Any], bad: int) -> Batch:
+    """Raw positions and Wi-Fi scans of the last month."""
+    batch = batch_of([point for element in found for point in _position(at(element, "position"))], bad)
+    return Batch(batch.positions, _sightings(found), (), batch.left_out)
+
+
+def _position(position: Any) -> Iterator[Point]:
+    """The point of a raw position."""
+    if isinstance(position, dict):
+        place = coordinates(position)
+        accuracy, radio = float_of(position.get("accuracyMeters")), position.get("source")
+        yield (
+            position.get("timestamp"),
+            place,
+            accuracy,
+            GOOGLE_RADIOS.get(radio, PHONE) if isinstance(radio, str) else PHONE,
+        )
+
+
+def _sightings(found: Sequence[Any]) -> Rows:
+    """The receptions in Wi-Fi scans; those without a valid time, address or power are left out."""
+    rows: list[tuple[int, int, int]] = []
+    for element in found:
+        scan = at(element, "wifiScan")
+        time = unix_time(at(scan, "deliveryTime")) if scan else 0.0
+        if FIRST_TIME <= time < LATEST_EPOCH:
+            for device in items(scan, "devicesRecords"):
+                mac, rssi = float_of(at(device, "mac")), float_of(at(device, "rawRssi"))
+                if 0 < mac < 2**48 and -120 <= rssi < 0:
+                    rows.append((round(time * MS), int(mac), round(rssi)))
+    return np.array(rows, SIGHTING)
+
+
+def _edits(found: Sequence[Any], bad: int) -> Batch:
+    """Raw positions of the devices that a timeline is made from; their accuracy is in millimetres."""
+    positions = (at(element, "rawSignal", "signal", "position") for element in found)
+    return batch_of(
+        [
+            (p.get("timestamp"), coordinates_e7(p.get("point")), float_of(p.get("accuracyMm")) / 1000, PHONE)
+            for p in positions
+            if isinstance(p, dict)
+        ],
+        bad,
+    )
+
+
+RECORDS = Format(
+    "Google Records.json",
+    re.compile(rb'"locations"\s*:\s*\[\s*\{.*"(?:latitudeE7|timestampMs)"', re.DOTALL),
+    records,
+)
+# Timeline.json of Android, and location-history.json of iOS: a bare list of segments whose numbers are texts
+ANDROID = {"semanticSegments": _segments, "rawSignals": _raw_signals}
+IOS = rb'\A(?=\s*\[\s*\{.*"startTime").*"(?:visit|activity|timelinePath|timelineMemory)"'
+FORMATS = (
+    RECORDS,
+    lists_format(SEMANTIC, rb'"timelineObjects"\s*:\s*\[', {"timelineObjects": _semantic}),
+    lists_format(TIMELINE, rb'"(?:semanticSegments|rawSignals)"\s*:\s*\[', ANDROID),
+    lists_format("Google Timeline Edits", rb'"timelineEdits"\s*:\s*\[', {"timelineEdits": _edits}),
+)
+IOS_TIMELINE = lists_format("Google Timeline of iOS", IOS, {"": _segments})

@@ -1,0 +1,265 @@
+"""Import a person's past into a lifelog: read exports in any order, merge them by day, keep foreign guesses apart.
+
+Files come alone, in folders or zips (Google Takeout), are recognised by their content and read as streams. Memory does
+not grow with them: their rows wait on disk, parted by days, and each day is merged by itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO, cast
+
+import numpy as np
+
+from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.facts import forgotten_times
+from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
+from pdr_graph.apps.lifelog.past import google, tracks
+from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
+from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.errors import InputError, count
+from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
+from pdr_graph.io.source import Source
+
+# The first whose sign a file has reads it
+FORMATS = (
+    tracks.FIT,
+    *google.FORMATS,
+    tracks.OVERLAND,
+    google.IOS_TIMELINE,
+    tracks.OWNTRACKS,
+    tracks.GPX_TRACKS,
+    tracks.KML,
+)
+HEAD = 65_536  # [bytes] of a file by which it is recognised
+LARGEST = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
+MOST_FILES, DEEPEST_FOLDER = 100_000, 8  # a Takeout has other products beside the timeline
+# What a file is that comes with a timeline and is none
+OTHERS = (
+    (
+        re.compile(rb'"(?:deviceSettings|hasReportedLocations|hasSetRetention)"'),
+        "settings of Google's timeline",
+    ),
+    (
+        re.compile(rb"(?i)\A[^{\[<]*encrypted[^{\[<]*\Z"),
+        "an encrypted backup, which only the phone can read",
+    ),
+)
+EXPECTED_TIMELINE = "a timeline: " + ", ".join(form.name for form in FORMATS)
+
+
+@dataclass(frozen=True)
+class PastFile:
+    """A file of a known format. size: [bytes]."""
+
+    source: Source
+    name: str
+    format: Format
+    size: int
+
+    @property
+    def where(self) -> str:
+        """Its name in messages."""
+        return self.source.where(self.name)
+
+    def batches(self, advance: Callable[[int], None]) -> Iterator[Batch]:
+        """Read its rows, some at a time; advance: called with the number of bytes read since the last call.
+
+        Raises InputError if it is damaged.
+        """
+        with self.source.stream(self.name) as stream:
+            yield from self.format.rows(cast("BinaryIO", _CountedStream(stream, self.where, advance)), self.where)
+
+
+class _CountedStream:
+    """A stream that reports how much is read, and refuses more than LARGEST."""
+
+    def __init__(self, stream: IO[bytes], where: str, advance: Callable[[int], None]):
+        self._stream, self._where, self._advance = stream, where, advance
+        self._left = LARGEST
+
+    def read(self, size: int) -> bytes:
+        return self._counted(self._stream.read(size))
+
+    def readline(self, size: int) -> bytes:
+        return self._counted(self._stream.readline(size))
+
+    def _counted(self, content: bytes) -> bytes:
+        self._left -= len(content)
+        if self._left < 0:
+            raise InputError(self._where, "", f"more than {LARGEST // 10**9} GB", "fewer")
+        self._advance(len(content))
+        return content
+
+
+def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], list[str]]:
+    """Find timelines in files, folders and zips; returns them, the number of other files, and two lists of lines: what
+    some of these are, and why paths are refused.
+    """
+    found, skipped, notes, refused = list[PastFile](), 0, list[str](), list[str]()
+    for path in dict.fromkeys(paths):
+        try:
+            source = Source(path, "timeline", LARGEST, MOST_FILES, DEEPEST_FOLDER)
+            lines = list[str]()
+            before = len(found)
+            for name in source.names:
+                try:
+                    found.append(_recognized(source, name))
+                except InputError as error:
+                    skipped += 1
+                    lines += [str(error)] if source.single or "expected a timeline: " not in str(error) else []
+            (notes if len(found) > before else refused).extend(lines)
+            if len(found) == before and not lines:
+                raise InputError(path, "", f"{len(source.names)} files, none of them a timeline", EXPECTED_TIMELINE)
+        except InputError as error:
+            refused.append(str(error))
+        except OSError as error:
+            refused.append(str(InputError(path, "", error.strerror or str(error), "a readable file")))
+    return found, skipped, notes, refused
+
+
+def _recognized(source: Source, name: str) -> PastFile:
+    """The file with its format. Raises InputError, which says what else it is."""
+    head = source.head(name, HEAD)
+    where = source.where(name)
+    known = next((form for form in FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
+    if known is not None:
+        return PastFile(source, name, known, source.size(name))
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(where, "", "UTF-16 text", "UTF-8: save it again with this encoding")
+    other = next((what for sign, what in OTHERS if sign.search(head)), "")
+    if other:
+        raise InputError(where, "", other, "a timeline")
+    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
+
+
+Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all
+MB = 10**6
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """Result of an import. positions: what changed; guesses: number of new ones; placed: scans whose positions come
+    from the map of access points; skipped: files that are no timelines; notes, refused: a line each.
+    """
+
+    positions: Changes
+    guesses: int = 0
+    placed: int = 0
+    skipped: int = 0
+    notes: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
+def import_past(
+    store: Path,
+    files: Sequence[Path],
+    person: str | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> ImportResult:
+    """Import timelines of a person into a lifelog, which is created if it does not exist.
+
+    files: of FORMATS, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
+    has deleted stays deleted. A file that is damaged from some place on is imported up to there.
+
+    Raises InputError if the person's name or the lifelog cannot be used; OSError of the disk.
+    """
+    person = DEFAULT_PERSON if person is None else person
+    if not (person.strip() and person.isprintable()):
+        raise InputError("--person", "", repr(person), "a name")
+    found, skipped, notes, refused = find_files(files)
+    if not found:
+        return ImportResult(Changes(), 0, 0, skipped, tuple(notes), tuple(refused))
+    is_new = not store.exists()
+    with Store(store, new=True) as log:
+        folder = log.folder / FOLDER
+        cache.remove_partial_copies(folder)
+        reading = _Reading(log, person, sum(file.size for file in found), progress)
+        with DaySpill(folder, POSITION) as positions, DaySpill(folder, SIGHTING) as sightings:
+            for file in found:
+                refused += reading.read(file, positions, sightings)
+            changed, placed = _merged(log, person, positions, sightings, progress)
+        result = ImportResult(changed, reading.guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
+        is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
+    if is_new and is_empty:
+        _remove_new(store, folder)
+    return result
+
+
+class _Reading:
+    """Reads files into the spills, and their guesses into the store."""
+
+    def __init__(self, log: Store, person: str, size: int, progress: Progress):
+        self._log, self._person, self._size, self._progress = log, person, size, progress
+        self._done = 0
+        self._forgotten = forgotten_times(log.corrections(person))
+        self.guesses, self.notes = 0, list[str]()
+
+    def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
+        """Read a file; returns why it is refused, or where it is damaged, on a line."""
+        refused, valid, left_out, others = list[str](), 0, Counter[str](), 0
+        try:
+            for batch in file.batches(self._advance):
+                valid, left_out = valid + len(batch.positions), left_out + batch.left_out
+                others += len(batch.guesses) + len(batch.sightings)
+                positions.add(self._kept(batch.positions))
+                sightings.add(self._kept(batch.sightings))
+                self.guesses += self._log.put_guesses(
+                    self._person, [g for g in batch.guesses if not self._is_forgotten(g.start, g.stop)]
+                )
+                self.notes += [f"{file.where}: {note}" for note in batch.notes]
+        except InputError as error:
+            before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
+            refused.append(f"{error}{before}")
+        if left_out:
+            reasons = ", ".join(f"{number} {reason}" for reason, number in left_out.most_common())
+            total = valid + left_out.total()
+            self.notes.append(f"{file.where}: {left_out.total()} of {total} positions were left out: {reasons}")
+        elif not valid + others and not refused:
+            self.notes.append(f"{file.where}: {file.format.name} without a position, visit or activity")
+        return refused
+
+    def _advance(self, size: int) -> None:
+        self._done += size
+        self._progress("MB read", self._done // MB, max(self._size, self._done) // MB)
+
+    def _kept(self, rows: Rows) -> Rows:
+        """The rows outside times that the person has deleted."""
+        deleted = np.zeros(len(rows), bool)
+        for start, stop in self._forgotten:
+            deleted |= (rows["time"] >= start * MS) & (rows["time"] <= stop * MS)
+        return rows[~deleted]
+
+    def _is_forgotten(self, start: float, stop: float) -> bool:
+        """True if a time touches one that the person has deleted."""
+        return any(begin <= stop and end >= start for begin, end in self._forgotten)
+
+
+def _merged(
+    log: Store, person: str, positions: DaySpill, sightings: DaySpill, progress: Progress
+) -> tuple[Changes, int]:
+    """Merge the rows of all days into their files and enter these; returns what changed, and how many scans have places
+    now.
+    """
+    past, total = PastDays(log, person), Changes()
+    days = sorted({*positions.days(), *sightings.days()})
+    for done, day in enumerate(days, start=1):
+        total += past.merge(day, positions.rows(day), sightings.rows(day))
+        progress("days", done, len(days))
+    placed = past.place_scans()
+    enter(log, past, past.days())
+    return total, placed
+
+
+def _remove_new(store: Path, folder: Path) -> None:
+    """Remove a lifelog that was created for nothing."""
+    store.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+        folder.parent.rmdir()

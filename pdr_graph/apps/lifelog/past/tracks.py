@@ -1,0 +1,249 @@
+"""Tracks of watches, apps and map programs: GPX, KML, FIT, OwnTracks and Overland, in bounded memory.
+
+Files are untrusted: XML entities, document types and the network are refused.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, BinaryIO
+
+import msgspec
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
+
+from pdr_graph.apps.lifelog.facts import Guess
+from pdr_graph.apps.lifelog.past.past_json import NOWHERE, at, items, lists_format
+from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess, with_guesses
+from pdr_graph.errors import InputError, install
+from pdr_graph.io.gpx import ACCURACY_TAGS, accuracy_of
+from pdr_graph.io.past_day import PHONE, TRACK
+from pdr_graph.io.validation import float_of
+
+AT_ONCE = 20_000  # points in a batch
+LONGEST_ELEMENT = 50_000_000  # [bytes] from one XML element to the next, whose tree takes 1 GB of memory
+NO_RADIUS = float("nan")  # accuracy in KML: the format has none
+
+
+def elements(stream: BinaryIO, where: str, tag: str) -> Iterator[etree._Element]:
+    """Each element of a tag when it is complete; it and those before it are then removed from the tree.
+
+    Raises InputError if the XML is broken or has a document type, or an element is too long.
+    """
+    bounded = _BoundedStream(stream, where)
+    options = {"resolve_entities": False, "no_network": True, "load_dtd": False, "huge_tree": False}
+    try:
+        for _, element in etree.iterparse(bounded, ("end",), tag=tag, remove_comments=True, **options):
+            if element.getroottree().docinfo.doctype:
+                raise InputError(where, "", "a document type definition", "plain XML without one")
+            bounded.left = LONGEST_ELEMENT
+            yield element
+            element.clear()
+            while element.getprevious() is not None:
+                del element.getparent()[0]
+    except etree.XMLSyntaxError as error:
+        raise InputError(where, "", f"broken XML ({str(error)[:120]})", "a whole file") from None
+
+
+class _BoundedStream:
+    """A stream that refuses to be read once nothing is left. left: [bytes]."""
+
+    def __init__(self, stream: BinaryIO, where: str):
+        self._stream, self._where, self.left = stream, where, LONGEST_ELEMENT
+
+    def read(self, size: int) -> bytes:
+        """The next bytes. Raises InputError if nothing is left."""
+        content = self._stream.read(size)
+        self.left -= len(content)
+        if self.left < 0:
+            megabytes = LONGEST_ELEMENT // 10**6
+            raise InputError(self._where, "", f"an element of more than {megabytes} MB", "shorter tracks")
+        return content
+
+
+def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Track points; a radius is that of an extension, else estimated from HDOP, else unknown."""
+    points = (_track_point(element) for element in elements(stream, where, "{*}trkpt"))
+    while part := list(itertools.islice(points, AT_ONCE)):
+        yield batch_of(part)
+
+
+def _track_point(element: etree._Element) -> Point:
+    """The point of an element."""
+    time, values = "", dict[str, str]()
+    for inner in element.iterdescendants():
+        name = str(inner.tag).rpartition("}")[2]
+        if name == "time":
+            time = time or (inner.text or "").strip()
+        elif name in ACCURACY_TAGS:
+            values.setdefault(name.lower(), inner.text or "")
+    place = float_of(element.get("lat")), float_of(element.get("lon"))
+    return time, place, accuracy_of(values), TRACK
+
+
+def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Tracks (``gx:Track``) and points with a time; a place or line with a span of time is a guess.
+
+    One track at a time is in memory.
+    """
+    points, guesses, untimed = list[Point](), list[Guess](), 0
+    for element in elements(stream, where, "{*}Placemark"):
+        points += _placemark_points(element)
+        guesses += _placemark_guesses(element)
+        untimed += _untimed(element)
+        if len(points) > AT_ONCE:
+            yield batch_of(points)
+            points = []
+    batch = with_guesses(batch_of(points), guesses)
+    left_out = +(batch.left_out + Counter({"no time": untimed}))
+    yield Batch(batch.positions, guesses=batch.guesses, left_out=left_out)
+
+
+def _placemark_points(element: etree._Element) -> Iterator[Point]:
+    """The points of ``gx:Track``, as many times as coordinates in the same order; the point of a place with a time."""
+    for track in element.iterfind(".//{*}Track"):
+        times = [when.text or "" for when in track.iterfind("{*}when")]
+        places = [coord.text or "" for coord in track.iterfind("{*}coord")]
+        for time, place in zip(times, places, strict=False):
+            yield _iso(time), _lat_lon(place.split()), NO_RADIUS, TRACK
+    time = element.findtext("{*}TimeStamp/{*}when")
+    place = element.findtext(".//{*}Point/{*}coordinates")
+    if time and place:
+        yield _iso(time), _lat_lon(place.split(",")), NO_RADIUS, TRACK
+
+
+def _placemark_guesses(element: etree._Element) -> Iterator[Guess]:
+    """The visit or activity of a place or line with a span of time, as Google's timeline has them."""
+    begin, end = (element.findtext(f"{{*}}TimeSpan/{{*}}{name}") for name in ("begin", "end"))
+    place, line = (element.findtext(f".//{{*}}{name}/{{*}}coordinates") for name in ("Point", "LineString"))
+    if begin and end and (place or line):
+        first = (place or line or "").split()[:1]
+        where = _lat_lon(first[0].split(",")) if first else NOWHERE
+        times = _iso(begin), _iso(end)
+        yield guess("KML", "visit" if place else "activity", times, element.findtext("{*}name"), where, None)
+
+
+def _untimed(element: etree._Element) -> int:
+    """Number of points that have no time."""
+    if element.find("{*}TimeSpan") is not None or element.find("{*}TimeStamp") is not None:
+        return 0
+    texts = [text for name in ("Point", "LineString") for text in element.iterfind(f".//{{*}}{name}/{{*}}coordinates")]
+    return sum(len((text.text or "").split()) for text in texts)
+
+
+def _iso(text: str) -> str:
+    """A time as text, which is not a bare number such as a year."""
+    return text.strip() if "T" in text else ""
+
+
+def _lat_lon(parts: Sequence[str]) -> tuple[float, float]:
+    """Latitude and longitude [deg] of longitude and latitude as texts; NaN if they are none."""
+    return (float_of(parts[1]), float_of(parts[0])) if len(parts) > 1 else NOWHERE
+
+
+LARGEST_FIT = 20_000_000  # [bytes]; a day at 1 Hz has 5 MB
+MOST_MESSAGES = 500_000  # six days at 1 Hz; the library takes 25 µs for each
+
+
+def _fit(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Records with a position, by Garmin's own reader. Raises InputError if it is missing or the file is damaged."""
+    try:
+        from garmin_fit_sdk import Decoder, Stream
+    except ImportError:
+        raise InputError(where, "", "a FIT file", f"{install('fit')}, which reads it") from None
+    content = stream.read(LARGEST_FIT + 1)
+    if len(content) > LARGEST_FIT:
+        raise InputError(where, "", f"more than {LARGEST_FIT // 10**6} MB", "an activity")
+    counter = itertools.count(1)
+
+    def count_message(kind: int, message: Any) -> None:
+        if next(counter) > MOST_MESSAGES:
+            raise OverflowError(f"more than {MOST_MESSAGES} messages")
+
+    try:
+        decoder = Decoder(Stream.from_byte_array(bytearray(content)))
+        messages, errors = decoder.read(
+            convert_datetimes_to_dates=False,
+            merge_heart_rates=False,
+            expand_components=False,
+            mesg_listener=count_message,
+        )
+    except Exception as error:  # the library raises whatever its parsing of damaged bytes meets
+        raise InputError(where, "", f"a damaged FIT file ({error})", "a whole activity") from None
+    if any(isinstance(error, OverflowError) for error in errors):
+        raise InputError(where, "", f"more than {MOST_MESSAGES} messages", "one activity")
+    if errors and not messages:
+        raise InputError(where, "", f"a damaged FIT file ({errors[0]})", "a whole activity")
+    records = [record for record in messages.get("record_mesgs", []) if "position_lat" in record]
+    batch = batch_of([_fit_point(record) for record in records])
+    notes = (f"FIT: cut off or damaged after {len(records)} positions ({errors[0]})",) if errors else ()
+    yield Batch(batch.positions, left_out=batch.left_out, notes=notes)
+
+
+def _fit_point(record: Any) -> Point:
+    """The point of a record."""
+    # semicircles [deg]
+    lat, lon = (float_of(record.get(name)) * (180 / 2**31) for name in ("position_lat", "position_long"))
+    # fit epoch [s]: Unix time of 1989-12-31, where the format counts from
+    return 631_065_600.0 + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACK
+
+
+PART = 1_000_000  # [bytes] of lines that are read at once
+LONGEST_LINE = 1_000_000  # [bytes]; a message has some hundred
+
+
+def _owntracks(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Messages of the type location, a line each; other types (transition, waypoint, encrypted) are not positions."""
+    while lines := _lines(stream, where):
+        found = [_message(line) for line in lines]
+        kinds = Counter(at(message, "_type") for message in found)
+        points = [
+            (m.get("tst"), (float_of(m.get("lat")), float_of(m.get("lon"))), float_of(m.get("acc")), PHONE)
+            for m in found
+            if at(m, "_type") == "location"
+        ]
+        batch = batch_of(points, found.count(None))
+        encrypted = Counter({"an encrypted message": kinds["encrypted"]})
+        yield Batch(batch.positions, left_out=+(batch.left_out + encrypted))
+
+
+def _lines(stream: BinaryIO, where: str) -> list[bytes]:
+    """The next lines that are not blank, PART bytes of them; none at the end. Raises InputError for a long line."""
+    lines, size = list[bytes](), 0
+    while size < PART and (line := stream.readline(LONGEST_LINE + 1)):
+        if len(line) > LONGEST_LINE:
+            raise InputError(where, "", f"a line of more than {LONGEST_LINE} bytes", "a message per line")
+        size += len(line)
+        lines += [line] if line.strip() else []
+    return lines
+
+
+def _message(line: bytes) -> Any:
+    """The message of a line; None if it is not an object."""
+    try:
+        return msgspec.json.decode(line[line.index(b"{") :], type=dict[str, Any])
+    except (ValueError, RecursionError):
+        return None
+
+
+def _overland(found: Sequence[Any], bad: int) -> Batch:
+    """Features with a point; those without report the state of the app."""
+    return batch_of([_feature_point(element) for element in found if element.get("geometry")], bad)
+
+
+def _feature_point(feature: Any) -> Point:
+    """The point of a feature: longitude before latitude, and a negative accuracy if it is invalid."""
+    lonlat = [float_of(value) for value in items(feature, "geometry", "coordinates")]
+    accuracy = float_of(at(feature, "properties", "horizontal_accuracy"))
+    place = (lonlat[1], lonlat[0]) if len(lonlat) > 1 else NOWHERE
+    return at(feature, "properties", "timestamp"), place, accuracy, PHONE
+
+
+FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
+OVERLAND = lists_format("Overland", rb'"locations"\s*:\s*\[\s*\{.*"Feature"', {"locations": _overland})
+# The Recorder's .rec files: a line per message with UTC time, kind and JSON
+OWNTRACKS = Format("OwnTracks Recorder", re.compile(rb"\A\s*\d{4}-\d\d-\d\dT[\d:.]+Z\s+\S+\s+\{"), _owntracks)
+GPX_TRACKS = Format("GPX", re.compile(rb"\A.{0,2044}<gpx", re.DOTALL), _gpx)
+KML = Format("KML", re.compile(rb"\A.{0,2044}<kml", re.DOTALL), _kml)

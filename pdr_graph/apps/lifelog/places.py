@@ -1,0 +1,297 @@
+"""Places: what was visited, with visits, a name, and the hours at which somebody usually comes and leaves.
+
+Visits within PLACE_RADIUS of one another are at one place: leader clustering, the most certain visits first, each place
+at the weighted mean of its visits. A name is what the person or a floor plan says; nothing is guessed.
+
+A stay that continues after midnight is one visit. The start of a stay counts as an arrival only if it was observed: not
+after a time without data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_graph.apps.lifelog.day import KINDS_WITHOUT_DATA
+from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at
+from pdr_graph.apps.lifelog.stays_and_legs import SURE, VISIT_RADIUS, lonlat_of, on_sphere
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, place_label
+from pdr_graph.errors import count
+from pdr_graph.types import Array, OneLineRepr
+
+PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
+NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
+WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
+EVERY_DAY = "every day"  # instead of a weekday
+DAY_LENGTH = 86_400.0  # [s]
+# Chosen by hand
+UNOBSERVED_TIME = 900.0  # [s] of no data before a stay, below which its start counts as an arrival; departures likewise
+
+NamedArea = tuple[float, float, float, str]  # latitude, longitude [deg], radius [m], name
+
+
+@dataclass(frozen=True)
+class UsualHours:
+    """When somebody comes to a place and leaves it: quartiles of local time [h], NaN where fewer than two are known.
+
+    weekday: of the arrival or the departure, or EVERY_DAY; arrivals, departures: how many were observed.
+    """
+
+    weekday: str
+    arrivals: int
+    arrival: tuple[float, float, float]
+    departures: int
+    departure: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Place(OneLineRepr):
+    """A visited place. number: in the order of the first visits, from 1, -1 if it has none; name: "" if it has none.
+
+    latitude, longitude: [deg], NaN if unknown; sigma: standard deviation per axis of its position [m];
+    visits: in order.
+    """
+
+    number: int
+    name: str
+    latitude: float
+    longitude: float
+    sigma: float
+    visits: tuple[TimelineEntry, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time spent there [s]."""
+        return float(sum(visit.duration for visit in self.visits))
+
+    @property
+    def label(self) -> str:
+        """Its name, or its number."""
+        return place_label(self.name, self.number)
+
+    @property
+    def first(self) -> str:
+        """Local date of the start of the first visit."""
+        return _local_date(self.visits[0].start + self.visits[0].offset)
+
+    @property
+    def last(self) -> str:
+        """Local date of the end of the last visit."""
+        return _local_date(self.visits[-1].end + self.visits[-1].end_offset)
+
+    @cached_property
+    def hours(self) -> tuple[UsualHours, ...]:
+        """Usual hours of every day, then of each weekday on which somebody arrived or left."""
+        come = np.array([v.start + v.offset for v in self.visits if v.arrived])
+        gone = np.array([v.end + v.end_offset for v in self.visits if v.left])
+        found = []
+        for weekday in (-1, *range(7)):
+            own = [time[(weekday < 0) | (_weekday(time) == weekday)] for time in (come, gone)]
+            if weekday < 0 or any(len(time) for time in own):
+                quartiles = [clock_quartiles(time / 3600 % 24) for time in own]
+                name = EVERY_DAY if weekday < 0 else WEEKDAYS[weekday]
+                found.append(UsualHours(name, len(own[0]), quartiles[0], len(own[1]), quartiles[1]))
+        return tuple(found)
+
+    def _summary(self) -> list[str]:
+        return [self.label, count(len(self.visits), "visit"), duration_text(self.duration)]
+
+
+def places_of(visits: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()) -> tuple[Place, ...]:
+    """The places of visits, in the order of their first visits. named: areas that the person gave a name."""
+    clusters: list[_Cluster] = []
+    located = [(visit, on_sphere(np.array([[visit.longitude, visit.latitude]]))[0]) for visit in visits]
+    for visit, middle in sorted(located, key=lambda pair: (_sigma(pair[0]), pair[0].start)):
+        sigma, name = _sigma(visit), plan_name(visit)
+        near = [(far, n) for n, own in enumerate(clusters) if (far := own.distance(middle, sigma, name)) is not None]
+        if near:
+            clusters[min(near)[1]].append(visit, middle)
+        else:
+            clusters.append(_Cluster(visit, middle))
+    ordered = sorted(clusters, key=lambda own: own.first.start)
+    return tuple(own.place(number, named) for number, own in enumerate(ordered, start=1))
+
+
+def plan_name(visit: TimelineEntry) -> str:
+    """The most probable place on a plan; "" if it is not probable enough."""
+    # least name probability of a place on a plan that names a visit; chosen by hand
+    return visit.facing[0][0] if visit.facing and visit.facing[0][1] >= 0.5 else ""
+
+
+class _Cluster:
+    """Visits of one place with their middles ``(3,)`` on the sphere [m], and their weighted mean place."""
+
+    def __init__(self, visit: TimelineEntry, middle: Array):
+        self._visits: list[tuple[TimelineEntry, Array]] = []
+        self._name = plan_name(visit)
+        self._weight, self._sum = 0.0, np.zeros(3)
+        self.append(visit, middle)
+
+    @property
+    def first(self) -> TimelineEntry:
+        """The earliest visit."""
+        return min((visit for visit, _ in self._visits), key=lambda visit: visit.start)
+
+    def append(self, visit: TimelineEntry, middle: Array) -> None:
+        """Add a visit."""
+        self._visits.append((visit, middle))
+        self._weight += _weight(visit)
+        self._sum = self._sum + _weight(visit) * middle
+
+    def distance(self, middle: Array, sigma: float, name: str) -> float | None:
+        """Distance of a visit at this place [m], by its name on a plan 0 if unknown; None if it is elsewhere."""
+        off = middle - self._sum / self._weight
+        far = float(np.sqrt(off @ off))
+        if name or self._name:
+            # widest place [m] between visits of one name on a plan
+            return float(np.nan_to_num(far)) if self._name == name and not far > 500.0 else None
+        return far if far <= PLACE_RADIUS + min(sigma, PLACE_RADIUS) else None
+
+    def place(self, number: int, named: Sequence[NamedArea]) -> Place:
+        """The place of the visits."""
+        ordered = sorted(self._visits, key=lambda pair: pair[0].start)
+        visits, middles = [visit for visit, _ in ordered], np.array([middle for _, middle in ordered])
+        weight = np.array([_weight(visit) for visit in visits])
+        middle = weight @ middles / weight.sum()
+        variance = weight @ (
+            np.array([_sigma(v) for v in visits]) ** 2 / len(visits) + ((middles - middle) ** 2).sum(axis=1) / 2
+        )
+        longitude, latitude = lonlat_of(middle)
+        name = _area_name(middle, named) or plan_name(visits[0])
+        return Place(number, name, latitude, longitude, float(np.sqrt(variance / weight.sum())), tuple(visits))
+
+
+def _sigma(visit: TimelineEntry) -> float:
+    """Standard deviation per axis of a visit [m], 0 if unknown."""
+    return 0.0 if math.isnan(visit.sigma) else float(visit.sigma)
+
+
+def _weight(visit: TimelineEntry) -> float:
+    return visit.duration / (SURE**2 + _sigma(visit) ** 2)
+
+
+def _area_name(middle: Array, named: Sequence[NamedArea]) -> str:
+    """The name of the nearest area that a place is in; "" if there is none. The last name given counts."""
+    inside: list[tuple[float, int]] = []
+    for n, (latitude, longitude, radius, _) in enumerate(named):
+        far = float(np.linalg.norm(on_sphere(np.array([[longitude, latitude]]))[0] - middle))
+        inside += [(far, -n)] if far <= radius else []
+    return named[-min(inside)[1]][3] if inside else ""
+
+
+def likely_home(places: Sequence[Place]) -> Place | None:
+    """The place with most time from midnight to NIGHT_END of its own time zone; None before FEWEST_NIGHTS of it.
+
+    A guess, for those who ask for one: nights are spent at home more often than anywhere else.
+    """
+    nights = {place.number: _nights(place) for place in places if np.isfinite(place.latitude)}
+    best = max(places, key=lambda place: nights.get(place.number, 0.0), default=None)
+    enough = best is not None and nights.get(best.number, 0.0) >= FEWEST_NIGHTS * NIGHT_END
+    return best if enough else None
+
+
+def _nights(place: Place) -> float:
+    """Time spent at a place between midnight and NIGHT_END [s]."""
+    clock = LocalClock(zone_at(place.latitude, place.longitude), np.empty(0), np.empty((0, 2)))
+    total = 0.0
+    for visit in place.visits:
+        midnight = clock.midnight_before(visit.start)
+        while midnight < visit.end:
+            total += max(min(visit.end, midnight + NIGHT_END) - max(visit.start, midnight), 0.0)
+            midnight = clock.next_midnight(midnight)
+    return total
+
+
+def is_place(text: str, visit: TimelineEntry) -> bool:
+    """True if a text is the name, in any case, or the number of the place of a visit."""
+    plain, number = text.strip().casefold(), visit.place_number
+    return bool(plain) and (plain == visit.place.strip().casefold() or plain in (str(number), f"place {number}"))
+
+
+def joined_visits(entries: Sequence[TimelineEntry]) -> list[TimelineEntry]:
+    """The visits of a person, over midnights too. entries: of all days, in time order."""
+    joined: list[list[TimelineEntry]] = []
+    for before, entry in pairwise([None, *entries]):
+        assert entry is not None
+        if before is not None and joined and _continues(before, entry):
+            joined[-1].append(entry)
+        else:
+            joined.append([entry])
+    found = list[TimelineEntry]()
+    for n, parts in enumerate(joined):
+        if parts[0].kind != STAY:
+            continue
+        before, after = joined[n - 1][-1] if n else None, joined[n + 1][0] if n + 1 < len(joined) else None
+        arrived = before is not None and parts[0].start - _last_seen(before) < UNOBSERVED_TIME
+        left = after is not None and _first_seen(after) - parts[-1].end < UNOBSERVED_TIME
+        found.append(_visit(parts, arrived, left))
+    return found
+
+
+def _continues(before: TimelineEntry, after: TimelineEntry) -> bool:
+    """True if two entries are one, divided at midnight."""
+    same = before.place_number == after.place_number and before.place == after.place
+    unplaced = before.place_number < 0 and (before.x, before.y) != (after.x, after.y)
+    kinds = before.kind == after.kind and after.kind in (STAY, *KINDS_WITHOUT_DATA)
+    # same instant [s] between two parts of a stay, before and after midnight
+    return kinds and abs(after.start - before.end) < 1.0 and same and not (after.kind == STAY and unplaced)
+
+
+def _last_seen(entry: TimelineEntry) -> float:
+    """Unix time of the end of the last part of an entry with data [s]; -inf if it has none."""
+    return max((part.end for part in entry.parts or (entry,) if part.is_seen), default=-np.inf)
+
+
+def _first_seen(entry: TimelineEntry) -> float:
+    """Unix time of the start of the first part of an entry with data [s]; inf if it has none."""
+    return min((part.start for part in entry.parts or (entry,) if part.is_seen), default=np.inf)
+
+
+def _visit(parts: Sequence[TimelineEntry], arrived: bool, left: bool) -> TimelineEntry:
+    """The visit of entries that are one, at the position of the longest."""
+    first, last, longest = parts[0], parts[-1], max(parts, key=lambda entry: entry.duration)
+    observed = sum(entry.duration * entry.observed for entry in parts) / max(last.end - first.start, 1e-9)
+    at = {"latitude": longest.latitude, "longitude": longest.longitude, "sigma": longest.sigma}
+    whole = replace(first, end=last.end, end_offset=last.end_offset, observed=float(observed), **at)
+    return replace(whole, arrived=arrived, left=left)
+
+
+def places_of_visits(visits: Sequence[TimelineEntry], known: Sequence[Place]) -> tuple[Place, ...]:
+    """The places of some visits of a person, most time first. known: all places of the person."""
+    by_place: dict[tuple[int, str], list[TimelineEntry]] = {}
+    for visit in visits:
+        if visit.label:
+            by_place.setdefault((visit.place_number, visit.place), []).append(visit)
+    at, found = {place.number: place for place in known}, list[Place]()
+    for (number, name), own in by_place.items():
+        where = at.get(number) or max(own, key=lambda visit: visit.duration)
+        found.append(Place(number, name, where.latitude, where.longitude, where.sigma, tuple(own)))
+    return tuple(sorted(found, key=lambda place: (-place.duration, place.number)))
+
+
+def _local_date(local: float) -> str:
+    return str(np.datetime64(int(local), "s"))[:10]
+
+
+def _weekday(local: Array) -> Array:
+    """Weekdays of local times [s], Monday is 0; 1 January 1970 was a Thursday."""
+    return (np.floor(local / DAY_LENGTH) + 3) % 7
+
+
+def clock_quartiles(hours: Array) -> tuple[float, float, float]:
+    """Lower quartile, median and upper quartile of times of day [h]; 23:30 is near 0:30. NaN for fewer than two.
+
+    The quartiles are those of the distances, up to 12 h, from the circular mean.
+    """
+    if len(hours) < 2:
+        return np.nan, np.nan, np.nan
+    angle = np.asarray(hours) * np.pi / 12
+    mean = np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * 12 / np.pi
+    away = (np.asarray(hours) - mean + 12) % 24 - 12
+    low, middle, high = ((mean + np.quantile(away, [0.25, 0.5, 0.75])) % 24).tolist()
+    return low, middle, high

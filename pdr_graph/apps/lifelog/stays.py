@@ -1,0 +1,570 @@
+"""The parts of an outing: walking, standing, rides and gaps; stays and slow passes with the places that a person faced.
+
+**Segments** come from steps or from positions alone. Positions alone separate vehicles from walkers, and the jumps of a
+receiver from both (`follow_positions`). Runners and cyclists, or a bumpy road and a pavement, can only be separated by
+steps and positions together: a ride within a walk is a time in which the positions move farther than the steps can have
+led.
+
+**Places that a person faced** are shop fronts, stands and rooms, found by ray casting. The position is a Gaussian,
+represented by a fixed set of sample points; points behind solid walls are dropped. Rays leave each point in all
+directions. The weight of a ray is the probability of looking that way times the expected rate of lingering at that
+distance. It goes to the first named place that the ray hits; a person in a room is at the room. Weights summed over all
+points, normalised with the rate of stops for no named place, are the probabilities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+from operator import itemgetter
+
+import numpy as np
+import shapely
+
+from pdr_graph.apps.lifelog.day import GAP, KINDS, STANDING, VEHICLE, Segment, Stay, sampled
+from pdr_graph.apps.lifelog.observation import StatedActivity
+from pdr_graph.errors import count
+from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import CLOSED, Area
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.geometry import distance_walked, interpolate, length_along, row_times, unit, wrap_angle
+from pdr_graph.priors import FIXES, MOTION
+from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, OneLineRepr, Steps, Trajectory
+
+# A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
+# framework for digital mobility monitoring", PLOS ONE 16(8), 2021); a detector may miss the first and the last step
+LONGEST_PAUSE = 5.0  # [s] within a bout
+MIN_STEPS = 4  # of a bout; fewer between two pauses are shuffling
+
+
+def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tuple[Trajectory, tuple[Segment, ...]]:
+    """The path through positions alone, as of `way_through`, and its segments from the first fix to the last.
+
+    stated: activities that the person states.
+    """
+    way = way_through(fixes, [(start, end, KINDS.index(kind)) for start, end, kind in stated])
+    gone = np.diff(length_along(way.trajectory.position))
+    return way.trajectory, _segments(way.kind, way.trajectory.time, gone)
+
+
+def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Segment, ...]:
+    """The segments from ``steps.start`` to ``steps.end``.
+
+    trajectory: of these steps, with rows as of `row_times`; distances are measured along it. rides: ``(r, 2)`` start
+    and end of each [s], in ``steps`` a row each (`without_rides`).
+    """
+    kind = np.where(steps.is_gap, LOST, WALKS)
+    kind[_is_ridden(steps, rides)] = RIDES
+
+    # Before every row and after the last one a pause, which may be none
+    edge = np.column_stack([steps.time - steps.duration, steps.time]).ravel()
+    edge = np.concatenate([[steps.start], edge, [steps.end]])
+    parts = np.full(len(edge) - 1, STANDS)
+    parts[1::2] = kind
+    parts[::2] = np.where(np.diff(edge)[::2] > LONGEST_PAUSE, STANDS, _pause_kinds(kind))
+    moved, distance = np.diff(length_along(trajectory.position)), np.zeros(len(parts))
+    distance[1::2], distance[-1] = moved[:-1], moved[-1]
+
+    lasting = np.diff(edge) > INSTANT
+    parts, distance, edge = parts[lasting], distance[lasting], np.append(edge[:-1][lasting], edge[-1])
+    return _segments(_without_shuffling(parts, distance), edge, distance)
+
+
+def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
+    """The runs of parts of one kind as segments.
+
+    parts: ``(p,)`` kinds; edge: ``(p + 1,)`` their bounds [s]; gone: ``(p,)`` the distance of each [m].
+    """
+    return tuple(
+        Segment(KINDS[parts[a]], float(edge[a]), float(edge[b]), _path_length(parts[a], gone[a:b]))
+        for a, b in pairwise(_run_starts(parts))
+    )
+
+
+def _is_ridden(steps: Steps, rides: Array) -> Mask:
+    """Mask ``(n,)`` of the rows that lie within a ride."""
+    begins, ends = (steps.time - steps.duration)[:, None], steps.time[:, None]
+    return np.any((begins >= rides[:, 0] - INSTANT) & (ends <= rides[:, 1] + INSTANT), axis=1)
+
+
+def _pause_kinds(kind: Index) -> Index:
+    """Kind ``(n + 1,)`` of the short pauses before each row and after the last: walking if a step is beside it."""
+    if not len(kind):
+        return np.array([STANDS])
+    before, after = np.append(kind[0], kind), np.append(kind, kind[-1])
+    return np.where((before == WALKS) | (after == WALKS), WALKS, before)
+
+
+def _without_shuffling(parts: Index, distance: Array) -> Index:
+    """The parts, with fewer than MIN_STEPS between two pauses as standing."""
+    parts, edge = parts.copy(), _run_starts(parts)
+    for a, b in pairwise(edge):
+        around = {parts[k] for k in (a - 1, b) if 0 <= k < len(parts)}
+        if parts[a] == WALKS and around == {STANDS} and np.count_nonzero(distance[a:b]) < MIN_STEPS:
+            parts[a:b] = STANDS
+    return parts
+
+
+def _run_starts(parts: Index) -> list[int]:
+    """Index of the first part of each run of one kind, and the number of parts."""
+    return [*np.flatnonzero(np.diff(parts, prepend=-1)).tolist(), len(parts)]
+
+
+def _path_length(kind: int, gone: Array) -> float:
+    return float(gone.sum()) if kind in (WALKS, RIDES) else 0.0
+
+
+# Chosen by hand
+RIDE_SPEED = 10.0  # [m/s] standard deviation per axis of the velocity of a ride: traffic in a town
+LONGEST_BOARDING = 30.0  # [s] without steps at either end of a ride, while it is slow
+
+
+def detect_rides(steps: Steps, fixes: Fixes) -> Array:
+    """Start and end ``(r, 2)`` [s] of the rides of the walker of these steps, in order.
+
+    fixes: in order of time, in a metric frame.
+    """
+    fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
+    if len(fixes) < 2:
+        return np.empty((0, 2))
+    way, segments = follow_positions(fixes)
+    fast = [s for s in segments if s.kind in (VEHICLE, GAP)]
+    spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
+    far = np.array([_gap_distance(way, s) if s.kind == GAP else s.distance for s in fast])
+    # shortest ride [m]
+    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + FIXES.within * _largest_sigma(fixes, spans), 150.0)]
+    return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
+
+
+def with_stated_rides(rides: Array, steps: Steps, stated: Sequence[StatedActivity]) -> Array:
+    """The rides ``(r, 2)`` [s] of a walk, with those that the person states and without times of other activities."""
+    for start, end, kind in stated:
+        start, end = max(start, steps.start), min(end, steps.end)
+        if start >= end:
+            continue
+        before, after = np.minimum(rides, start), np.maximum(rides, end)
+        rides = np.concatenate([before, after])
+        rides = rides[rides[:, 1] - rides[:, 0] > INSTANT]
+        if kind == VEHICLE:
+            rides = np.append(rides, [[start, end]], axis=0)
+        rides = rides[np.argsort(rides[:, 0])]
+    return rides
+
+
+def without_rides(steps: Steps, spans: Array) -> Steps:
+    """The steps, with one row of length 0 and a wide sigma instead of those within each ride ``(r, 2)`` [s]."""
+    if not len(spans):
+        return steps
+    begins, ends = steps.time - steps.duration, steps.time
+    ridden = np.any((ends[:, None] > spans[:, 0] + INSTANT) & (begins[:, None] < spans[:, 1] - INSTANT), axis=1)
+    long, nothing = spans[:, 1] - spans[:, 0], np.zeros(len(spans))
+    rows = {
+        "time": spans[:, 1],
+        "duration": long,
+        "length": nothing,
+        "turn": nothing,
+        "pause_turn": nothing,
+        "sigma_length": RIDE_SPEED * long,
+        "sigma_turn": np.full(len(spans), MOTION.gap_turn),
+    }
+    columns = {name: np.append(getattr(steps, name)[~ridden], row) for name, row in rows.items()}
+    order = np.argsort(columns["time"], kind="stable")
+    return replace(steps, **{name: column[order] for name, column in columns.items()})
+
+
+def _gap_distance(way: Trajectory, gap: Segment) -> float:
+    """Distance between the positions before and after a gap [m]."""
+    begin, end = interpolate(np.array([gap.start, gap.end]), way.time, way.position)
+    return float(np.hypot(*(end - begin)))
+
+
+def _reach_of_steps(steps: Steps, spans: Array) -> Array:
+    """Largest distance that the steps can have led in each span [m]; gaps count with a vehicle's speed."""
+    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
+    return FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
+
+
+def _largest_sigma(fixes: Fixes, spans: Array) -> Array:
+    """The largest sigma of the fixes in each span [m]."""
+    first = np.searchsorted(fixes.time, spans[:, 0])
+    after = np.searchsorted(fixes.time, spans[:, 1], side="right")
+    return np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
+
+
+def _merge_rides(steps: Steps, spans: Array) -> Array:
+    """The spans, merged where the walker does not leave the place of a stop between them."""
+    if len(spans) < 2:
+        return spans
+    leave, board = spans[:-1, 1], spans[1:, 0]
+    # farthest at stop [m]: walked during such a stop
+    apart = (board - leave > 600.0) | (  # longest stop [s] between two parts of one ride: a jam, a bus stop, a platform
+        distance_walked(steps, board) - distance_walked(steps, leave) > 30.0
+    )
+    return np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
+
+
+def _confirmed_walks(steps: Steps, way: Trajectory) -> Array:
+    """Start and end ``(b, 2)`` [s] of the bouts of walking that lead as far as the positions move."""
+    begins, ends = steps.time - steps.duration, steps.time
+    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > LONGEST_PAUSE)
+    after = np.append(first[1:], len(steps))[: len(first)]
+    bouts = np.column_stack([begins[first], ends[after - 1]])
+    gone = np.diff(np.interp(bouts, way.time, length_along(way.position)), axis=1)[:, 0]
+    led = np.diff(distance_walked(steps, bouts), axis=1)[:, 0]
+    # least steps between rides of a walk that separates two rides
+    return bouts[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
+
+
+def _without_walks(spans: Array, walks: Array) -> Array:
+    """The spans, split at the walks within them (from one bus to the next)."""
+    inside = (walks[:, 0] > spans[:, :1]) & (walks[:, 1] < spans[:, 1:])
+    return np.sort(np.append(spans, walks[inside.any(axis=0)])).reshape(-1, 2)
+
+
+def _extended_to_steps(steps: Steps, spans: Array) -> Array:
+    """The spans, extended to the steps before and after, by LONGEST_BOARDING at most."""
+    ends, begins = np.append(steps.start, steps.time), np.append(steps.time - steps.duration, steps.end)
+    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
+    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
+    return np.column_stack(
+        [np.maximum(last, spans[:, 0] - LONGEST_BOARDING), np.minimum(next_, spans[:, 1] + LONGEST_BOARDING)]
+    )
+
+
+FRONT_KINDS = ("shop", "place")  # kinds of areas that are solid and looked at; walls are not, even if they have names
+
+# The model of facing; chosen by hand
+STAND_HALF_WIDTH = 0.5  # [m] of a stand, which a plan draws as its middle
+SHUFFLE_SIGMA = 0.5  # [m] per axis by which a standing person moves without a detected step
+NEAR_DISTANCE = 1.5  # [m] up to which people linger at the full rate: windows and shelves are read from 0.5 to 1.5 m
+DECAY_DISTANCE = 1.0  # [m] over which the rate falls to 1/e beyond
+MAX_DISTANCE = 7.0  # [m] at which the rate is 1/250; farther places are scenery
+LOOK_SIGMA = 0.6  # [rad] of the look from the body's direction: heads turn by 30 to 40 degrees without the trunk
+RANDOM_LOOK_SHARE = 0.1  # of people who linger and face anywhere: they talk, or the heading is wrong
+UNNAMED_RATE = 0.05  # of stops for no named place (a call, a friend, a rest), relative to stops for a near place
+SAMPLE_POINTS, RAYS = 96, 24  # sample points of the position; rays from each
+
+Facing = tuple[tuple[str, float], ...]  # as of `Stay`
+
+
+@dataclass(frozen=True, eq=False)
+class VisiblePlaces(OneLineRepr):
+    """Visible places on a floor.
+
+    names: of the places; start, way: ``(e, 2)`` start and vector of all edges that stop a look [m]; owner: ``(e,)``
+    number of the edge's place, -1 without a name; solid: ``(e,)`` True for edges that nobody walks through; rooms:
+    polygons with names [m]; room: ``(r,)`` number of each room's place; walkable: the area in which people stand [m];
+    tree: of the edges.
+    """
+
+    names: tuple[str, ...]
+    start: Array
+    way: Array
+    owner: Index
+    solid: Mask
+    rooms: shapely.STRtree
+    room: Index
+    walkable: shapely.Geometry
+    tree: shapely.STRtree
+
+    def _summary(self) -> list[str]:
+        return [count(len(self.names), "place"), count(len(self.start), "edge"), count(len(self.room), "room")]
+
+    @classmethod
+    def of(cls, floor: FloorPlan) -> VisiblePlaces:
+        """Construct from a floor plan; places with the same name are one place."""
+        fronts = [a for a in floor.of_kind(*FRONT_KINDS) if a.name]
+        rooms = [a for a in floor.of_kind(*CLOSED) if a.name and a.is_polygon]
+        names = tuple(dict.fromkeys(a.name for a in (*fronts, *rooms)))
+        drawn = [(_outline(a), names.index(a.name), a.is_polygon) for a in fronts]
+        drawn += [(shape, -1, True) for shape in (floor.walkable, floor.cells.barriers) if not shapely.is_empty(shape)]
+        edges = [_edges(shape) for shape, _, _ in drawn]
+        numbers = [len(e) for e in edges]
+        edge = np.concatenate([np.empty((0, 2, 2)), *edges])
+        return cls(
+            names=names,
+            start=edge[:, 0],
+            way=edge[:, 1] - edge[:, 0],
+            owner=np.repeat(np.array([owner for _, owner, _ in drawn], dtype=np.intp), numbers),
+            solid=np.repeat(np.array([solid for _, _, solid in drawn], dtype=bool), numbers),
+            rooms=shapely.STRtree([a.shape for a in rooms]),
+            room=np.array([names.index(a.name) for a in rooms], dtype=np.intp),
+            walkable=floor.walkable,
+            tree=shapely.STRtree(shapely.get_parts(shapely.linestrings(edge))),
+        )
+
+    def facing(self, position: Array, heading: float, covariance: Array, sideways: float = LOOK_SIGMA) -> Facing:
+        """Probabilities of the places faced, most probable first; the remainder to 1 is no named place.
+
+        position ``(2,)`` [m]; heading, NaN if unknown [rad]; covariance ``(3, 3)`` of both; sideways: standard
+        deviation of the direction of the look from the heading's [rad].
+        """
+        standing = covariance + SHUFFLE_SIGMA**2 * np.diag([1.0, 1.0, 0.0])
+        middle, spread = self._on_walkable(position, standing[:2, :2])
+        # most position sigma [m] per axis; a less certain position does not determine a place
+        if np.trace(spread) > 2 * 20.0**2:
+            return ()
+        reach = 3 * np.sqrt(np.trace(spread)) + MAX_DISTANCE
+        near = self.tree.query(shapely.box(*(middle - reach), *(middle + reach)))
+        places = self._reachable(middle, middle + NORMAL_POINTS @ np.linalg.cholesky(spread).T, near)
+        distance, owner = self._first_hits(places, near)
+        weight = _look_probability(places - position, heading, standing, sideways) * _linger_rate(distance)
+        rates = np.bincount(owner.ravel() + 1, weight.ravel(), minlength=len(self.names) + 1)[1:]
+        inside, room = self.rooms.query(shapely.points(places), predicate="intersects")
+        rates += UNNAMED_RATE * np.bincount(self.room[room], minlength=len(self.names))
+        nothing = UNNAMED_RATE * (len(places) - len(np.unique(inside)))
+        probability = rates / (rates.sum() + nothing)
+        order = np.argsort(-probability, kind="stable")
+        # least probability of a place that is reported
+        return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > 1e-3)
+
+    def _on_walkable(self, position: Array, covariance: Array) -> tuple[Array, Array]:
+        """The nearest walkable position, and the covariance enlarged by the distance to it."""
+        line = shapely.shortest_line(self.walkable, shapely.Point(position))
+        middle = shapely.get_coordinates(line)[0]
+        off = middle - position
+        if not off.any():
+            return position, covariance
+        # inset [m] by which a position off the plan is moved into it
+        return middle + 0.01 * off / np.hypot(*off), covariance + np.outer(off, off)
+
+    def _reachable(self, middle: Array, places: Array, near: Index) -> Array:
+        """The points that no solid wall separates from the middle; the middle if there is none."""
+        walls, way = near[self.solid[near]], places - middle
+        hit = _ray_distances(middle[None], way, self.start[walls], self.way[walls])
+        clear = places[~np.any(hit < 1, axis=(0, 2))]
+        return clear if len(clear) else middle[None]
+
+    def _first_hits(self, places: Array, near: Index) -> tuple[Array, Index]:
+        """Distance [m] to the first edge on each ray from each point, and the number of its place; ``(k, RAYS)``."""
+        owner = np.append(-1, self.owner[near])
+        hit = _ray_distances(places, unit(DIRECTIONS), self.start[near], self.way[near])
+        # wall offset [m] that walls are moved back, so that a front drawn on a wall is hit first
+        hit += np.where(owner[1:] < 0, 0.05, 0.0)
+        hit = np.concatenate([np.full((*hit.shape[:2], 1), np.inf), hit], axis=2)
+        first = np.argmin(hit, axis=2)
+        return np.take_along_axis(hit, first[:, :, None], axis=2)[:, :, 0], owner[first]
+
+
+def _outline(area: Area) -> shapely.Geometry:
+    """The visible outline of a front; a stand drawn as a point or a line gets a width."""
+    return area.shape if area.is_polygon else shapely.buffer(area.shape, STAND_HALF_WIDTH)
+
+
+def _edges(shape: shapely.Geometry) -> Array:
+    """The straight pieces ``(e, 2, 2)`` of lines, or of the boundary of polygons [m]."""
+    lines = shapely.get_parts(shapely.boundary(shape) if shapely.get_dimensions(shape) == 2 else shape)
+    corner, line = shapely.get_coordinates(lines, return_index=True)
+    return np.stack([corner[:-1], corner[1:]], axis=1)[line[:-1] == line[1:]]
+
+
+def _ray_distances(origin: Array, ray: Array, start: Array, way: Array) -> Array:
+    """Distance at which rays meet edges, in lengths of each ray; infinity where they do not.
+
+    origin ``(k, 2)``, ray ``(r, 2)``, edges from ``start (e, 2)`` along ``way (e, 2)``. Returns ``(k, r, e)``.
+    """
+    gap = start - origin[:, None]
+    across = ray[:, None, 0] * way[:, 1] - ray[:, None, 1] * way[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (gap[:, :, 0] * way[:, 1] - gap[:, :, 1] * way[:, 0])[:, None] / across
+        share = (gap[:, None, :, 0] * ray[:, None, 1] - gap[:, None, :, 1] * ray[:, None, 0]) / across
+    return np.where((along > 0) & (share >= 0) & (share <= 1), along, np.inf)
+
+
+def _look_probability(off: Array, heading: float, covariance: Array, sideways: float) -> Array:
+    """Probability ``(k, RAYS)`` of looking along each ray from each point; off: ``(k, 2)`` from the position [m]."""
+    if np.isnan(heading):
+        return np.full((len(off), RAYS), 1 / RAYS)
+    gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])  # the heading at a point, given the position there
+    variance = sideways**2 + covariance[2, 2] - gain @ covariance[:2, 2]
+    apart = wrap_angle(DIRECTIONS - (heading + off @ gain)[:, None])
+    ahead = np.exp(-0.5 * apart**2 / variance)
+    return (1 - RANDOM_LOOK_SHARE) * ahead / ahead.sum(axis=1, keepdims=True) + RANDOM_LOOK_SHARE / RAYS
+
+
+def _linger_rate(distance: Array) -> Array:
+    """Rate of lingering at a distance [m], relative to that at a near place."""
+    return np.where(distance < MAX_DISTANCE, np.exp(-np.maximum(distance - NEAR_DISTANCE, 0.0) / DECAY_DISTANCE), 0.0)
+
+
+def _normal_points(number: int) -> Array:
+    """Points ``(n, 2)`` of equal weight that represent a standard normal distribution: a golden-angle spiral."""
+    rank = np.arange(number)
+    radius = np.sqrt(-2 * np.log1p(-(rank + 0.5) / number))
+    return radius[:, None] * unit(rank * np.pi * (3 - np.sqrt(5)))
+
+
+NORMAL_POINTS, DIRECTIONS = _normal_points(SAMPLE_POINTS), np.arange(RAYS) * 2 * np.pi / RAYS
+
+
+# Detection of stays and slow passes; chosen by hand
+SHORTEST_STAY = 5.0  # [s]; shorter halts are for letting somebody pass or for looking around
+SHORTEST_UNNAMED_STAY = 60.0  # [s] on a floor without names; shorter ones are at crossings
+SHORTEST_HALT = 1.0  # [s] between two steps; shorter pauses are part of the gait
+PASS_SPEED_WINDOW = 4.0  # [s] of walking over which a speed is measured: several strides
+PASS_PIECE = 3.0  # [m] of a slow pass with one result: half of a small shop's front
+
+
+def stays_of(
+    steps: Steps, trajectory: Trajectory, building: Building | None, looks: Array | None = None
+) -> tuple[Stay, ...]:
+    """Stays and slow passes of a walk, in time order.
+
+    trajectory: of these steps with covariance, rows as of `row_times`. looks: ``(n + 1,)`` turn of the walker while
+    standing before each step and after the last, relative to the step before [rad]; None if it was not measured.
+
+    Raises ValueError if the numbers of rows do not match.
+    """
+    _check(steps, trajectory, looks)
+    fronts = _visible_places(building, trajectory)
+    found = _stays(steps, trajectory, fronts, looks) + _passes(steps, trajectory, fronts)
+    return tuple(sorted(found, key=lambda stay: stay.start))
+
+
+def stays_of_positions(
+    trajectory: Trajectory, segments: tuple[Segment, ...], building: Building | None
+) -> tuple[Stay, ...]:
+    """Stays of a day of positions alone: its segments of standing, with unknown heading.
+
+    trajectory: with covariance.
+    """
+    fronts, found = _visible_places(building, trajectory), list[Stay]()
+    for segment in segments:
+        if segment.kind != STANDING:
+            continue
+        first, after = np.searchsorted(trajectory.time, [segment.start, segment.end + INSTANT])
+        track = sampled(trajectory, np.append(trajectory.time[first:after], (segment.start + segment.end) / 2))
+        pose = track.position.mean(axis=0), np.nan, _covariance(track).mean(axis=0)
+        stay = _stay(segment.start, segment.end, False, *pose, track.floor[-1], fronts)
+        found += [stay] if _is_long_enough(stay, fronts) else []
+    return tuple(found)
+
+
+def _check(steps: Steps, trajectory: Trajectory, looks: Array | None) -> None:
+    """Raise ValueError unless there are two more rows and one more look than steps."""
+    if len(trajectory) != len(steps) + 2:
+        raise ValueError(f"trajectory: found {len(trajectory)} rows, expected {len(steps) + 2}, two more than steps")
+    if looks is not None and len(looks) != len(steps) + 1:
+        raise ValueError(f"looks: found {len(looks)}, expected {len(steps) + 1}, one more than steps")
+
+
+def _covariance(trajectory: Trajectory) -> Array:
+    """The covariance of each row. Raises ValueError without any."""
+    if trajectory.covariance is None:
+        raise ValueError("trajectory: found no covariance, expected one of each row")
+    return trajectory.covariance
+
+
+def _visible_places(building: Building | None, trajectory: Trajectory) -> dict[str, VisiblePlaces]:
+    """The visible places by the labels of the trajectory's floors, without floors on which nothing has a name."""
+    if building is None:
+        return {}
+    labels, only = set(trajectory.floor), len(building.labels) == 1
+    floors = {
+        label: building.floors[0] if only else building[label] for label in labels if only or label in building.labels
+    }
+    made = {label: VisiblePlaces.of(floor) for label, floor in floors.items()}
+    return {label: own for label, own in made.items() if own.names}
+
+
+def _stay(
+    start: float,
+    end: float,
+    passing: bool,
+    position: Array,
+    heading: float,
+    covariance: Array,
+    floor: str,
+    fronts: dict[str, VisiblePlaces],
+) -> Stay:
+    """A stay at a pose with covariance ``(3, 3)``, and the places that it faces."""
+    facing = ()
+    if floor in fronts:
+        # passing look sigma [rad] of the look from the walking direction during a slow pass
+        facing = fronts[floor].facing(position, heading, covariance, 1.2 if passing else LOOK_SIGMA)
+    return Stay(start, end, passing, position, covariance[:2, :2], heading, floor, facing)
+
+
+def _is_long_enough(stay: Stay, fronts: dict[str, VisiblePlaces]) -> bool:
+    """True if a stay lasts SHORTEST_STAY, or SHORTEST_UNNAMED_STAY on a floor without names."""
+    return stay.end - stay.start >= (SHORTEST_STAY if stay.floor in fronts else SHORTEST_UNNAMED_STAY)
+
+
+def _stays(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces], looks: Array | None) -> list[Stay]:
+    """Stays: halts of a walk, merged where the walker only shuffles between them."""
+    begin, end = row_times(steps)[:-1], np.append(steps.time - steps.duration, steps.end)
+    lasted = end - begin
+    halts = np.flatnonzero(lasted > SHORTEST_HALT)
+    # shuffle distance [m] between two halts of one stay, along a shelf
+    apart = np.hypot(*np.diff(track.position[halts], axis=0).T) > 1.5
+    # shuffle duration [s] between two halts of one stay, or of a restarted recorder
+    apart |= begin[halts[1:]] - end[halts[:-1]] > 20.0
+    # unknown turn sigma [rad] of the turn during a stay where it was not measured
+    unseen = 1.2**2 * np.diag([0.0, 0.0, 1.0]) if looks is None else 0.0
+    found = list[Stay]()
+    for rows in np.split(halts, np.flatnonzero(apart) + 1) if len(halts) else []:
+        longest = rows[np.argmax(lasted[rows])]
+        heading = track.heading[longest] + (0.0 if looks is None else looks[longest])
+        position, covariance = _mean_pose(track, rows, lasted[rows])
+        pose = position, float(wrap_angle(heading)), covariance + unseen
+        span = float(begin[rows[0]]), float(end[rows[-1]])
+        found.append(_stay(*span, False, *pose, track.floor[longest], fronts))
+    return [stay for stay in found if _is_long_enough(stay, fronts)]
+
+
+def _mean_pose(track: Trajectory, rows: Index, weight: Array) -> tuple[Array, Array]:
+    """Weighted mean position ``(2,)`` of some rows, and the covariance ``(3, 3)`` of the pose at any of them."""
+    share = weight / weight.sum()
+    position = share @ track.position[rows]
+    off = track.position[rows] - position
+    covariance = np.tensordot(share, _covariance(track)[rows], axes=1)
+    covariance[:2, :2] += (share * off.T) @ off
+    return position, covariance
+
+
+def _passes(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces]) -> list[Stay]:
+    """Slow passes of named places, one for each run of pieces with the same most probable place."""
+    found = list[Stay]()
+    for numbers in _slow_runs(steps) if fronts else []:
+        along = length_along(track.position[numbers + 1])
+        cuts = np.unique(np.searchsorted(along, np.arange(PASS_PIECE, along[-1], PASS_PIECE)))
+        pieces = np.split(numbers, cuts)
+        passed = [_pass_of(steps, piece, track, fronts).facing for piece in pieces]
+        likeliest = [facing[0][0] if facing else "" for facing in passed]
+        for _, same in groupby(zip(likeliest, pieces, strict=True), key=itemgetter(0)):
+            whole = _pass_of(steps, np.concatenate([piece for _name, piece in same]), track, fronts)
+            # least named probability that a slow pass led past a named place; otherwise it is just slow
+            if _is_long_enough(whole, fronts) and sum(p for _, p in whole.facing) > 0.5:
+                found.append(whole)
+    return found
+
+
+def _pass_of(steps: Steps, numbers: Index, track: Trajectory, fronts: dict[str, VisiblePlaces]) -> Stay:
+    """The pass of some consecutive steps, by their numbers."""
+    rows, first, last = numbers + 1, numbers[0], numbers[-1]
+    position, covariance = _mean_pose(track, rows, steps.duration[numbers])
+    heading = float(np.angle(np.exp(1j * track.heading[rows]).sum()))
+    start, end = float(steps.time[first] - steps.duration[first]), float(steps.time[last])
+    return _stay(start, end, True, position, heading, covariance, track.floor[rows[len(rows) // 2]], fronts)
+
+
+def _slow_runs(steps: Steps) -> list[Index]:
+    """Numbers of the steps of each slow run without a halt that lasts SHORTEST_STAY.
+
+    Speeds are those of the steps, which are comparable within a walk; the trajectory is bent by other measurements.
+    """
+    under_way = np.concatenate([[0.0], np.cumsum(steps.duration)])
+    walking = ~steps.is_gap
+    if under_way[-1] < PASS_SPEED_WINDOW or not walking.any():
+        return []
+    way = np.concatenate([[0.0], np.cumsum(steps.length)])
+    before, after = (np.clip(under_way[1:] + side * PASS_SPEED_WINDOW / 2, 0.0, under_way[-1]) for side in (-1, 1))
+    speed = (np.interp(after, under_way, way) - np.interp(before, under_way, way)) / (after - before)
+    # usual speed quantile of a walk's speeds, since much of the walk may be slow
+    # slow share of the usual speed: people stroll at 0.8 of it and browse at half of it
+    slow = np.flatnonzero(walking & (speed < 0.7 * np.quantile(speed[walking], 0.75)))
+    halted = (steps.time - steps.duration - row_times(steps)[:-2] > SHORTEST_HALT)[slow[1:]]
+    split_at_gaps = np.split(slow, np.flatnonzero((np.diff(slow) > 1) | halted) + 1)
+    return [numbers for numbers in split_at_gaps if steps.duration[numbers].sum() >= SHORTEST_STAY]

@@ -1,0 +1,347 @@
+"""The rows of a diary from the fine entries of a timeline: visits, and the legs between them.
+
+Visits are stay points as in Li et al., "Mining user similarity based on location history", ACM GIS 2008: a time within
+a radius of a place. Two differences: the place is the mean of the halts on the smoothed track, not the first fix; and a
+silence joins the halts before and after it where nobody can have gone far meanwhile. What is joined so is counted as
+not observed.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.types import Array, Mask
+
+# The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
+VISIT_RADIUS = 100.0  # [m] of a place
+SHORTEST_VISIT = 300.0  # [s]
+EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
+LONGEST_BRIDGED = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
+SURE = 20.0  # [m] per axis: a halt this certain counts half as much as an exact one for the middle of a visit
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where a person was, over all outings that are georeferenced.
+
+    time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; sphere ``(n, 3)`` the same on a sphere [m]; along
+    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan.
+    """
+
+    time: Array
+    lonlat: Array
+    sphere: Array
+    along: Array
+    plan: Mask
+
+    @classmethod
+    def of(cls, outings: Sequence[Outing]) -> Track:
+        """Construct from outings; those that are not georeferenced are left out."""
+        parts = [(outing, without_gap_rows(outing)) for outing in outings if outing.frame.georeferenced]
+        parts = [(outing, rows) for outing, rows in parts if len(rows)]
+        time = np.concatenate([np.empty(0), *(rows.time + outing.epoch for outing, rows in parts)])
+        lonlat = np.concatenate([np.empty((0, 2)), *(o.frame.to_lonlat(rows.position) for o, rows in parts)])
+        plan = np.repeat([bool(o.plan) for o, _ in parts], [len(rows) for _, rows in parts]).astype(bool)
+        return cls._of_columns(time, lonlat, plan)
+
+    @classmethod
+    def concatenate(cls, tracks: Sequence[Track]) -> Track:
+        """One track of several."""
+        time = np.concatenate([np.empty(0), *(track.time for track in tracks)])
+        lonlat = np.concatenate([np.empty((0, 2)), *(track.lonlat for track in tracks)])
+        return cls._of_columns(time, lonlat, np.concatenate([np.empty(0, bool), *(track.plan for track in tracks)]))
+
+    @classmethod
+    def _of_columns(cls, time: Array, lonlat: Array, plan: Mask) -> Track:
+        order = np.argsort(time, kind="stable")
+        sphere = on_sphere(lonlat[order])
+        moved = np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1)
+        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan[order])
+
+    def between(self, start: float, end: float) -> slice:
+        """The rows from `start` to `end`, both included."""
+        first, last = np.searchsorted(self.time, [start - 1e-3, end + 1e-3]).tolist()
+        return slice(first, last)
+
+    def length(self, start: float, end: float) -> float:
+        """Length of the path from `start` to `end` [m], with straight lines over silences."""
+        if not len(self.time):
+            return 0.0
+        first, last = np.interp([start, end], self.time, self.along)
+        return float(last - first)
+
+
+def on_sphere(lonlat: Array) -> Array:
+    """Points ``(n, 3)`` on a sphere [m] of longitudes and latitudes ``(n, 2)`` [deg]; distances are chords."""
+    lon, lat = np.radians(lonlat).T
+    # earth radius [m] of a sphere: distances within a place need no ellipsoid
+    return 6_371_000.0 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+
+
+def lonlat_of(point: Array) -> tuple[float, float]:
+    """Longitude and latitude [deg] of a point ``(3,)`` on the sphere, or inside it."""
+    x, y, z = (point / np.linalg.norm(point)).tolist()
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(z)))
+
+
+@dataclass(frozen=True)
+class _Halt:
+    """A time at one place. start, end: Unix times [s]; middle ``(3,)`` on the sphere [m]; sigma: standard deviation per
+    axis of the place [m]; observed: share of the time with data.
+    """
+
+    start: float
+    end: float
+    middle: Array
+    sigma: float
+    observed: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """Its duration [s]."""
+        return self.end - self.start
+
+    @property
+    def visit(self) -> TimelineEntry:
+        """The stay at the place."""
+        longitude, latitude = lonlat_of(self.middle)
+        return TimelineEntry(STAY, self.start, self.end, latitude=latitude, longitude=longitude, sigma=self.sigma)
+
+
+def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
+    """The visits of a person, as stays without parts, in time order.
+
+    entries: of the fine timeline; track: of the same outings.
+    """
+    found: list[_Halt] = []
+    for halt in _halts(entries, track):
+        if found and _is_one_place(found[-1], halt, track):
+            found[-1] = _joined(found[-1], halt)
+        else:
+            found.append(halt)
+    limits = [-np.inf, *(visit.end for visit in found)], [*(visit.start for visit in found), np.inf]
+    found = [_with_edges(visit, track, limits[0][n], limits[1][n + 1]) for n, visit in enumerate(found)]
+    return [halt.visit for halt in _without_overlap(found) if halt.duration >= SHORTEST_VISIT]
+
+
+def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
+    """Stands, and silences in which nobody can have gone far, as visits of any duration; none on a floor plan."""
+    for entry in entries:
+        rows = track.between(entry.start, entry.end)
+        if entry.kind in (STAY, STANDING) and rows.stop > rows.start and not track.plan[rows].any():
+            points = track.sphere[rows]
+            spread = float(np.sqrt(np.mean((points - points.mean(axis=0)) ** 2) * 1.5))  # of two axes, not three
+            sigma = float(np.hypot(np.nan_to_num(entry.sigma), spread))
+            yield _Halt(entry.start, entry.end, np.median(points, axis=0), sigma)
+        elif entry.kind == GAP:
+            yield from _silence(entry, track)
+
+
+def _silence(gap: TimelineEntry, track: Track) -> Iterator[_Halt]:
+    """The visit of a silence, if its ends are near each other and nobody was on the way between them."""
+    before, after = track.between(-np.inf, gap.start).stop - 1, track.between(gap.end, np.inf).start
+    if before < 0 or after >= len(track.time) or track.plan[[before, after]].any():
+        return
+    ends, lasted = track.sphere[[before, after]], gap.end - gap.start
+    if max(gap.start - track.time[before], track.time[after] - gap.end) > SHORTEST_VISIT:
+        return  # something without positions was between
+    apart = float(np.linalg.norm(ends[1] - ends[0]))
+    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+    # silent speed [m/s] between its ends at most: faster, and the person was on the way
+    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_BRIDGED:
+        yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, SURE), 0.0)
+
+
+def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
+    """True if a halt is at the place of the visit before it, and the person did not leave that place between them."""
+    if np.linalg.norm(halt.middle - visit.middle) > VISIT_RADIUS + min(max(halt.sigma, visit.sigma), SURE):
+        return False
+    between = track.between(visit.end, halt.start)
+    if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_BRIDGED:
+        return False
+    off = np.linalg.norm(track.sphere[between] - visit.middle, axis=1)
+    farthest = off.max(initial=0.0)
+    # longest excursion [s] beyond VISIT_RADIUS that is still part of a visit: mostly an error of the receiver
+    return bool(farthest <= VISIT_RADIUS or (farthest <= 2 * VISIT_RADIUS and halt.start - visit.end <= 180.0))
+
+
+def _joined(visit: _Halt, halt: _Halt) -> _Halt:
+    """One visit of two, with the mean place by time and certainty."""
+    weight = [v.duration / (SURE**2 + v.sigma**2) for v in (visit, halt)]
+    share = weight[1] / (weight[0] + weight[1]) if weight[0] + weight[1] else 0.5
+    middle = (1 - share) * visit.middle + share * halt.middle
+    apart = np.linalg.norm(halt.middle - visit.middle) / 2
+    variance = (1 - share) * visit.sigma**2 + share * halt.sigma**2 + share * (1 - share) * apart**2
+    silent = sum((1 - v.observed) * v.duration for v in (visit, halt))
+    observed = 1 - silent / max(halt.end - visit.start, 1e-9)
+    return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)), float(observed))
+
+
+def _with_edges(visit: _Halt, track: Track, earliest: float, latest: float) -> _Halt:
+    """The visit with the walking within EDGE_RADIUS just before and after it; earliest, latest: limits [s]."""
+    first, last = track.between(visit.start, visit.end).start, track.between(visit.start, visit.end).stop - 1
+    start, end = visit.start, visit.end
+    while first > 0 and _is_at(visit, track, first - 1) and track.time[first - 1] > earliest:
+        first -= 1
+        start = float(track.time[first])
+    while last + 1 < len(track.time) and _is_at(visit, track, last + 1) and track.time[last + 1] < latest:
+        last += 1
+        end = float(track.time[last])
+    silent = (1 - visit.observed) * visit.duration
+    return replace(visit, start=start, end=end, observed=1 - silent / max(end - start, 1e-9))
+
+
+def _is_at(visit: _Halt, track: Track, row: int) -> bool:
+    off = track.sphere[row] - visit.middle
+    return not track.plan[row] and bool(off @ off <= EDGE_RADIUS**2)
+
+
+def _without_overlap(visits: Sequence[_Halt]) -> list[_Halt]:
+    """The visits; one that begins before the end of the last begins there."""
+    found: list[_Halt] = []
+    for visit in visits:
+        start = max(visit.start, found[-1].end) if found else visit.start
+        found += [replace(visit, start=start)] if visit.end > start else []
+    return found
+
+
+# Chosen by hand
+SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
+FASTEST_WALKING_LEG = 2.5  # [m/s]
+MOVING = (WALKING, VEHICLE)
+
+
+def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
+    """The rows of a diary: a stay for each visit, with all entries of its time as parts, and the legs between visits.
+
+    fine: entries of the timeline; visits and track: of the same outings. Entries on a floor plan remain.
+    """
+    begins = [visit.start for visit in visits]
+    bounds = sorted({time for visit in visits for time in (visit.start, visit.end)})
+    pieces = [piece for entry in fine for piece in cut(entry, bounds, track)]
+    rows: list[TimelineEntry] = []
+    for group, own in groupby(pieces, key=lambda piece: _group(piece, visits, begins, track)):
+        if group == _ON_PLAN:
+            rows += own
+        elif group >= 0:
+            rows.append(_with_parts(visits[group], tuple(own)))
+        else:
+            rows += _legs(list(own), track)
+    return rows
+
+
+_ON_PLAN, _ON_THE_WAY = -2, -1
+
+
+def _group(piece: TimelineEntry, visits: Sequence[TimelineEntry], begins: Sequence[float], track: Track) -> int:
+    """Number of the visit of a piece; _ON_PLAN for one that remains as it is, _ON_THE_WAY between visits.
+
+    begins: starts of the visits [s].
+    """
+    middle = (piece.start + piece.end) / 2
+    n = bisect_right(begins, middle) - 1
+    if n >= 0 and middle < visits[n].end:
+        return n
+    rows = track.between(piece.start, piece.end)
+    seen = track.plan[rows]
+    return _ON_PLAN if piece.kind != GAP and (not len(seen) or seen.any()) else _ON_THE_WAY
+
+
+def cut(entry: TimelineEntry, times: Sequence[float], track: Track) -> list[TimelineEntry]:
+    """The entry, and its parts, in pieces between some times [s]; the distance is divided by the path's length.
+
+    times: in order, each once.
+    """
+    inside = times[bisect_right(times, entry.start) : bisect_left(times, entry.end)]
+    if not inside:
+        return [entry]
+    edge = [entry.start, *inside, entry.end]
+    length = np.array([track.length(a, b) for a, b in pairwise(edge)])
+    share = length / length.sum() if length.sum() > 0 else np.diff(edge) / (entry.end - entry.start)
+    parts = [piece for part in entry.parts for piece in cut(part, times, track)]
+    found = []
+    for (start, end), of in zip(pairwise(edge), share.tolist(), strict=True):
+        own = tuple(part for part in parts if start <= part.start and part.end <= end)
+        piece = replace(entry, start=start, end=end, distance=of * entry.distance, parts=own)
+        if own:
+            piece = replace(piece, distance=_distance(own) if entry.distance else 0.0, observed=_observed(own))
+        found.append(piece)
+    return found
+
+
+def _with_parts(visit: TimelineEntry, parts: tuple[TimelineEntry, ...]) -> TimelineEntry:
+    """The row of a visit."""
+    floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
+    return replace(visit, floor=floor, observed=_observed(parts), parts=parts)
+
+
+def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEntry]:
+    """The walks, rides and long silences between two visits."""
+    longest = max((p.duration for p in pieces if p.kind in MOVING), default=0.0)
+    kinds = [_leg_kind(piece, longest, track) for piece in pieces]
+    if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # nobody saw how the person went
+        kinds = [_kind_at_speed(pieces, track)] * len(pieces)
+    kinds = [
+        kind or _kind_beside(kinds, n) or piece.kind for n, (kind, piece) in enumerate(zip(kinds, pieces, strict=True))
+    ]
+    for kind, own in groupby(zip(kinds, pieces, strict=True), key=lambda pair: pair[0]):
+        yield _leg(kind, [piece for _, piece in own], track)
+
+
+def _kind_beside(kinds: Sequence[str], n: int) -> str:
+    """Kind of the leg before the nth piece if it is a walk or a ride, else of the one after it; "" without any leg."""
+    before = next((kind for kind in reversed(kinds[:n]) if kind), "")
+    after = next((kind for kind in kinds[n + 1 :] if kind), "")
+    return next((kind for kind in (before, after) if kind in MOVING), before or after)
+
+
+def _kind_at_speed(gaps: Sequence[TimelineEntry], track: Track) -> str:
+    """Kind of a way without data, by the straight line between its ends."""
+    start, end = gaps[0].start, gaps[-1].end
+    return VEHICLE if track.length(start, end) > FASTEST_WALKING_LEG * (end - start) else WALKING
+
+
+def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
+    """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
+    lasted = piece.duration
+    # shortest jump [m] over a short silence, from which a fast one is a ride
+    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALKING_LEG * lasted, 300.0):
+        return VEHICLE if lasted < SHORTEST_SILENCE else GAP
+    if piece.kind in MOVING:
+        # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
+        return piece.kind if lasted >= min(120.0, longest) else ""
+    return GAP if piece.kind == GAP and lasted >= SHORTEST_SILENCE else ""
+
+
+def _leg(kind: str, pieces: Sequence[TimelineEntry], track: Track) -> TimelineEntry:
+    """One row of consecutive pieces; a short silence counts with the straight line between its ends."""
+    if len(pieces) == 1 and pieces[0].kind == kind:
+        return pieces[0]
+    parts = tuple(_bridged(piece, kind, track) if piece.kind == GAP and kind != GAP else piece for piece in pieces)
+    distance = 0.0 if kind == GAP else _distance(parts)
+    return TimelineEntry(
+        kind, pieces[0].start, pieces[-1].end, distance, observed=_observed(parts) if kind != GAP else 1.0, parts=parts
+    )
+
+
+def _bridged(gap: TimelineEntry, kind: str, track: Track) -> TimelineEntry:
+    """A short silence as a part of a leg, without data."""
+    return replace(gap, kind=kind, distance=track.length(gap.start, gap.end), observed=0.0)
+
+
+def _distance(parts: Sequence[TimelineEntry]) -> float:
+    return float(sum(part.distance for part in parts))
+
+
+def _observed(parts: Sequence[TimelineEntry]) -> float:
+    """Share of the time of parts with data."""
+    lasted = np.array([part.duration for part in parts])
+    seen = np.array([0.0 if part.kind == GAP else part.observed for part in parts])
+    return float(lasted @ seen / max(lasted.sum(), 1e-9))

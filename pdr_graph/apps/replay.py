@@ -1,0 +1,263 @@
+"""Replay of a recording as if it were live, with latency and memory: ``pdr-graph replay``."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pdr_graph.apps.report.output_files import REPORT, write
+from pdr_graph.errors import InputError, Stages, shows_progress
+from pdr_graph.estimation.factors.fixes import OUTSIDE, duplicates
+from pdr_graph.estimation.results import missing_of, outside_warnings
+from pdr_graph.floor.plan_files import plan_fingerprint
+from pdr_graph.gait.steps import gait_signals
+from pdr_graph.io.beacons import beside, read_beacons
+from pdr_graph.io.writers import write_summary, write_trajectory
+from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
+from pdr_graph.online.journal import Journal
+from pdr_graph.plausibility import check_beacons_on_plan
+from pdr_graph.priors import FIXES
+from pdr_graph.storage import fingerprint
+from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
+from pdr_graph.walk import LIVE, Evidence, Options, Result, fixes_alone, read, read_plan, read_radio_map
+from pdr_graph.whole_files import output_folder
+
+PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
+MEMORY_INTERVAL = 50.0  # [s] of the walk between measurements of the memory, doubled at MOST_MEASUREMENTS
+MOST_MEASUREMENTS = 200
+MEGABYTE = 1e6
+Value = TypeVar("Value")
+
+
+class Latency:
+    """Computing time per step [s]: pushing: of all events since the step before; posing: of the current pose."""
+
+    def __init__(self) -> None:
+        self.pushing, self.posing = list[float](), list[float]()
+        self.memory = list[tuple[float, float]]()  # time of the walk [s], resident [MB]
+        self._since = 0.0
+        self._every = MEMORY_INTERVAL
+
+    def push(self, push: Callable[[Any], None], event: Any) -> None:
+        """Call ``push`` with an event; its time counts for the next step."""
+        began = time.perf_counter()
+        push(event)
+        self._since += time.perf_counter() - began
+
+    def step(self, pose: Callable[[], Value]) -> Value:
+        """Call ``pose`` and close the times of this step."""
+        began = time.perf_counter()
+        current = pose()
+        self.posing.append(time.perf_counter() - began)
+        self.pushing.append(self._since)
+        self._since = 0.0
+        return current
+
+    def measure_memory(self, now: float) -> None:
+        """Measure the memory if it is due. now: time of the walk [s]."""
+        if self.memory and now < self.memory[-1][0] + self._every:
+            return
+        if (resident := _resident()) is not None:
+            self.memory.append((round(now, 1), round(resident, 2)))
+        if len(self.memory) > MOST_MEASUREMENTS:
+            self.memory, self._every = self.memory[::2], 2 * self._every
+
+    def describe(self) -> dict[str, Any]:
+        """The content of ``latency.json``: milliseconds per step, megabytes."""
+        return {
+            "steps": len(self.pushing),
+            "push": _spread(self.pushing),
+            "pose": _spread(self.posing),
+            "peak_memory": _peak(),
+            "memory": [{"time": now, "resident": resident} for now, resident in self.memory],
+            "units": {"push": "ms per step", "pose": "ms per step", "memory": "MB", "time": "s"},
+        }
+
+
+def _spread(seconds: list[float]) -> dict[str, float] | None:
+    if not seconds:
+        return None
+    values = np.percentile(1000 * np.array(seconds), list(PERCENTILES.values()))
+    return {name: round(value, 4) for name, value in zip(PERCENTILES, values.tolist(), strict=True)}
+
+
+def _resident() -> float | None:
+    """Present memory of this process [MB]; None if the system does not provide it."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / MEGABYTE
+
+
+def _peak() -> float | None:
+    """Peak memory of this process [MB]; None if the system does not provide it."""
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return None
+    unit = 1.0 if sys.platform == "darwin" else 1024.0  # [bytes]
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / MEGABYTE, 2)
+
+
+def replay_recording(
+    recording: Path, out: Path, options: Options | None = None, kind: Any = None, report: bool = True
+) -> tuple[str, ...]:
+    """Push a recording through a navigator; write poses, latency, smoothed trajectory, picture, report and summary.
+
+    kind: class of the navigator, by default ``Navigator``; report: False writes everything else, and removes the report
+    of an earlier walk from ``out``. Returns what could not be estimated or written, a line each.
+    Raises InputError if an input cannot be used.
+    """
+    options = replace(options or Options(), method=LIVE)
+    stage, latency = Stages(), Latency()
+    with stage("reading"):
+        evidence = read(recording, options)
+        outside = _outside(evidence.walk, evidence.other_fixes)
+        events = list(events_of(replace(evidence.walk, fixes=evidence.other_fixes[~outside])))
+    with output_folder(out, without=() if report else (REPORT,)) as staged:
+        with stage("opening"):
+            nav = _opened(evidence, len(events), kind)
+        gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
+        with nav if isinstance(nav, Journal) else nullcontext():
+            done = nav.count if isinstance(nav, Journal) else 0
+            began = time.perf_counter()
+            causal = walked(nav, _shown(events[done:]), latency)
+            stage.seconds["replay"] = round(time.perf_counter() - began, 4)
+            with stage("finish"):
+                result = _finished(nav, evidence, evidence.other_fixes[outside])
+        write_trajectory(staged / "causal.csv", causal, evidence.walk.clock_origin)
+        write_summary(staged / "latency.json", latency.describe())
+        resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
+        result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
+        return write(staged, result, stage, report)
+
+
+def _outside(walk: Recording, fixes: Fixes) -> Mask:
+    """True ``(f,)`` for fixes too long before or after the recording to be used."""
+    if not walk.signals:
+        return np.zeros(len(fixes), dtype=bool)
+    start = min(float(signal.time[0]) for signal in walk.signals.values())
+    end = max(float(signal.time[-1]) for signal in walk.signals.values())
+    return (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)
+
+
+def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any = None) -> partial[Any]:
+    """What creates the navigator of a walk. evidence: of a recorded walk; without it the walk is still to come.
+
+    kind: class of the navigator, by default ``Navigator``. Raises InputError if a file cannot be used.
+    """
+    if evidence is not None:
+        known = {"floor": evidence.building, "walker": evidence.walker, "frame": evidence.frame}
+        known |= {"beacons": evidence.beacons, "radio_map": evidence.radio_map}
+        if evidence.start_heading is not None:  # another class of navigator need not have it
+            known["start_heading"] = evidence.start_heading
+    else:
+        building, beacons = read_plan(options), read_beacons(options.beacons) if options.beacons else None
+        if building is not None and options.beacons is not None and beacons is not None:
+            check_beacons_on_plan(options.beacons, beacons, building)
+        known = {"floor": building, "walker": options.person(), "beacons": beacons}
+        known["radio_map"] = read_radio_map(options, building)
+    return partial(kind or _navigator(), **known, lag=options.lag, start_floor=options.floor)
+
+
+def _opened(evidence: Evidence, events: int, kind: Any) -> Any:
+    """The navigator of a walk, new or resumed from the journal if the options name one."""
+    options = evidence.options
+    create = navigator_of(options, evidence, kind)
+    if options.journal is None:
+        return create()
+    recording = evidence.walk.source
+    files = {"fixes": options.fixes, "walker file": options.walker, "list beside it": beside(Path(recording))}
+    settings = {"recording": recording, "events": events, "walker": evidence.walker.describe()}
+    settings |= journal_settings(options, files) | {"recorded_fixes": options.recorded_fixes}
+    settings |= {} if options.start_heading is None else {"start_heading": options.start_heading}
+    return Journal.open(options.journal, create, settings)
+
+
+def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict[str, Any]:
+    """What must not change while a journal is continued: fingerprints of input files, lag and floor.
+
+    files: further ones beside plan, beacons and radio map, by name.
+    """
+    files = {"beacons": options.beacons, "radio_map": options.radio_map, **files}
+    settings = {name: fingerprint(path) for name, path in files.items() if path}
+    settings |= {"map": plan_fingerprint(options.plan, options.scale)} if options.plan else {}
+    return settings | {"lag": options.lag, "floor": options.floor}
+
+
+def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Trajectory:
+    """Push all events; returns the causal poses: the first, one at the detection of each step, and the last.
+
+    Between events the estimator reviews, as an app does beside the walk; that is not part of the latency.
+    """
+    poses, most = list[Pose](), nav.steps
+    for event in events:
+        latency.push(nav.push, event)
+        nav.review()
+        pose = None
+        if nav.steps > most:  # a maximum, since provisional steps may be withdrawn
+            most = nav.steps
+            pose = latency.step(lambda: nav.pose)
+        elif not poses:
+            pose = nav.pose
+        if pose is not None:
+            poses.append(pose)
+            latency.measure_memory(pose.time)
+    last = nav.pose
+    if last is not None and poses and last.time > poses[-1].time:
+        poses.append(last)
+    return trajectory_of(poses)
+
+
+def _navigator() -> Any:
+    from pdr_graph.online.navigator import Navigator
+
+    return Navigator
+
+
+def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
+    """The smoothed walk with what could not be estimated; the smoothed fixes alone if there are no steps.
+
+    outside: fixes that were not pushed since they lie outside the recording. Raises InputError if there are neither
+    steps nor fixes, or if the samples cannot be used.
+    """
+    estimate, steps, status = nav.finish(), nav.steps, nav.status
+    issues = tuple(line for line in status.issues if not line.endswith((NO_DATA, NO_STEPS)))
+    if not len(estimate.trajectory):
+        if evidence.walk.has_acceleration or not len(evidence.fixes):
+            gait_signals(evidence.walk)
+        if not len(evidence.fixes):
+            expected = "accelerometer samples of a second or more"
+            raise InputError(evidence.walk.source, "", "neither steps nor fixes", expected)
+        return fixes_alone(evidence, issues)
+    late = outside.time[~duplicates(outside)]
+    issues += outside_warnings(late, float(estimate.trajectory.time[0]), float(estimate.trajectory.time[-1]))
+    reports = [
+        FixReport(t, x, y, sigma, float("nan"), 0.0, OUTSIDE)
+        for t, (x, y), sigma in zip(outside.time, outside.position.tolist(), outside.sigma.tolist(), strict=True)
+    ]
+    fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
+    estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
+    missing = (*status.unknown, *missing_of(estimate, len(evidence.fixes)))
+    return Result(evidence, estimate, missing, step_count=steps, issues=issues)
+
+
+def _shown(events: Sequence[Event]) -> Iterable[Event]:
+    """The events, with a progress bar on a terminal."""
+    if not shows_progress():
+        return events
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(events, "replay", console=Console(stderr=True))

@@ -1,0 +1,248 @@
+"""One walker: the messages of a session, in order, through a navigator.
+
+The folder of a session has ``messages.log``: what the phone sent, written before it is acknowledged. Everything else is
+a function of it, so that after the process was killed at any moment the same messages lead to the same walk.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph import storage
+from pdr_graph.apps.lifelog.cache import write
+from pdr_graph.apps.serve.intake import SENSOR_LOGGER, Intake
+from pdr_graph.apps.serve.message_log import MAGIC, Entry, read_body, read_entries
+from pdr_graph.apps.serve.publishing import path_columns, pose_json
+from pdr_graph.errors import InputError, count
+from pdr_graph.online.interface import Event
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.types import Trajectory
+
+PATIENCE = 2.0  # [s] for which a message waits for those before it
+MOST_WAITING = 64  # messages that wait for one; then it is given up
+LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
+RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a session is.
+
+    id: in addresses; key: the app's name of it; name: for people; user: to whom it belongs; protocol: of its messages;
+    platform: "ios" or "android" if it was stated; began: Unix time of the first message [s].
+    """
+
+    id: str
+    key: str
+    name: str
+    user: str
+    protocol: str
+    platform: str
+    began: float
+    finished: bool = False
+
+
+class Queue:
+    """Messages in the order of their identities; one waits for those before it, up to PATIENCE.
+
+    The order depends on their identities and times of arrival, not on the moments at which `next` is called: it is the
+    same when the log is read again.
+    """
+
+    def __init__(self, ordered: bool):
+        self._ordered, self._expected = ordered, -1
+        self._arrived = deque[tuple[float, Entry]]()  # with the time of arrival [s], by a clock that is never set back
+        self._waiting = list[tuple[int, int, float, Entry]]()
+        self._clock, self._count = -np.inf, 0
+
+    def __len__(self) -> int:
+        return len(self._arrived) + len(self._waiting)
+
+    def add(self, entry: Entry) -> None:
+        """Add a message that arrived."""
+        self._clock = max(self._clock, entry.received)
+        self._arrived.append((self._clock, entry))
+
+    def next(self, now: float) -> Entry | None:
+        """The next message if it is its turn at the Unix time ``now`` [s], and remove it."""
+        if now < self.due or not self._waiting:
+            return None
+        identity, _, _, entry = heapq.heappop(self._waiting)
+        self._expected = max(self._expected, identity + 1)
+        return entry
+
+    @property
+    def due(self) -> float:
+        """Unix time from which the next message may be used [s]; infinite without one."""
+        while self._arrived and self._first_due() > self._arrived[0][0]:
+            arrival, entry = self._arrived.popleft()
+            self._count += 1
+            identity = entry.identity if self._ordered else self._count
+            heapq.heappush(self._waiting, (identity, self._count, arrival, entry))
+        return self._first_due()
+
+    def _first_due(self) -> float:
+        """`due` of the messages that wait."""
+        if not self._waiting:
+            return np.inf
+        first = self._waiting[0][0]
+        begins = self._expected < 0 and first <= 1  # apps count from 0 or from 1
+        if not self._ordered or begins or 0 <= first <= self._expected or len(self._waiting) > MOST_WAITING:
+            return -np.inf
+        return min(arrival for _, _, arrival, _ in self._waiting) + PATIENCE
+
+
+class LiveWalk:
+    """The estimate of one session. make: creates a navigator, with keyword arguments beside its own.
+
+    After a restart of the process, its messages wait to be used again. Raises InputError if the log is damaged; OSError
+    if the disk fails.
+    """
+
+    def __init__(self, folder: Path, session: Session, make: Callable[..., Navigator]):
+        self.folder, self.session, self._make = folder, session, make
+        self.intake = Intake(session.protocol, session.platform)
+        self._queue = Queue(session.protocol == SENSOR_LOGGER)
+        self._read_until, self._used, self._opened = len(MAGIC), 0, time.time()
+        self._last_received, self._clock_error = -np.inf, 0.0  # [s]
+        self._refused, self._damaged, self._unfinished = 0, 0, 0
+        self._navigator: Navigator | None = None  # from the first event on
+        self._finalised = list[Trajectory]()
+        self.look()
+
+    def look(self) -> None:
+        """Find the messages that arrived since the last look."""
+        for entry in read_entries(self.folder / LOG, self._read_until):
+            self._read_until = entry.end
+            self._damaged += entry.skipped
+            self._queue.add(entry)
+        self._unfinished = (self.folder / LOG).stat().st_size - self._read_until
+
+    @property
+    def due(self) -> float:
+        """Unix time from which there is a message to use [s]; infinite if none waits."""
+        return self._queue.due
+
+    @property
+    def waiting(self) -> int:
+        """Number of messages that were not used yet."""
+        return len(self._queue)
+
+    @property
+    def catching_up(self) -> bool:
+        """True while messages wait that arrived before this process opened the walk."""
+        return bool(self._queue) and self._last_received < self._opened
+
+    def work(self, now: float) -> bool:
+        """Use the next message if it is its turn at the Unix time ``now`` [s]; False if none is."""
+        entry = self._queue.next(now)
+        if entry is None:
+            return False
+        self._used += 1
+        self._last_received = entry.received
+        try:
+            events = self.intake.events(read_body(self.folder / LOG, entry))
+        except InputError:  # the door refuses these; one that it let pass by an older version
+            self._refused += 1
+            return True
+        self._push(events)
+        if events:
+            at = self.intake.origin + (self.intake.latest if np.isfinite(self.intake.latest) else 0.0)
+            self._clock_error = at - entry.received if self.intake.protocol == SENSOR_LOGGER else 0.0
+        return True
+
+    def _push(self, events: Sequence[Event]) -> None:
+        for event in events:
+            if self._navigator is None:
+                self._navigator = self._make(epoch=self.intake.origin)
+            try:
+                self._navigator.push(event)
+            except OSError:
+                raise
+            except Exception:  # no data may end a walk
+                self._refused += 1
+
+    def pose(self) -> dict[str, Any]:
+        """The event ``pose``."""
+        identity: dict[str, Any] = {"id": self.session.id, "name": self.session.name, "protocol": self.session.protocol}
+        identity["message"] = self._used
+        navigator = self._make() if self._navigator is None else self._navigator
+        event = pose_json(identity, navigator.pose, navigator.status, navigator.frame, self._epoch)
+        intake = self.intake
+        event["issues"] += [f"{name}: {count(n, 'sample')} could not be used" for name, n in intake.unusable.items()]
+        event["issues"] += self._issues()
+        event["notes"] = list(intake.signs.notes)
+        event["missing"] = [*intake.advice, *event["missing"]]
+        return event | {"steps": navigator.steps, "ignored": dict(intake.ignored), "advice": list(intake.advice)}
+
+    def _issues(self) -> Iterator[str]:
+        # clock error [s] between the phone's clock and this machine's from which it is an issue
+        if abs(self._clock_error) > 600.0:
+            side = "ahead of" if self._clock_error > 0 else "behind"
+            yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"
+        if self._refused:
+            yield f"{count(self._refused, 'message')} could not be used"
+        if damaged := self._damaged + self._unfinished:
+            yield f"{count(damaged, 'byte')} of {LOG} are damaged: the messages in them are lost"
+
+    @property
+    def _epoch(self) -> float:
+        return 0.0 if np.isnan(self.intake.origin) else self.intake.origin
+
+    def path(self, whole: bool = False) -> dict[str, Any] | None:
+        """The event ``path``; None before there is one. whole: from the first row."""
+        navigator = self._navigator
+        if navigator is None:
+            return None
+        sent = 0 if whole else sum(map(len, self._finalised))
+        new = navigator.finalized()
+        self._finalised += [new] * (len(new) > 0)
+        parts = [_joined(self._finalised) if whole else new, navigator.trajectory]
+        finalised, current = (path_columns(part, navigator.frame, self._epoch) for part in parts)
+        return {"id": self.session.id, "from": sent, "finalised": finalised, "current": current}
+
+    def finish(self) -> tuple[dict[str, Any], dict[str, Any] | None]:
+        """Use all messages, end the walk and return its last pose and its whole path; then it takes no more."""
+        while self.work(np.inf):
+            pass
+        pose = self.pose() | {"state": "finished"}
+        navigator = self._navigator
+        if navigator is None:
+            return pose, None
+        self._push(self.intake.flush())
+        path = _joined([*self._finalised, navigator.finish().trajectory])
+        parts = {"finalised": path, "current": _joined([])}
+        columns = {name: path_columns(part, navigator.frame, self._epoch) for name, part in parts.items()}
+        return pose, {"id": pose["id"], "from": 0, **columns}
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Concatenate trajectories that follow one another, without their covariance."""
+    return Trajectory(
+        np.concatenate([np.empty(0), *(part.time for part in parts)]),
+        np.concatenate([np.empty((0, 2)), *(part.position for part in parts)]),
+        np.concatenate([np.empty(0), *(part.heading for part in parts)]),
+        tuple(label for part in parts for label in part.floor),
+    )
+
+
+def read_session(folder: Path) -> Session:
+    """What the session of a folder is. Raises InputError if its file is damaged; OSError if it cannot be read."""
+    file = folder / SESSION
+    try:
+        return storage.decode_json(file.read_text(encoding="utf-8"), Session)
+    except ValueError as error:
+        raise InputError(file, "", str(error), "a session: it comes back with the next message of its phone") from None
+
+
+def write_session(folder: Path, session: Session) -> None:
+    """Write what a session is. Raises OSError of the disk; an earlier file is then unchanged."""
+    write(folder / SESSION, storage.encode_json(session).encode(), durable=True)

@@ -1,0 +1,203 @@
+"""Study webhooks of Sensor Logger: a recording uploaded to a study is fetched, smoothed, and reported in the app.
+
+Off unless studies are configured. Source: STUDY_WEBHOOKS.md of tszheichoi/awesome-sensor-logger. The cloud calls once
+per recording, so that each call is stored before it is answered, and dealt with after a restart too. What is fetched is
+deleted when its report was posted. The smoothing runs in a process of its own, which may fail or hang alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+from urllib.parse import urlencode
+
+import msgspec
+
+from pdr_graph.apps.lifelog.cache import write
+from pdr_graph.apps.serve.daemon_thread import in_daemon_thread
+from pdr_graph.apps.serve.study_report import refusal, report
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line
+from pdr_graph.web_request import TooLongError, anywhere, ask, nowhere
+
+API = "https://sensorlogger.app/api"
+ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
+LONGEST_NAME = 200  # characters of an identity
+MOST_PENDING = 1000  # uploads, each a file of 1 kB
+PATIENCE = 30.0  # [s] for an answer of the cloud to begin or go on
+DOWNLOAD, POST = 600.0, 60.0  # [s] for all of a recording; for a report
+SMOOTHING = 1800.0  # [s] for an estimate
+ATTEMPTS, PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
+SMOOTH = "from pdr_graph.apps.cli import main; main()"
+
+
+class Upload(msgspec.Struct, frozen=True):
+    """A recording in the cloud, as the webhook names it; ``secretCode`` gives access to it."""
+
+    studyId: str  # noqa: N815
+    uploadId: str  # noqa: N815
+    secretCode: str  # noqa: N815
+
+    def __repr__(self) -> str:
+        return f"Upload({one_line(self.studyId)[:40]!r}, {one_line(self.uploadId)[:40]!r})"  # without the code
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file that stores it."""
+        return hashlib.sha256(f"{self.studyId}\0{self.uploadId}".encode()).hexdigest()[:32] + ".json"
+
+
+class CloudError(OSError):
+    """The cloud did not answer (again: worth another attempt), or refused (status: of HTTP)."""
+
+    def __init__(self, text: str, again: bool, status: int = 0):
+        super().__init__(text)
+        self.again, self.status = again, status
+
+
+def upload_of(body: bytes) -> Upload:
+    """Decode a call of the webhook. Raises InputError."""
+    try:
+        upload = msgspec.json.decode(body, type=Upload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError("webhook", "", one_line(str(error)), "JSON with studyId, uploadId and secretCode") from None
+    for text in (upload.studyId, upload.uploadId, upload.secretCode):
+        if not 0 < len(text) <= LONGEST_NAME or not (text.isascii() and text.isprintable()):
+            raise InputError("webhook", "", f"an identity of {len(text)} characters", f"1 to {LONGEST_NAME}, ASCII")
+    return upload
+
+
+@dataclass
+class StudyReports:
+    """Uploads that wait for their report.
+
+    folder: of their files; studies: whose uploads are accepted; plan: of the building, if all walks are in one; say:
+    called with one line about each upload; api: address of the cloud.
+    """
+
+    folder: Path
+    studies: Sequence[str]
+    plan: Path | None = None
+    say: Callable[[str], None] = print
+    api: str = API
+    pause: float = PAUSE
+    _changed: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+
+    def accept(self, upload: Upload) -> None:
+        """Store an upload, to be reported. Raises InputError for another study; OSError if the disk or it is full."""
+        if upload.studyId not in self.studies and ANY not in self.studies:
+            raise InputError("webhook", "studyId", "another study", "one that pdr-graph serve --study names")
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if len(self._pending()) >= MOST_PENDING:
+            raise OSError(f"{MOST_PENDING} uploads are waiting")
+        write(self.folder / upload.file_name, msgspec.json.encode(upload), durable=True)
+        self._changed.set()
+
+    async def run(self) -> None:
+        """Report all uploads, one after the other, for ever."""
+        while True:
+            self._changed.clear()
+            for file in self._pending():
+                await self._report(file)
+            await self._changed.wait()
+
+    def _pending(self) -> list[Path]:
+        return sorted(self.folder.glob("*.json"), key=lambda file: file.stat().st_mtime)
+
+    async def _report(self, file: Path) -> None:
+        """Report one upload; its file is removed at the end, whatever the end was."""
+        try:
+            upload = upload_of(file.read_bytes())
+            await self._repeated(upload)
+        except (InputError, CloudError, OSError) as error:
+            self.say(f"study: {one_line(str(error))}")
+        file.unlink(missing_ok=True)
+
+    async def _repeated(self, upload: Upload) -> None:
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                with tempfile.TemporaryDirectory(prefix="pdr-graph-study-") as folder:
+                    return await self._once(upload, Path(folder))
+            except CloudError as error:
+                if not error.again or attempt == ATTEMPTS:
+                    raise
+                self.say(f"study: {one_line(str(error))}; attempt {attempt + 1} in {attempt * self.pause:.0f} s")
+                await asyncio.sleep(attempt * self.pause)
+
+    async def _once(self, upload: Upload, folder: Path) -> None:
+        recording = folder / "recording.zip"
+        await in_daemon_thread(fetch, self.api, upload, recording)
+        text = await smoothed(recording, folder / "result", self.plan, self.say)
+        await in_daemon_thread(post, self.api, upload, text)
+        self.say(f"study: {upload!r} reported")
+
+
+async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[[str], None]) -> str:
+    """Smooth a recording in another process; return its report in Markdown. say: called with the cause of a failure."""
+    arguments = [sys.executable, "-c", SMOOTH, "smooth", str(recording), "--out", str(out)]
+    arguments += ["--map", str(plan)] if plan is not None else []
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=pipe
+    )
+    try:
+        _, said = await asyncio.wait_for(process.communicate(), SMOOTHING)
+    except TimeoutError:
+        return refusal(f"the estimate took more than {SMOOTHING / 60:.0f} minutes")
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    if process.returncode in (0, EXIT_DEGRADED):
+        return report(json.loads((out / "summary.json").read_text(encoding="utf-8")))
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    if process.returncode == EXIT_REFUSED and lines:
+        return refusal(lines[-1].replace(str(recording), "recording"))
+    say(f"study: the estimate ended with {process.returncode}: {one_line(lines[-1] if lines else '')}")
+    return refusal("the estimate failed; the server's log has the cause")
+
+
+def fetch(api: str, upload: Upload, file: Path) -> None:
+    """Download a recording. Raises CloudError."""
+    with file.open("wb") as out:
+        _ask(api, "study/file/v1", upload, DOWNLOAD, out=out)
+
+
+def post(api: str, upload: Upload, text: str) -> None:
+    """Post a report. Raises CloudError."""
+    try:
+        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "POST")
+    except CloudError as error:
+        if error.status != 405:
+            raise
+        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "PUT")  # as the demonstration of the app does
+
+
+def _ask(
+    api: str,
+    path: str,
+    upload: Upload,
+    whole: float,
+    body: bytes | None = None,
+    method: str = "GET",
+    out: BinaryIO | None = None,
+) -> None:
+    """Ask the cloud, which may redirect to its storage. Raises CloudError, also where the body ends early."""
+    address = f"{api}/{path}?{urlencode({'studyId': upload.studyId, 'uploadId': upload.uploadId})}"
+    headers = {"Authorization": upload.secretCode} | ({} if body is None else {"Content-Type": "text/markdown"})
+    follow = anywhere if body is None else nowhere
+    most = 2**30  # bytes of a recording; an hour at 100 Hz is 100 MB
+    try:
+        answer = ask(address, PATIENCE, whole, most, follow, method=method, body=body, headers=headers, out=out)
+    except OSError as error:
+        again = not isinstance(error, TooLongError)
+        raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again) from None
+    if not 200 <= answer.status < 300:
+        text = f"{upload!r}, {path}: status {answer.status}"
+        raise CloudError(text, again=answer.status >= 500, status=answer.status)

@@ -1,0 +1,1 @@
+"""What experiments need: simulated walks and the systems of the papers."""
