@@ -20,7 +20,7 @@ from typing import Any
 from urllib.parse import quote
 
 from pdr_graph import storage
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, printable
 from pdr_graph.storage import CHECKSUM, Kind
 
 Row = tuple[Any, ...]
@@ -70,11 +70,11 @@ def found_damage(path: Path, check: Check, pages: bool) -> str:
     try:
         with _reading(path) as database:
             verdict = _verdict(database) if pages else "ok"
-            return check(database) if verdict == "ok" else f"damaged ({' '.join(verdict.split())})"
+            return check(database) if verdict == "ok" else f"damaged ({printable(' '.join(verdict.split()))})"
     except UNREADABLE as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
         unreadable = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, *storage.ERRORS)
-        return "" if code in unreadable else f"damaged ({error})"
+        return "" if code in unreadable else f"damaged ({printable(str(error))})"
 
 
 def _verdict(database: sqlite3.Connection) -> str:

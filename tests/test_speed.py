@@ -92,7 +92,6 @@ def test_the_garbage_of_a_walk_is_not_frozen_with_the_modules():
     """A program that smooths many walks would grow with each."""
     code = """
         import gc
-        from pdr_graph.batch import keep_modules
         from pdr_graph.apps.report.output_files import keep_modules
 
         keep_modules()

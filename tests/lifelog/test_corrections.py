@@ -17,7 +17,8 @@ from test_rides import walk_and_ride
 from typer.testing import CliRunner
 from walks import drawn_from_the_model, steps_of
 
-from pdr_graph import InputError, cli
+from pdr_graph import InputError
+from pdr_graph.apps import cli
 from pdr_graph.apps.lifelog import cache, revision
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names

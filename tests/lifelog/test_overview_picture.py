@@ -44,7 +44,7 @@ def no_network(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a request")
 
-    monkeypatch.setattr(maps, "answer_to", refuse)
+    monkeypatch.setattr(maps, "ask", refuse)
 
 
 def drawn(chosen, template=""):

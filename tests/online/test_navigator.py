@@ -5,6 +5,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.lab.simulation.recorders import write
-from pdr_graph.lab.simulation.scenario import MAPS, Scenario
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.online.navigator import Navigator
@@ -284,7 +285,7 @@ def test_any_order_of_events(random, reach):
 @pytest.mark.parametrize("floor", [None, "loop"])
 def test_questions_between_events_change_nothing(floor):
     """A walk is a function of its events, whether its pose, status and path are asked for or not."""
-    plan = None if floor is None else FloorPlan.load(MAPS / f"{floor}.geojson")
+    plan = None if floor is None else FloorPlan.load(Path(__file__).parents[2] / "maps" / f"{floor}.geojson")
     asked, plain = (Navigator(plan, lag=30.0) for _ in range(2))
     for n, event in enumerate(events("loop" if floor else "figure_eight")):
         asked.push(event)

@@ -7,7 +7,8 @@ import pytest
 import shapely
 from typer.testing import CliRunner
 
-from pdr_graph import cli, evaluate, read_trajectory
+from pdr_graph import evaluate, read_trajectory
+from pdr_graph.apps import cli
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 
