@@ -32,7 +32,7 @@ LIMITED = {
     ("errors.py", "SILENT.get()"): "no wait: a variable of this context",
     ("floor/formats/pdf_page.py", "item.get_matrix().get()"): "no wait: a matrix of pypdfium2",
     (
-        "apps/lifelog/cluster.py",
+        "apps/lifelog/workers.py",
         "thread.submit(asyncio.run, greet()).result()",
     ): "greet ends after CONNECT_TIMEOUT + 1 s",
     ("apps/lifelog/workers.py", "future.result()"): "the future is done",
