@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pyproj import Transformer
 
 
+METRES_PER_DEGREE = 111_319.49  # of latitude, and of longitude at latitude 0: earth radius 6378137 m times pi / 180
 Positioned = TypeVar("Positioned", Fixes, Trajectory, Beacons)
 
 

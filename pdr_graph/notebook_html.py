@@ -19,11 +19,11 @@ from pdr_graph.errors import one_line
 
 Array = NDArray[np.float64]
 MOST_POINTS, MOST_AREAS = 1000, 2000  # of a line; of a plan
-WIDTH, TALLEST, LINE_HEIGHT = 360, 360, 40  # [px] of a picture; height of the line of a sensor
+WIDTH, MOST_HEIGHT, LINE_HEIGHT = 360, 360, 40  # [px] of a picture; height of the line of a sensor
 LONGEST_CELL, MOST_SHOWN = 120, 3  # characters of a cell; things of a tuple
-LEFT = 'style="text-align:left"'
+AT_LEFT = 'style="text-align:left"'
 GREY, BLUE, RED, BLACK = "#8a8a8a", "#1f5fbf", "#d1602b", "#111111"  # as in figures
-LINE = 'fill="none" stroke-width="1.5" vector-effect="non-scaling-stroke"'
+LINE_STYLE = 'fill="none" stroke-width="1.5" vector-effect="non-scaling-stroke"'
 
 
 def html_of(record: Any) -> str:
@@ -32,7 +32,7 @@ def html_of(record: Any) -> str:
     names = [field.name for field in fields(record) if field.repr] if is_dataclass(record) else []
     values = ((name, getattr(record, name)) for name in names)
     shown = ((name, value) for name, value in values if value is not None and not _is_empty(value))
-    cells = (f"<tr><th {LEFT}>{escape(name)}</th><td {LEFT}>{_cell(value)}</td></tr>" for name, value in shown)
+    cells = (f"<tr><th {AT_LEFT}>{escape(name)}</th><td {AT_LEFT}>{_cell(value)}</td></tr>" for name, value in shown)
     return f"<div><b>{escape(one_line(repr(record)))}</b><br>{picture}<table>{''.join(cells)}</table></div>"
 
 
@@ -107,7 +107,7 @@ def _map(lines: Sequence[tuple[Array, str]], points: Array = np.empty((0, 2))) -
     if not len(everything):
         return ""
     low, size = everything.min(axis=0), np.maximum(np.ptp(everything, axis=0), 1.0)
-    scale = float(min((WIDTH - 20) / size[0], (TALLEST - 40) / size[1]))  # [px/m]
+    scale = float(min((WIDTH - 20) / size[0], (MOST_HEIGHT - 40) / size[1]))  # [px/m]
     height = size[1] * scale + 40
 
     def place(line: Array) -> Array:
@@ -117,7 +117,7 @@ def _map(lines: Sequence[tuple[Array, str]], points: Array = np.empty((0, 2))) -
     drawn += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{RED}"/>' for x, y in place(marks).tolist()]
     bar = 10 ** np.floor(np.log10(0.6 * WIDTH / scale))  # [m]
     end = 10 + bar * scale
-    drawn.append(f'<path d="M10 {height - 8:.1f}H{end:.1f}" stroke="{BLACK}" {LINE}/>')
+    drawn.append(f'<path d="M10 {height - 8:.1f}H{end:.1f}" stroke="{BLACK}" {LINE_STYLE}/>')
     drawn.append(f'<text x="{end + 5:.1f}" y="{height - 5:.1f}" font-size="11">{bar:g} m</text>')
     return _svg(drawn, WIDTH, height)
 
@@ -142,7 +142,7 @@ def _thinned(line: Array) -> Array:
 
 def _polyline(line: Array, colour: str) -> str:
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in line.tolist())
-    return f'<polyline points="{path}" stroke="{colour}" {LINE}/>'
+    return f'<polyline points="{path}" stroke="{colour}" {LINE_STYLE}/>'
 
 
 def _svg(content: Sequence[str], width: float, height: float) -> str:

@@ -110,7 +110,7 @@ class Plausibility(OneLineRepr):
         hint = ""
         if outline is not None and source is not None and metric:
             hint = _mistaken_metres(self.frame, listed.position, outline)
-            if hint == DEGREES:
+            if hint == DEGREES_HINT:
                 raise InputError(source, "x, y", f"degrees on the plan{hint}", "metres in the plan's frame")
         if outline is not None and plan is not None:
             self.check_plan(plan, outline, hint)
@@ -184,7 +184,7 @@ class Plausibility(OneLineRepr):
         return " (latitude and longitude swapped?)" if near else ""
 
 
-DEGREES = " (time,lat,lon,sigma in the header?)"
+DEGREES_HINT = " (time,lat,lon,sigma in the header?)"
 
 
 def _mistaken_metres(frame: Frame, position: Array, outline: Reach) -> str:
@@ -201,7 +201,7 @@ def _mistaken_metres(frame: Frame, position: Array, outline: Reach) -> str:
     in_degrees = frame.georeferenced and bool((np.abs(position) <= 180).all())
     for lonlat in (position, position[:, ::-1]) if in_degrees else ():
         if np.abs(lonlat[:, 1]).max() <= 90 and on_plan(frame.from_lonlat(lonlat)):
-            return DEGREES
+            return DEGREES_HINT
     if on_plan(position):
         return ""
     corner = outline.low[0]

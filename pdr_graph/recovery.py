@@ -27,7 +27,7 @@ Row = tuple[Any, ...]
 Rows = Mapping[str, Sequence[Sequence[Any]]]  # by the statement that inserts them
 Check = Callable[[sqlite3.Connection], str]  # what is damaged in the rows of a file, "" if nothing is
 Keep = Callable[[Callable[..., list[Row]]], tuple[Rows, str]]  # reader of a table -> rows to keep, what is lost
-UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)  # the latter for names and messages
+UNREADABLE_ROW = (sqlite3.DatabaseError, UnicodeDecodeError)  # the latter for names and messages
 
 
 class DataLossWarning(UserWarning):
@@ -71,9 +71,9 @@ def found_damage(path: Path, check: Check, pages: bool) -> str:
         with _reading(path) as database:
             verdict = _verdict(database) if pages else "ok"
             return check(database) if verdict == "ok" else f"damaged ({printable(' '.join(verdict.split()))})"
-    except UNREADABLE as error:
+    except UNREADABLE_ROW as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
-        unreadable = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, *storage.ERRORS)
+        unreadable = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, *storage.SQLITE_ERRORS)
         return "" if code in unreadable else f"damaged ({printable(str(error))})"
 
 
@@ -89,7 +89,7 @@ def _verdict(database: sqlite3.Connection) -> str:
 def _reading(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection that changes neither the file nor its log."""
     address = f"file:{quote(str(path.resolve()))}?mode=ro"
-    with closing(sqlite3.connect(address, storage.PATIENCE, uri=True)) as database:
+    with closing(sqlite3.connect(address, storage.LOCK_TIMEOUT, uri=True)) as database:
         yield database
 
 
@@ -110,7 +110,7 @@ def _recover(path: Path, kind: Kind, schema: Sequence[str], keep: Keep, damage: 
             database.execute("PRAGMA writable_schema = ON")  # or nothing of a file that is cut could be read
             database.text_factory = lambda text: text.decode(errors="surrogateescape")
             rows, lost = keep(partial(_readable, database))
-    except UNREADABLE as error:
+    except UNREADABLE_ROW as error:
         raise InputError(path, "", f"a {kind.name} that is {damage}, unreadable ({error})", "a backup of it") from None
     if not any(rows.values()):
         raise InputError(path, "", f"a {kind.name} that is {damage}, without a whole row", "a backup of it")
@@ -143,7 +143,7 @@ def _readable(database: sqlite3.Connection, table: str, columns: str = "*") -> l
                 with suppress(UnicodeEncodeError):
                     if b"\0" not in texts.encode():
                         found[number] = tuple(row)
-        except UNREADABLE:
+        except UNREADABLE_ROW:
             continue
     return [found[number] for number in sorted(found)]
 

@@ -35,7 +35,7 @@ FORMAT = 2  # of the bytes; 1 was JSON with the arrays behind it
 HEADER = struct.Struct("<IB")  # checksum, format
 CHECKSUM = 4  # bytes
 ARRAY = 1  # code of the msgpack extension
-SHAPE = struct.Struct("<4sB")  # dtype and number of dimensions, before the dimensions
+ARRAY_SHAPE = struct.Struct("<4sB")  # dtype and number of dimensions, before the dimensions
 SIMPLE = (str, float, int, np.ndarray, type(None))  # values without fields
 DTYPES = frozenset(np.dtype(name).str for name in ("f8", "f4", "c16", "i8", "i4", "u8", "u4", "u1", "?"))
 UNREADABLE = (
@@ -145,7 +145,7 @@ def _plain(value: Any) -> Any:
         what = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
         raise TypeError(f"found {what}, expected texts, numbers, numeric arrays and dataclasses of these")
     code = value.dtype.str.ljust(4).encode()
-    head = SHAPE.pack(code, value.ndim) + struct.pack(f"<{value.ndim}Q", *value.shape)
+    head = ARRAY_SHAPE.pack(code, value.ndim) + struct.pack(f"<{value.ndim}Q", *value.shape)
     return msgspec.msgpack.Ext(ARRAY, head + value.tobytes())
 
 
@@ -153,12 +153,12 @@ def _array(code: int, data: memoryview) -> Any:
     """The numeric array of a msgpack extension, aligned and writable. Raises ValueError for other bytes."""
     if code != ARRAY:
         raise ValueError(f"found msgpack extension {code}")
-    name, dimensions = SHAPE.unpack_from(data)
+    name, dimensions = ARRAY_SHAPE.unpack_from(data)
     text = name.decode("ascii").rstrip()
     if text not in DTYPES or dimensions > 8:  # most dimensions
         raise ValueError(f"found an array of dtype {text!r} and {dimensions} dimensions")
-    shape, dtype = struct.unpack_from(f"<{dimensions}Q", data, SHAPE.size), np.dtype(text)
-    begin = SHAPE.size + 8 * dimensions
+    shape, dtype = struct.unpack_from(f"<{dimensions}Q", data, ARRAY_SHAPE.size), np.dtype(text)
+    begin = ARRAY_SHAPE.size + 8 * dimensions
     if math.prod(shape) * dtype.itemsize != len(data) - begin:
         raise ValueError(f"found an array of shape {shape} in {len(data) - begin} bytes")
     array = np.frombuffer(data, dtype, offset=begin).reshape(shape).copy()
@@ -231,9 +231,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 WAL_LIMIT = 16 << 20  # [bytes] size of the write-ahead log that is kept for reuse
-PATIENCE = 1.0  # [s] to wait for another process to close the file
+LOCK_TIMEOUT = 1.0  # [s] to wait for another process to close the file
 OWNER_ONLY = 0o600  # positions are private; SQLite gives its -wal the mode of the file itself
-ERRORS = {
+SQLITE_ERRORS = {
     sqlite3.SQLITE_FULL: errno.ENOSPC,
     sqlite3.SQLITE_READONLY: errno.EROFS,
     sqlite3.SQLITE_IOERR: errno.EIO,
@@ -270,7 +270,7 @@ def create_or_open(
     _recognise(path, kind)
     with explained(path, kind):
         os.close(os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY))
-        database = sqlite3.connect(path, PATIENCE, isolation_level=None, check_same_thread=False)
+        database = sqlite3.connect(path, LOCK_TIMEOUT, isolation_level=None, check_same_thread=False)
     try:
         with explained(path, kind):
             database.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -300,8 +300,8 @@ def explained(path: Path, kind: Kind) -> Iterator[None]:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF  # without the details
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
-        if code in ERRORS:
-            raise OSError(ERRORS[code], f"{error}", str(path)) from None
+        if code in SQLITE_ERRORS:
+            raise OSError(SQLITE_ERRORS[code], f"{error}", str(path)) from None
         raise InputError(path, "", f"a damaged {kind.name} ({error})", f"one that is whole{kind.repair}") from None
 
 

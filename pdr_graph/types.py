@@ -38,8 +38,10 @@ INSTANT = 1e-6  # [s]: times closer than this are the same instant
 FARTHEST = 1e8  # [m] largest coordinate and sigma of a usable position: eastings with their zone have up to 6e7
 FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
 Limits = dict[str, tuple[float, float]]  # least and largest value of a column, by its name
+DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
+UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
 
 
@@ -156,6 +158,7 @@ class Sensor(StrEnum):
 
 
 SENSORS = tuple(sensor.value for sensor in Sensor)
+INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
 
 
 def unknown_sensor(value: object) -> str:

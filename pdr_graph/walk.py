@@ -59,9 +59,9 @@ from pdr_graph.types import (
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
-FASTEST_RATE = 1000.0  # [Hz] largest rate of output rows
+FASTEST_OUTPUT = 1000.0  # [Hz] largest rate of output rows
 LARGEST_LATENCY = 60.0  # [s]
-SHORTEST, TALLEST = 0.5, 2.8  # [m] height of a walker
+SHORTEST_WALKER, TALLEST_WALKER = 0.5, 2.8  # [m] height of a walker
 LIVE = "live"  # the method of a navigator
 LIVE_ONLY = ("lag", "journal")  # options of that method alone
 
@@ -107,8 +107,8 @@ class Options:
 
     def __post_init__(self) -> None:
         """Raise InputError if a number is out of range."""
-        if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
-            raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+        if self.rate is not None and not 0 < self.rate <= FASTEST_OUTPUT:
+            raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_OUTPUT:.0f} Hz")
         if self.start_heading is not None and not abs(self.start_heading) <= 360:
             expected = "degrees clockwise from north, -360 to 360"
             raise InputError("--start-heading", "", f"{self.start_heading}", expected)
@@ -116,9 +116,9 @@ class Options:
             hint = " (milliseconds?)" if LARGEST_LATENCY < abs(self.gnss_latency) <= 1000 * LARGEST_LATENCY else ""
             expected = f"seconds from -{LARGEST_LATENCY:.0f} to {LARGEST_LATENCY:.0f}"
             raise InputError("--gnss-latency", "", f"{self.gnss_latency}{hint}", expected)
-        if self.height is not None and not SHORTEST <= self.height <= TALLEST:
-            hint = " (centimetres?)" if 100 * SHORTEST <= self.height <= 100 * TALLEST else ""
-            expected = f"metres from {SHORTEST} to {TALLEST}"
+        if self.height is not None and not SHORTEST_WALKER <= self.height <= TALLEST_WALKER:
+            hint = " (centimetres?)" if 100 * SHORTEST_WALKER <= self.height <= 100 * TALLEST_WALKER else ""
+            expected = f"metres from {SHORTEST_WALKER} to {TALLEST_WALKER}"
             raise InputError("--height", "", f"{self.height}{hint}", expected)
 
     def person(self) -> Walker:
@@ -134,7 +134,7 @@ class Options:
 
 
 FASTEST_FIXES = 25.0  # [Hz] of the fastest receivers; each fix costs milliseconds, and denser ones repeat each other
-OPEN = "the direction of dead reckoning from one fix is open"
+UNDECIDED = "the direction of dead reckoning from one fix is open"
 SMOOTHED = ("graph", "rts")  # methods whose report also shows the causal filter
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
 UNDETECTED = "steps: none were found, so that this is the fixes alone, smoothed"
@@ -554,7 +554,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     ]
     reports[first : first + 1] = alone.fixes
     track = replace(track, floor=graph.floors)
-    direction = Contradiction("route", "other directions", 2 * np.pi, "rad", OPEN, "--method graph uses all fixes")
+    direction = Contradiction("route", "other directions", 2 * np.pi, "rad", UNDECIDED, "--method graph uses all fixes")
     found = (*alone.contradictions, direction)
     reports_of_kinds = {"fixes": tuple(reports)}
     return replace(alone, trajectory=track, reports=reports_of_kinds, probability=float("nan"), contradictions=found)

@@ -23,7 +23,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
-from pdr_graph.lab.simulation.itinerary import FRONT
+from pdr_graph.lab.simulation.itinerary import SHOP_FRONT
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
@@ -213,7 +213,7 @@ class Ways:
             on = a + (FROM_CORNER + length[n] * random.random()) * along
             aisle = self.aisle(on, ahead)
             near, far = TOWARDS[0], min(TOWARDS[1], aisle - KEPT)
-            place = on + FRONT * ahead
+            place = on + SHOP_FRONT * ahead
             if far > near and np.hypot(*(place - at)) > TOWARDS[1]:
                 return self.names[n], on + random.uniform(near, far) * ahead, place, aisle
 

@@ -54,10 +54,10 @@ LIMITED = {
     ("apps/serve/study.py", "self._changed.wait()"): "for the next upload, until the server ends and cancels it",
     (
         "storage.py",
-        "sqlite3.connect(path, PATIENCE, isolation_level=None, check_same_thread=False)",
-    ): "PATIENCE is its timeout",
+        "sqlite3.connect(path, LOCK_TIMEOUT, isolation_level=None, check_same_thread=False)",
+    ): "LOCK_TIMEOUT is its timeout",
     ("apps/lifelog/store.py", "sqlite3.connect(':memory:')"): "it is in memory",
-    ("recovery.py", "sqlite3.connect(address, storage.PATIENCE, uri=True)"): "PATIENCE is its timeout",
+    ("recovery.py", "sqlite3.connect(address, storage.LOCK_TIMEOUT, uri=True)"): "LOCK_TIMEOUT is its timeout",
 }
 
 

@@ -137,8 +137,8 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
 
 MOST_CHECKED = 1000  # scans for that, evenly chosen
 ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
-UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
-UNREADABLE += (MemoryError,)  # numpy allocates what the header of an array states
+UNREADABLE_MAP = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+UNREADABLE_MAP += (MemoryError,)  # numpy allocates what the header of an array states
 LARGEST_MAP = 500_000_000  # [bytes] unpacked: 60 000 fingerprints of 2000 transmitters
 
 
@@ -227,7 +227,7 @@ class RadioMap:
             with np.load(path, allow_pickle=False) as arrays:
                 stored = {name: arrays[name] for name in ARRAYS}
             frame = json.loads(str(stored["frame"]))
-        except UNREADABLE as error:
+        except UNREADABLE_MAP as error:
             raise InputError(path, "", f"{error}", "a radio map as pdr-graph radio-map writes it") from None
         _check(path, stored, frame)
         return cls(

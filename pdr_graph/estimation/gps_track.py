@@ -44,8 +44,8 @@ from pdr_graph.geometry import ANY_HEADING, interpolate, length_along, viterbi
 from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, TRACK, TRAVEL
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
 
-SHORTEST = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
-NOWHERE = 1e-12  # [1/m²] prior information on the position of the first knot
+SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
+FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
 
 
@@ -153,7 +153,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
 
 def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the one before."""
-    span = np.maximum(np.diff(gps.time), SHORTEST)
+    span = np.maximum(np.diff(gps.time), SHORTEST_INTERVAL)
     leads, kept, noise = _moves(span, motion)
     still = np.exp(-span / RECEIVERS.standing)
     F, inverse = np.zeros((2, len(span), 3, 3))
@@ -164,7 +164,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     diagonal = np.zeros((len(gps.time), 3, 3))
     diagonal[1:] += inverse
     diagonal[:-1] += back @ F
-    diagonal[0] += np.diag([NOWHERE, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
+    diagonal[0] += np.diag([FIRST_INFORMATION, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
     return diagonal, -back.transpose(0, 2, 1)
 
 
@@ -240,7 +240,7 @@ def nearest_sample(straight: Straightness, time: Array) -> Index:
     return np.maximum(np.searchsorted(straight.time, time, side="right") - 1, 0)
 
 
-STANDS, WALKS, RIDES = STATES = range(3)  # transport modes: the hidden states
+STANDS, WALKS, RIDES = MODES = range(3)  # transport modes: the hidden states
 UNLIKELY = 1e-12  # least likelihood
 
 
@@ -281,7 +281,7 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
     open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
     cost = _by_speed(epochs, knots, way, TRAVEL.narrow) + lead
-    decided = np.where(np.array(STATES) == state[:, None], 0.0, np.inf)
+    decided = np.where(np.array(MODES) == state[:, None], 0.0, np.inf)
     state = _without_jumps(_most_probable(np.where(open_[:, None], cost, decided), epochs), epochs)
     at = np.searchsorted(epochs.start, (knots.time[1:] + knots.time[:-1]) / 2, side="right") - 1
     return state[at]
@@ -289,7 +289,7 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
 
 def _most_probable(cost: Array, epochs: Epochs) -> Index:
     """The states ``(e,)`` of least cost; stretches are independent."""
-    change = -np.log(TRAVEL.epoch / TRAVEL.lasts / (len(STATES) - 1)) * (1 - np.eye(len(STATES)))
+    change = -np.log(TRAVEL.epoch / TRAVEL.lasts / (len(MODES) - 1)) * (1 - np.eye(len(MODES)))
     return viterbi(cost, change * ~epochs.begins[1:, None, None])[0]
 
 
@@ -359,7 +359,7 @@ def _normal(value: Array, sigma: Array) -> Array:
     return np.exp(-((value / sigma) ** 2) / 2) / sigma / np.sqrt(2 * np.pi)
 
 
-LOST = len(STATES)  # transport mode where there is no data
+LOST = len(MODES)  # transport mode where there is no data
 BRIDGE = 4  # parts of a gap: with linear interpolation between their ends, the variance is a seventh too low at most
 
 

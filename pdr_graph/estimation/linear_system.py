@@ -189,7 +189,7 @@ def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
 ROOT = 48  # variables that are eliminated last, as one dense matrix
 FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
 SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
-FEWEST = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
+NEIGHBOUR_QUANTILE = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
 FEW_PLACES = 0.5  # share of all places that occur, below which sums are made for these alone
 INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
 INDETERMINATE_TEXT = "the factors do not determine all variables"
@@ -351,7 +351,7 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
     rounds, edges = list[tuple[Index, Index]](), [u * (count + 1) + v]
     while np.count_nonzero(alive) > ROOT:
         degree = np.bincount(u, minlength=count)
-        few, *_ = np.quantile(degree[alive], [FEWEST], method="lower")
+        few, *_ = np.quantile(degree[alive], [NEIGHBOUR_QUANTILE], method="lower")
         if few > SPARSE * np.count_nonzero(alive):
             break
         candidate = alive & (degree <= few)
@@ -509,7 +509,7 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
     return np.ascontiguousarray(inverse.transpose(2, 0, 1)), -float(np.log(p * q * r).sum())
 
 
-MOST_AT_ONCE = 2000  # pieces whose matrices fit into a processor's cache
+CACHED_MATRICES = 2000  # pieces whose matrices fit into a processor's cache
 
 
 def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
@@ -523,8 +523,8 @@ def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tupl
     R_0, first = pose_rotation(at.pose_i[:1, 2]), np.zeros(1, dtype=np.intp)
     covariance = np.empty((1 + len(which), 3, 3))
     covariance[:1] = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
-    for n in range(0, len(which), MOST_AT_ONCE):
-        part = which[n : n + MOST_AT_ONCE]
+    for n in range(0, len(which), CACHED_MATRICES):
+        part = which[n : n + CACHED_MATRICES]
         i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
         joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))
         covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint[of_piece], at, part)

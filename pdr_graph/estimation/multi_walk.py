@@ -35,7 +35,7 @@ from pdr_graph.types import (
 )
 
 BETWEEN = 3600.0  # [s] between two walks on the common time axis
-ANYWHERE = 1e4 / BETWEEN  # [m/s] sigma of the speed there: the next walk starts anywhere within ten kilometres
+ANYWHERE_SPEED = 1e4 / BETWEEN  # [m/s] sigma of the speed there: the next walk starts anywhere within ten kilometres
 ANY_TURN = 30.0  # [rad] sigma of the turn there
 
 
@@ -57,7 +57,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
     steps = [shifted(graph.steps, by) for graph, by in zip(graphs, begins, strict=True)]
     whole = steps[0]
     for walk_steps in steps[1:]:
-        between = gap(whole.end, walk_steps.start, 0.0, ANY_TURN, ANYWHERE)
+        between = gap(whole.end, walk_steps.start, 0.0, ANY_TURN, ANYWHERE_SPEED)
         whole = append_steps(append_steps(whole, between), walk_steps)
     floors = [graph.floors for graph in graphs]
     labels = [

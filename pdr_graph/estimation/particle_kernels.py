@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pdr_graph.types import Array, Index
 
-WALLS = "Tuple((f8[::1], f8, i8[:,::1], i8, i8, i8[::1], f8[::1], i8))"  # of `DistanceField.pixel_table`
-ERRORS = "f8[:,::1], f4[::1], f4[::1]"  # random errors, cosine and sine of the course
-MOTION = "UniTuple(f8, 4)"  # `particle_filter.Motion`
+WALLS_TYPE = "Tuple((f8[::1], f8, i8[:,::1], i8, i8, i8[::1], f8[::1], i8))"  # of `DistanceField.pixel_table`
+ERRORS_TYPE = "f8[:,::1], f4[::1], f4[::1]"  # random errors, cosine and sine of the course
+MOTION_TYPE = "UniTuple(f8, 4)"  # `particle_filter.Motion`
 COSTS = "UniTuple(f8, 5)"  # `particle_filter.costs`
 
 
-@njit(f"f4[::1](f8[:,::1], i8[::1], f8[:,::1], {MOTION})", cache=True)
+@njit(f"f4[::1](f8[:,::1], i8[::1], f8[:,::1], {MOTION_TYPE})", cache=True)
 def courses(state: Array, origin: Index, errors: Array, motion) -> NDArray[np.float32]:
     """Courses ``(k,)`` [rad] in the middle of a step from ``state[:, origin]`` with errors ``(3, k)``."""
     _, turn, time, _ = motion
@@ -29,7 +29,7 @@ def courses(state: Array, origin: Index, errors: Array, motion) -> NDArray[np.fl
     return course
 
 
-@njit(f"Tuple((f8[::1], f8[::1], b1))(f8[::1], f8[::1], f8[::1], f8[::1], f8, {WALLS})", cache=True)
+@njit(f"Tuple((f8[::1], f8[::1], b1))(f8[::1], f8[::1], f8[::1], f8[::1], f8, {WALLS_TYPE})", cache=True)
 def _clearances(x: Array, y: Array, dx: Array, dy: Array, looks: float, walls):
     """Least distance ``(k,)`` [m] along displacements, that at their ends, and False if a tile is missing."""
     corner, scale, last_pixel, rows, bits, address, pixels, missing = walls
@@ -52,7 +52,7 @@ def _clearances(x: Array, y: Array, dx: Array, dy: Array, looks: float, walls):
 
 
 @njit(
-    f"Tuple((f8[:,::1], f8[::1], i8[::1], b1))(f8[:,::1], {ERRORS}, {MOTION}, {COSTS}, {WALLS})",
+    f"Tuple((f8[:,::1], f8[::1], i8[::1], b1))(f8[:,::1], {ERRORS_TYPE}, {MOTION_TYPE}, {COSTS}, {WALLS_TYPE})",
     cache=True,
 )
 def first_try(state: Array, errors: Array, cos: Array, sin: Array, motion, costs, walls):
@@ -81,7 +81,7 @@ def first_try(state: Array, errors: Array, cos: Array, sin: Array, motion, costs
 
 
 @njit(
-    f"b1(f8[:,::1], i8[::1], {ERRORS}, {MOTION}, {COSTS}, {WALLS}, f8[::1], f8[:,::1], f8[::1])",
+    f"b1(f8[:,::1], i8[::1], {ERRORS_TYPE}, {MOTION_TYPE}, {COSTS}, {WALLS_TYPE}, f8[::1], f8[:,::1], f8[::1])",
     cache=True,
 )
 def further_tries(

@@ -222,11 +222,11 @@ def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *
 
 
 ROUTE = "route"  # source of a contradiction that only leaves open where the walk went
-STEPS = "steps and the rest"  # what contradicts fixes without another source of positions
+STEPS_AND_REST = "steps and the rest"  # what contradicts fixes without another source of positions
 CHECK_FIXES = "the fixes, their sigmas and their clock; the list of beacons"
 CHECK_LIST = "the list of beacons: another building or floor? moved or swapped ones?"
 NO_EVIDENCE = (LOUD_BEACON, REPEATED, FIRST_ONLY)  # reasons of fixes that neither confirm nor contradict a walk
-MOST_FIXES = 200  # among which the two farthest apart are searched
+FIXES_COMPARED = 200  # among which the two farthest apart are searched
 
 
 def verdict(estimate: Estimate) -> Verdict:
@@ -295,7 +295,7 @@ def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     share, other = rejected / max(len(used), 1), _other_source(estimate)
     if share > VERDICTS.doubtful:
         text = f"{rejected} of {count(len(used), 'fix')} contradict the {other}, with weight 0"
-        state = FAILED if share >= VERDICTS.failed and other == STEPS else DOUBTFUL
+        state = FAILED if share >= VERDICTS.failed and other == STEPS_AND_REST else DOUBTFUL
         text += ": where the walk was is a guess" * (state == FAILED)
         yield Contradiction("fixes", other, share, "share", text, CHECK_FIXES, state)
 
@@ -303,7 +303,7 @@ def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 def _other_source(estimate: Estimate) -> str:
     """What determines the walk beside its fixes: the beacons, the ranges, another kind that does, else the steps."""
     locating = locating_kinds()
-    return next((kind for kind in estimate.reports if kind in locating and estimate.reports[kind]), STEPS)
+    return next((kind for kind in estimate.reports if kind in locating and estimate.reports[kind]), STEPS_AND_REST)
 
 
 def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
@@ -397,7 +397,7 @@ def teaches_profile(estimate: Estimate) -> bool:
 
 def _stride_sigma(fixes: Sequence[FixReport]) -> float:
     """Sigma of the stride scale by the two of these fixes that determine it best, from their distance alone."""
-    some = [fixes[n] for n in np.unique(np.linspace(0, len(fixes) - 1, MOST_FIXES).astype(int)).tolist()]
+    some = [fixes[n] for n in np.unique(np.linspace(0, len(fixes) - 1, FIXES_COMPARED).astype(int)).tolist()]
     x, y, sigma = np.array([(fix.x, fix.y, fix.sigma) for fix in some]).T
     apart = np.hypot(x - x[:, None], y - y[:, None])
     return float(np.min(np.hypot(sigma, sigma[:, None]) / np.maximum(apart, 1e-9)))

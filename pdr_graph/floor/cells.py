@@ -37,16 +37,16 @@ WALKABLE = (*OPEN, *CLOSED, DOOR)
 WALL = "wall"
 SOLID = (WALL, "shop", "place")
 LINK, BEACON = "link", "beacon"
-KINDS = (OUTLINE, *WALKABLE, *SOLID, LINK, BEACON)
+CELL_KINDS = (OUTLINE, *WALKABLE, *SOLID, LINK, BEACON)
 
 
 @dataclass(frozen=True)
 class Area(OneLineRepr):
     """One feature of a plan.
 
-    kind: one of KINDS; shape: a polygon; a wall or door may be a line; a door, place or beacon may be a point; a link
-    is a line that people walk along [m]; properties: all other properties in the file; floors: labels of its floors,
-    empty if it is on all.
+    kind: one of CELL_KINDS; shape: a polygon; a wall or door may be a line; a door, place or beacon may be a point; a
+    link is a line that people walk along [m]; properties: all other properties in the file; floors: labels of its
+    floors, empty if it is on all.
     """
 
     kind: str

@@ -14,7 +14,7 @@ from pdr_graph.types import Array, Index
 NODE_SPACING = 0.25  # [m] between grid nodes: bilinear error of 0.05 m at the 99th percentile
 NODES = 33  # per side of a tile, whose border nodes it shares with its neighbours: 8 m
 BLOCKS = 3  # per side of a tile, for each of which the walls nearby are sought
-AT_ONCE = 1000  # pairs of a block and a wall
+PAIRS = 1000  # pairs of a block and a wall
 TILE = NODE_SPACING * (NODES - 1)
 DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
 SIMPLIFIED = 0.01  # [m] by which such an outline may change
@@ -197,8 +197,8 @@ class DistanceField:
         reach[which] = nearest + np.sqrt(2) * NODE_SPACING * x.shape[1]
         block, wall = self._tree.query(middles, predicate="dwithin", distance=reach)
         least = np.full((len(row), len(x.T), len(y.T)), np.inf)
-        for begin in range(0, len(block), AT_ONCE):  # that many walls may lie in one place is no reason to need memory
-            some, walls = block[begin : begin + AT_ONCE], wall[begin : begin + AT_ONCE]
+        for begin in range(0, len(block), PAIRS):  # many walls in one place are no reason to need memory
+            some, walls = block[begin : begin + PAIRS], wall[begin : begin + PAIRS]
             apart = _from_segments(x[column[some], None, :], y[row[some], :, None], self._ends[walls])
             here, start = np.unique(some, return_index=True)
             least[here] = np.minimum(least[here], np.minimum.reduceat(apart, start))

@@ -26,7 +26,7 @@ from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
-INTERSECTION, CORRIDOR = "intersection", "corridor"
+INTERSECTION_KIND, CORRIDOR_KIND = "intersection", "corridor"
 # Tolerances of a drawing, chosen by hand
 TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet
 WALL_THICKNESS = 0.05  # [m] of a wall drawn as a line
@@ -171,11 +171,11 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
 
     Links follow the lines of kind ``link``, or the axes of the corridors if there are none.
     """
-    crossings = [a.shape for a in areas if a.kind == INTERSECTION and a.is_polygon]
+    crossings = [a.shape for a in areas if a.kind == INTERSECTION_KIND and a.is_polygon]
     if not crossings:
         return None
     axes = [a.shape for a in areas if a.kind == LINK]
-    axes = axes or [_axis(a.shape, crossings) for a in areas if a.kind == CORRIDOR and a.is_polygon]
+    axes = axes or [_axis(a.shape, crossings) for a in areas if a.kind == CORRIDOR_KIND and a.is_polygon]
     nodes = [shapely.get_coordinates(shapely.centroid(c))[0] for c in crossings]
     corners = [_four_corners(c) for c in crossings]
     links, lines = list[tuple[int, int]](), list[Array]()

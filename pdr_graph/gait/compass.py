@@ -47,7 +47,7 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
     compass.locate(frame, near, whole.epoch)
     of_stretch: dict[int, LiveHeading] = {}
     for gait in gait_signals(recording):
-        for piece in gait.pieces(PIECE):
+        for piece in gait.pieces(EVALUATION_INTERVAL):
             before, used = used, int(np.searchsorted(field.time, piece.attitude.time[-1], side="right")) + 1
             compass.push(field.time[before:used], field.values[before:used])
             compass.update(piece)
@@ -63,9 +63,9 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
     return int(among[np.argmin(np.abs(turned))])
 
 
-PIECE = 30.0  # [s] of a recording between evaluations
+EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
-HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
+HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
 
 
@@ -208,7 +208,7 @@ class LiveCompass:
 
     def _walked(self, samples: Array) -> float:
         """Time of walking among samples. [s]"""
-        return float(samples[:, WALKING].sum()) * self.spacing
+        return float(samples[:, IS_WALKING].sum()) * self.spacing
 
     def _due(self, step: float) -> float:
         """Time of walking in the stretch at which the next evaluation is due [s]; step: duration of a step [s]."""
@@ -249,12 +249,12 @@ class LiveCompass:
         walked: time of walking among them [s].
         """
         self.evaluated, spacing = walked, self.spacing
-        stood = max(0, int(np.argmax(samples[:, WALKING] > 0.5)) - round(NORTH.alike / spacing))  # in one disturbance
+        stood = max(0, int(np.argmax(samples[:, IS_WALKING] > 0.5)) - round(NORTH.alike / spacing))  # one disturbance
         samples, begin = samples[stood:], begin + stood * spacing
         attitude = Rotation.from_quat(samples[:, ATTITUDE])
         time = begin + spacing * np.arange(len(samples), dtype=float)
         part = Attitude(time, spacing, attitude, samples[:, ACCELERATION], np.zeros((len(samples), 3)))
-        heading, walking = samples[:, HEADING], samples[:, WALKING] > 0.5
+        heading, walking = samples[:, HEADING], samples[:, IS_WALKING] > 0.5
 
         # The direction by this stretch alone
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)

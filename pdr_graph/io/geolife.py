@@ -7,11 +7,11 @@ import numpy as np
 from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.types import Array, Fixes, Recording
+from pdr_graph.types import DAY_LENGTH, Array, Fixes, Recording
 
 NAME = "GeoLife"
 HEADER_LINES = 6
-EPOCH_1899, DAY = -2_209_161_600.0, 86_400.0  # [s] Unix time of 1899-12-30, where days count from; one day
+EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, where days count from
 
 
 def recognizes(source: Source) -> bool:
@@ -32,5 +32,5 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     lines = source.text(name).rstrip().split("\n")[HEADER_LINES:]
     rows = TextRows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
     lat, lon, days = rows.floats((0, 1, 4)).T
-    time: Array = np.round(days * DAY + EPOCH_1899)  # times are whole seconds; the decimals of a day are not exact
+    time: Array = np.round(days * DAY_LENGTH + EPOCH_1899)  # whole seconds; the decimals of a day are not exact
     return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

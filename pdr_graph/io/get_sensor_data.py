@@ -22,10 +22,10 @@ from pdr_graph.io.validation import build_recording, receiver_fixes, surveyed
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
 
 NAME = "GetSensorData (IPIN, xDR)"
-SENSORS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
-TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
+SENSOR_TAGS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
+TAGS = (*SENSOR_TAGS, "GNSS", "POSI", "BLE4", "WIFI")
 SEPARATORS = (";", ",", "\t")
-FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
+FIRST_TAGGED_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
 MAXIMUM_CLOCK_DRIFT = 1.0  # [s] between the clocks of app and sensor; up to 0.35 s on real logs
 
 
@@ -35,7 +35,7 @@ def recognizes(source: Source) -> bool:
     if name is None:
         return False
     head = source.head(name, 16_384)
-    return b"GetSensorData" in head or bool(FIRST_ROW.search(head))
+    return b"GetSensorData" in head or bool(FIRST_TAGGED_ROW.search(head))
 
 
 def read(source: Source) -> Recording:
@@ -43,7 +43,7 @@ def read(source: Source) -> Recording:
     name = source.single or ""
     rows = rows_by_tag(source.where(name), source.text(name, errors="replace").split("\n"))
     notes: list[str] = []
-    tables = {sensor: _sensor(tag, rows[tag], notes) for tag, sensor in SENSORS.items() if tag in rows}
+    tables = {sensor: _sensor(tag, rows[tag], notes) for tag, sensor in SENSOR_TAGS.items() if tag in rows}
     fixes, unix_zero = _gnss(rows.get("GNSS"), notes)
     return build_recording(
         source.where(name),
@@ -114,7 +114,7 @@ def _sensor(tag: str, rows: TextRows, notes: list[str]) -> Array:
     offset = float(np.median(lag)) if len(lag) else 0.0
     drift = float(np.percentile(np.abs(lag - offset), 99)) if len(lag) else 0.0
     if drift > MAXIMUM_CLOCK_DRIFT:
-        notes.append(f"{SENSORS[tag]}: its clock and the app's differ by {drift:.2f} s; the app's clock is used")
+        notes.append(f"{SENSOR_TAGS[tag]}: its clock and the app's differ by {drift:.2f} s; the app's clock is used")
         return np.delete(table, 1, axis=1)
     return np.column_stack([sensor + offset, table[:, 2:]])
 

@@ -17,12 +17,12 @@ from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GnssLogger"
-SENSORS = {
+SENSOR_ROWS = {
     "accelerometer": ("Accel", "UncalAccel"),
     "gyroscope": ("Gyro", "UncalGyro"),
     "magnetometer": ("Mag", "UncalMag"),
 }
-KINDS = ("Fix", *(kind for kinds in SENSORS.values() for kind in kinds))
+ROW_KINDS = ("Fix", *(kind for kinds in SENSOR_ROWS.values() for kind in kinds))
 PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the best first; one of them is used
 
 
@@ -40,7 +40,7 @@ def read(source: Source) -> Recording:
     tables = _tables(source.where(name), source.text(name, errors="replace"))
     notes: list[str] = []
     sensors = {}
-    for sensor, kinds in SENSORS.items():
+    for sensor, kinds in SENSOR_ROWS.items():
         kind = next((kind for kind in kinds if kind in tables), None)
         if kind is not None:
             sensors[sensor] = _sensor(tables[kind])
@@ -51,8 +51,8 @@ def read(source: Source) -> Recording:
 def _tables(where: str, text: str) -> dict[str, Table]:
     """A table of each kind of row, with the column names of the header comment."""
     headers: dict[str, tuple[str, ...]] = {}
-    lines: dict[str, list[str]] = {kind: [] for kind in KINDS}
-    numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
+    lines: dict[str, list[str]] = {kind: [] for kind in ROW_KINDS}
+    numbers: dict[str, list[int]] = {kind: [] for kind in ROW_KINDS}
     for number, line in enumerate(text.split("\n"), start=1):
         kind = line[: line.find(",")]
         if kind in lines:
@@ -61,11 +61,11 @@ def _tables(where: str, text: str) -> dict[str, Table]:
         elif line.startswith("#"):
             names = tuple(name.strip() for name in line[1:].split(","))
             headers[names[0]] = names
-    nameless = [kind for kind in KINDS if lines[kind] and kind not in headers]
+    nameless = [kind for kind in ROW_KINDS if lines[kind] and kind not in headers]
     if nameless:
         found = f"{nameless[0]} rows, without a comment that names their columns"
         raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
-    return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in KINDS if lines[k]}
+    return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in ROW_KINDS if lines[k]}
 
 
 def _sensor(table: Table) -> Array:

@@ -18,13 +18,13 @@ from pdr_graph.io.validation import build_recording, surveyed
 from pdr_graph.types import Array, Recording, Sightings, Trajectory
 
 NAME = "Indoor Location Competition 2.0"
-SENSORS = {
+SENSOR_TYPES = {
     "TYPE_ACCELEROMETER": "accelerometer",
     "TYPE_GYROSCOPE": "gyroscope",
     "TYPE_MAGNETIC_FIELD": "magnetometer",
 }
 WAYPOINT = "TYPE_WAYPOINT"
-KINDS = (*SENSORS, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
+RECORD_TYPES = (*SENSOR_TYPES, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
 
 
 def recognizes(source: Source) -> bool:
@@ -42,7 +42,7 @@ def read(source: Source) -> Recording:
     where = source.where(name)
     lines = _complete(where, source.text(name).split("\n"))
     rows, notes = _rows_by_kind(where, lines)
-    tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSORS.items() if len(rows[kind])}
+    tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSOR_TYPES.items() if len(rows[kind])}
     if not {"accelerometer", "gyroscope"} & set(tables):
         raise InputError(where, "", "no accelerometer and no gyroscope rows", "the rows of an inertial sensor")
     return build_recording(
@@ -67,9 +67,9 @@ def _complete(where: str, lines: list[str]) -> list[str]:
 
 
 def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], list[str]]:
-    """The rows of each kind of KINDS, with their line numbers; and a note on lines that are not rows."""
-    texts: dict[str, list[str]] = {kind: [] for kind in KINDS}
-    numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
+    """The rows of each of RECORD_TYPES, with their line numbers; and a note on lines that are not rows."""
+    texts: dict[str, list[str]] = {kind: [] for kind in RECORD_TYPES}
+    numbers: dict[str, list[int]] = {kind: [] for kind in RECORD_TYPES}
     unknown: list[int] = []
     for number, line in enumerate(lines, start=1):
         second = line.find("\t") + 1
@@ -81,7 +81,7 @@ def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], li
         elif line and line[0] != "#" and not kind.startswith("TYPE_"):
             unknown.append(number)
     notes = [f"{len(unknown)} lines are not rows (the first: line {unknown[0]})"] if unknown else []
-    return {kind: TextRows(where, texts[kind], numbers[kind], "\t") for kind in KINDS}, notes
+    return {kind: TextRows(where, texts[kind], numbers[kind], "\t") for kind in RECORD_TYPES}, notes
 
 
 def _table(kind: str, rows: TextRows) -> Array:

@@ -14,12 +14,11 @@ from pdr_graph.errors import InputError
 from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, surveyed
-from pdr_graph.types import Array, Fixes, Recording
+from pdr_graph.types import UTM_32N, Array, Fixes, Recording
 
 NAME = "IPIN21Data"
-SENSORS = {"acc.csv": "accelerometer", "gyr.csv": "gyroscope", "mag.csv": "magnetometer", "bar.csv": "barometer"}
+SENSOR_FILES = {"acc.csv": "accelerometer", "gyr.csv": "gyroscope", "mag.csv": "magnetometer", "bar.csv": "barometer"}
 FIRST_ROW = re.compile(rb"^\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)")
-EPSG = 32632  # UTM zone 32N
 FIX_NAME = re.compile(r"err(\d+(?:\.\d+)?)m?$")
 
 
@@ -34,7 +33,7 @@ def read(source: Source) -> Recording:
 
     The simulated fixes in the folder are alternatives, which are not read: the user chooses one with ``--fixes``.
     """
-    tables = {sensor: _sensor(source, name) for file, sensor in SENSORS.items() if (name := source.named(file))}
+    tables = {sensor: _sensor(source, name) for file, sensor in SENSOR_FILES.items() if (name := source.named(file))}
     track = next((n for n in source.names if PurePosixPath(n).name.lower().startswith("groundtruth")), None)
     alternatives = [n for n in source.names if FIX_NAME.search(PurePosixPath(n).stem)]
     notes = (
@@ -43,7 +42,7 @@ def read(source: Source) -> Recording:
     truth = None
     if track is not None:
         rows = _numbers(source.where(track), source.text(track), 3)
-        truth = surveyed(rows[:, 0], rows[:, 1:3], epsg=EPSG)
+        truth = surveyed(rows[:, 0], rows[:, 1:3], epsg=UTM_32N)
     return build_recording(str(source.path), source.path.stem, tables, 0.0, truth=truth, notes=notes)
 
 
@@ -59,7 +58,7 @@ def read_fixes(path: Path, text: str) -> Fixes:
         raise InputError(path, "its name", repr(path.stem), "a name that states the error, as 'freq10_s_err5m.csv'")
     rows = _numbers(str(path), text, 3)
     sigma = np.full(len(rows), float(stated[1]) / np.sqrt(3))
-    return Fixes(rows[:, 0], rows[:, 1:3], sigma, ("",) * len(rows), EPSG)
+    return Fixes(rows[:, 0], rows[:, 1:3], sigma, ("",) * len(rows), UTM_32N)
 
 
 def _sensor(source: Source, name: str) -> Array:

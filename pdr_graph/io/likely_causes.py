@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import PurePosixPath
 
 from pdr_graph.io.source import Source
+from pdr_graph.types import DAY_LENGTH
 
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
 FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
-DAY = 86_400.0  # [s]
-UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in which times are written, per second
-NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
+PER_SECOND = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in which times are written, per second
+NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 
 
 def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:
@@ -29,20 +29,20 @@ def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str
         return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
     if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
         return " (Unix times, while the recorder's clock counts from another moment?)"
-    for unit, factor in UNITS.items():
+    for unit, factor in PER_SECOND.items():
         if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:
             return f" ({unit}? seconds are expected)" if unit != "milliseconds" else " (milliseconds?)"
     if last < FIRST_UNIX_TIME <= start:
         return " (seconds from the start instead of the recorder's clock?)"
-    days = round(offset / DAY)
-    if days and abs(offset - DAY * days) <= open_ and min(first, start) > FIRST_UNIX_TIME:
+    days = round(offset / DAY_LENGTH)
+    if days and abs(offset - DAY_LENGTH * days) <= open_ and min(first, start) > FIRST_UNIX_TIME:
         return f" (exactly {abs(days)} days {direction}: another date?)"
     return ""
 
 
 def header_hint(header: Sequence[str], required: Sequence[Sequence[str]]) -> str:
     """The likely cause of a header without the columns that are expected. required: alternative sets of columns."""
-    if all(NUMBER.fullmatch(name) for name in header):
+    if all(re.fullmatch(NUMBER, name) for name in header):
         return " (is the header missing?)"
     if len(header) == 1 and len(header[0].split()) > 1:
         return " (columns between spaces? write commas)"
@@ -70,20 +70,20 @@ def number_hint(cell: str) -> str:
     return ""
 
 
-HEAD = 4096  # bytes of a file that are looked at
+SNIFFED_BYTES = 4096  # bytes of a file that are looked at
 QUOTED = 80  # characters of a file's header that are quoted
-PACKED = "a zip, a folder or a file (unpack it, or pack it again as zip)"
-PLAN = "a recording (is this a floor plan? --map takes it)"
+AN_ARCHIVE = "a zip, a folder or a file (unpack it, or pack it again as zip)"
+A_RECORDING = "a recording (is this a floor plan? --map takes it)"
 # First bytes of a file: what it is, what to do
 MARKS: tuple[tuple[bytes, str, str], ...] = (
-    (b"Rar!", "a RAR archive", PACKED),
-    (b"7z\xbc\xaf", "a 7z archive", PACKED),
-    (b"\x1f\x8b", "a gzip archive", PACKED),
-    (b"BZh", "a bzip2 archive", PACKED),
+    (b"Rar!", "a RAR archive", AN_ARCHIVE),
+    (b"7z\xbc\xaf", "a 7z archive", AN_ARCHIVE),
+    (b"\x1f\x8b", "a gzip archive", AN_ARCHIVE),
+    (b"BZh", "a bzip2 archive", AN_ARCHIVE),
     (b"SQLite format 3", "a database of SQLite", "a recording (is this a lifelog? pdr-graph lifelog show)"),
-    (b"\xff\xd8\xff", "a JPEG picture", PLAN),
-    (b"\x89PNG", "a PNG picture", PLAN),
-    (b"%PDF", "a PDF", PLAN),
+    (b"\xff\xd8\xff", "a JPEG picture", A_RECORDING),
+    (b"\x89PNG", "a PNG picture", A_RECORDING),
+    (b"%PDF", "a PDF", A_RECORDING),
     (b"\xd0\xcf\x11\xe0", "an old Excel file", "CSV: save each table as CSV"),
 )
 
@@ -93,7 +93,7 @@ def description(source: Source, readers: str) -> tuple[str, str]:
     expected = f"a recording of a supported recorder: {readers}"
     if source.single is None:
         return _folder(source, expected)
-    head = source.head(source.single, HEAD)
+    head = source.head(source.single, SNIFFED_BYTES)
     if not head.strip(b"\0"):
         return ("an empty file" if not head else "bytes that are all 0", expected)
     for mark, name, instead in MARKS:
@@ -103,7 +103,7 @@ def description(source: Source, readers: str) -> tuple[str, str]:
     if text[:200].lower().startswith(("<!doctype html", "<html")):
         return "a web page (was the download a login page or a message?)", expected
     if text.startswith("{") and ('"FeatureCollection"' in text or '"features"' in text):
-        return "GeoJSON", PLAN
+        return "GeoJSON", A_RECORDING
     if text.lower().startswith("<?xml") or text.startswith("<"):
         return f"XML of another kind, {text[:QUOTED]!r}", expected
     if "\ufffd" in text[:200] or "\0" in text[:200]:
@@ -130,7 +130,7 @@ def _table(source: Source, text: str, expected: str) -> tuple[str, str]:
     first = text.split("\n", 1)[0].strip()
     ending = " named .zip" if source.path.suffix.lower() == ".zip" else ""
     cells = [cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)]
-    if len(cells) < 2 or all(NUMBER.fullmatch(cell) for cell in cells):
+    if len(cells) < 2 or all(re.fullmatch(NUMBER, cell) for cell in cells):
         return f"a text{ending} that begins with {first[:QUOTED]!r}", expected
     found = f"a text{ending} with the header {first[:QUOTED]}"
     names = set(cells)

@@ -18,9 +18,9 @@ from pdr_graph.types import Recording
 
 NAME = "Oxford step counter"
 # The first row of a file of the validation set, and of a file with the accuracy of each sample
-NUMBER = rb"-?[0-9.]+(?:[eE][+-]?[0-9]+)?"
-VALIDATION = re.compile(rb"^[0-9]{9,19}(?:," + NUMBER + rb"){3}(?:,[0-9]+){3}\r?\n")
-WITH_ACCURACY = re.compile(rb"^[0-9]{9,19},[0-3](?:," + NUMBER + rb"){3}\r?\n")
+NUMBER_BYTES = rb"-?[0-9.]+(?:[eE][+-]?[0-9]+)?"
+VALIDATION = re.compile(rb"^[0-9]{9,19}(?:," + NUMBER_BYTES + rb"){3}(?:,[0-9]+){3}\r?\n")
+WITH_ACCURACY = re.compile(rb"^[0-9]{9,19},[0-3](?:," + NUMBER_BYTES + rb"){3}\r?\n")
 
 
 def recognizes(source: Source) -> bool:

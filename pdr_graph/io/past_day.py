@@ -26,7 +26,7 @@ POSITION = np.dtype([("time", "i8"), ("lat", "i4"), ("lon", "i4"), ("accuracy", 
 SIGHTING = np.dtype([("time", "i8"), ("mac", "i8"), ("rssi", "i1")])
 Rows = NDArray[np.void]  # of POSITION or SIGHTING
 
-GPS, PHONE, TRACK, GOOGLE_WIFI, GOOGLE_CELL, GOOGLE_PATH, WIFI = range(7)
+GPS, PHONE, TRACKED, GOOGLE_WIFI, GOOGLE_CELL, GOOGLE_PATH, HEARD = range(7)
 # phone: its fused position; track: GPX, KML and FIT; google-path: processed by Google; wifi: computed from receptions
 SOURCES = ("gps", "phone", "track", "google-wifi", "google-cell", "google-path", "wifi")
 NO_ACCURACY = 2**31 - 1
@@ -34,8 +34,8 @@ E7, MS, CM = 1e7, 1e3, 1e2  # stored units per degree, second and metre
 
 MARK = "# pdr_graph past"
 # Unix time [ms], [1e-7 deg], 68 % radius [cm] or -1, a name; Unix time [ms], address as a number, [dBm]
-HEADERS = "milliseconds,lat_e7,lon_e7,accuracy_cm,source\n", "milliseconds,mac,rssi\n"
-HEAD = re.compile(rf"{MARK}, (\d+) positions, (\d+) receptions, (.*)\n", re.ASCII)
+COLUMN_LINES = "milliseconds,lat_e7,lon_e7,accuracy_cm,source\n", "milliseconds,mac,rssi\n"
+HEAD_LINE = re.compile(rf"{MARK}, (\d+) positions, (\d+) receptions, (.*)\n", re.ASCII)
 TEXT_ROW = [("time", "i8"), ("lat", "i8"), ("lon", "i8"), ("accuracy", "i8"), ("source", "U16")]
 SIGHTING_ROW = [("time", "i8"), ("mac", "i8"), ("rssi", "i8")]
 
@@ -67,13 +67,13 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
 
 def to_text(person: str, positions: Rows, sightings: Rows) -> str:
     """The content of a day's file; person: for whom it is, which makes the content different for another."""
-    lines = [f"{MARK}, {len(positions)} positions, {len(sightings)} receptions, {person}\n", HEADERS[0]]
+    lines = [f"{MARK}, {len(positions)} positions, {len(sightings)} receptions, {person}\n", COLUMN_LINES[0]]
     radius = np.where(positions["accuracy"] == NO_ACCURACY, -1, positions["accuracy"])
     source = np.array(SOURCES, object)[positions["source"]]
     columns = positions["time"], positions["lat"], positions["lon"], radius, source
     lines.append(_formatted("%d,%d,%d,%d,%s\n", *columns))
     if len(sightings):
-        lines += [HEADERS[1], _formatted("%d,%d,%d\n", *(sightings[name] for name in SIGHTING.names or ()))]
+        lines += [COLUMN_LINES[1], _formatted("%d,%d,%d\n", *(sightings[name] for name in SIGHTING.names or ()))]
     return "".join(lines)
 
 
@@ -86,10 +86,10 @@ def _formatted(row: str, *columns: NDArray[Any]) -> str:
 
 def from_text(where: str, text: str) -> tuple[Rows, Rows]:
     """Positions and receptions of a day's file. Raises InputError if it is damaged."""
-    match = HEAD.match(text)
+    match = HEAD_LINE.match(text)
     body = text[match.end() :] if match else ""
-    parts = body.removeprefix(HEADERS[0]).split(HEADERS[1])
-    if match is None or not body.startswith(HEADERS[0]) or len(parts) > 2:
+    parts = body.removeprefix(COLUMN_LINES[0]).split(COLUMN_LINES[1])
+    if match is None or not body.startswith(COLUMN_LINES[0]) or len(parts) > 2:
         raise InputError(where, "line 1", repr(text[:60]), f"{MARK} …")
     try:
         rows = _loaded(parts[0], TEXT_ROW)

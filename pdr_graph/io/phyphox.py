@@ -26,7 +26,7 @@ SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyrosc
 SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
 WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column
 TIME_HEADER = re.compile(rb'^(?:\xef\xbb\xbf)?"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
-UNIT = re.compile(r"\(([^()]*)\)\s*$")
+UNIT_PATTERN = re.compile(r"\(([^()]*)\)\s*$")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
 
 
@@ -124,7 +124,7 @@ def _axes(table: Table, columns: list[int], size: int) -> list[int]:
     """The time column and ``size`` value columns, of three those named x, y and z; empty if there are too few."""
     time, values = columns[0], columns[1:]
     if size == 3:
-        named = {axis[1]: k for k in values if (axis := AXIS.search(UNIT.sub("", table.header[k]).lower()))}
+        named = {axis[1]: k for k in values if (axis := AXIS.search(UNIT_PATTERN.sub("", table.header[k]).lower()))}
         values = [named[axis] for axis in "xyz" if axis in named] or values
     return [time, *values[:size]] if len(values) >= size else []
 
@@ -138,6 +138,6 @@ def _accuracy(table: Table) -> list[int]:
 
 def _unit(cell: str) -> str:
     """The unit in a column's name, in one spelling: ``m/s2``, and ``t`` for microtesla with any micro sign."""
-    unit = UNIT.search(cell.strip().strip('"'))
+    unit = UNIT_PATTERN.search(cell.strip().strip('"'))
     plain = unit[1].lower().replace("²", "2").replace("^", "").strip() if unit else ""
     return plain.removeprefix("µ").removeprefix("μ").removeprefix("u") if plain.endswith("t") else plain

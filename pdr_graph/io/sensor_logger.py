@@ -22,16 +22,16 @@ from pdr_graph.types import Array, Fixes, Recording, Sightings
 NAME = "Sensor Logger"
 XYZ = ("x", "y", "z")
 NANOSECOND = 1e-9  # [s]
-PLAIN = {
+PLAIN_FILES = {
     "gyroscope": ("Gyroscope.csv", "GyroscopeUncalibrated.csv"),
     "magnetometer": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
 }
-FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
+KNOWN_FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
 
 
 def recognizes(source: Source) -> bool:
     """True if one of the files has a header of Sensor Logger."""
-    candidates = (*(f"{name}.csv" for name in FILES), *PLAIN["gyroscope"])
+    candidates = (*(f"{name}.csv" for name in KNOWN_FILES), *PLAIN_FILES["gyroscope"])
     names = {name for file in candidates for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
     names |= {source.single} if source.single else set()
     return any(b"seconds_elapsed" in source.head(name, 512) for name in names)
@@ -41,7 +41,7 @@ def read(source: Source) -> Recording:
     """Read one recording. Raises InputError if a table is damaged."""
     notes: list[str] = []
     tables = _accelerations(source, notes)
-    for sensor, files in PLAIN.items():
+    for sensor, files in PLAIN_FILES.items():
         if (table := _samples(source, *files)) is not None:
             tables[sensor] = table
     if (table := _samples(source, "Barometer.csv", values=("pressure",))) is not None:

@@ -23,7 +23,7 @@ MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
 MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
-METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
+ZIP_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
 OTHER_METHODS = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}
 ZIP_ERRORS = (
     zipfile.BadZipFile,
@@ -252,11 +252,11 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
         if is_link or ".." in parts or parts[0].startswith("/") or ":" in parts[0]:
             found = f"a member {'link' if is_link else 'name'} that leads elsewhere, {info.filename[:60]!r}"
             raise InputError(path, "", found, "an archive of plain files")
-        if info.compress_type not in METHODS:
+        if info.compress_type not in ZIP_METHODS:
             method = OTHER_METHODS.get(info.compress_type, f"method {info.compress_type}")
             found = f"{info.filename[:60]!r} packed by {method}"
             raise InputError(
-                path, "", found, f"an archive whose files are {' or '.join(METHODS.values())}: pack it again"
+                path, "", found, f"an archive whose files are {' or '.join(ZIP_METHODS.values())}: pack it again"
             )
         name = "/".join(parts)
         if name in entries:

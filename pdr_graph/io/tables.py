@@ -12,7 +12,7 @@ from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
-from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
+from pdr_graph.io.likely_causes import CLOCK_MARGIN, NUMBER, clock_hint, header_hint, number_hint
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import iso_time
 from pdr_graph.types import FARTHEST, FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
@@ -237,13 +237,12 @@ def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
 
 
 COLUMNS = 8
-NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
-ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
+TUM_ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
 
 
 def is_tum(text: str) -> bool:
     """True if the first line that is no comment has eight numbers between spaces."""
-    return ROW.match(text) is not None
+    return TUM_ROW.match(text) is not None
 
 
 def read_tum(where: str, text: str) -> Trajectory:

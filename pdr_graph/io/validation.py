@@ -15,10 +15,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError, slow_rate
-from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
+from pdr_graph.types import (
+    INERTIAL,
+    LONLAT,
+    STANDARD_GRAVITY,
+    Array,
+    Fixes,
+    Mask,
+    Recording,
+    Sightings,
+    Signal,
+    Trajectory,
+)
 
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
-INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
 Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
 
 
@@ -379,10 +389,10 @@ def mean_magnitudes(signal: Signal) -> Array:
     return np.linalg.norm(_parts(signal).mean(axis=1), axis=1)
 
 
-FEWEST = 2  # windows in the other unit
+FEWEST_WINDOWS = 2  # windows in the other unit
 TYPICAL_SPREAD = 1.4  # factor between gravity and the median magnitude of a walk's acceleration, at most
-DEGREES = 180 / np.pi
-RATIO = (DEGREES / 2, DEGREES * 2)  # of angular rates in windows of two units, in deg/s and in rad/s
+DEG_PER_RAD = 180 / np.pi
+RATIO = (DEG_PER_RAD / 2, DEG_PER_RAD * 2)  # of angular rates in windows of two units, in deg/s and in rad/s
 SIMILAR_SWING = 1.5  # factor between the acceleration in windows of two units: else a ride and a run in deg/s
 
 
@@ -419,7 +429,7 @@ def _refuse_mixture(
     path: str, sensor: str, windows: Windows, first: Mask, second: Mask, units: tuple[str, str]
 ) -> None:
     """Raise InputError if there are windows in both units."""
-    if min(first.sum(), second.sum()) < FEWEST:
+    if min(first.sum(), second.sum()) < FEWEST_WINDOWS:
         return
     known = np.flatnonzero(first | second)
     change = known[np.flatnonzero(np.diff(second[known].astype(int)))[0] + 1]

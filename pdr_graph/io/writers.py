@@ -106,7 +106,7 @@ def _feature(kind: str, lonlat: Array, properties: dict[str, Any]) -> dict[str, 
 Words = NDArray[np.uint32]
 GROUP = 4  # digits of a word
 THOUSANDS = 10**GROUP
-LARGEST = 1e12  # of numbers
+LARGEST_OUTPUT = 1e12  # of numbers
 
 
 def text_rows(columns: Sequence[Words]) -> bytes:
@@ -123,12 +123,12 @@ def text_rows(columns: Sequence[Words]) -> bytes:
 def decimals(values: Array, places: int, before: bytes = b"") -> Words:
     """Numbers ``(n,)`` with ``places`` decimals as the characters ``(n, w)`` of a column, each after a text ``before``.
 
-    Raises ValueError for finite numbers that are not below LARGEST.
+    Raises ValueError for finite numbers that are not below LARGEST_OUTPUT.
     """
     finite = np.isfinite(values)
     size = np.where(finite, np.abs(values), 0.0)
-    if not np.all(size < LARGEST):
-        raise ValueError(f"found numbers up to {size.max()}, expected less than {LARGEST:.0e}")
+    if not np.all(size < LARGEST_OUTPUT):
+        raise ValueError(f"found numbers up to {size.max()}, expected less than {LARGEST_OUTPUT:.0e}")
     whole = np.floor(size)
     scaled = (size - whole) * 10**places  # the difference is exact, so that the product alone is rounded
     carry, fraction = np.divmod(np.rint(scaled).astype(np.int64), 10**places)

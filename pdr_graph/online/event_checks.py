@@ -16,6 +16,7 @@ from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
+    INERTIAL,
     INSTANT,
     SENSORS,
     Array,
@@ -32,7 +33,7 @@ from pdr_graph.types import (
 )
 
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
-STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps
+STEP_LIMITS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps
     "length": (-100.0, 100.0),
     "turn": (-100.0, 100.0),
     "pause_turn": (-100.0, 100.0),
@@ -43,13 +44,12 @@ SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3
 MOST = 10  # rows in SPAN of a type of data that does not state it
 MOST_MOMENTS = 4  # of a type of data in SPAN: each moment is a keyframe; ranges to several anchors may have the same
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
-INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
 FINER = {  # unit of a clock: least and largest interval of inertial samples in it, at 10 to 1000 Hz
     "milliseconds": (1.0, 100.0),
     "microseconds": (1e3, 1e5),
     "nanoseconds": (1e6, 1e8),
 }
-LARGEST = float(np.finfo(float).max)
+LARGEST_FLOAT = float(np.finfo(float).max)
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
@@ -84,7 +84,7 @@ class EventChecks:
         tables = {column: bounds for column, bounds in limits.items() if column in getattr(data, "tables", ())}
         arrays = [name for name in row_columns(data) if isinstance(getattr(data, name), np.ndarray)]
         numbers = [name for name in arrays if getattr(data, name).dtype.kind == "f"]
-        finite: Limits = dict.fromkeys(numbers, (-LARGEST, LARGEST))
+        finite: Limits = dict.fromkeys(numbers, (-LARGEST_FLOAT, LARGEST_FLOAT))
         soon = np.abs(data.time) < SENSOR_VALIDATION.latest
         rows = {column: bounds for column, bounds in (finite | limits).items() if column not in tables}
         within = _within(data, rows) & (soon if soon.ndim == 1 else soon.all(axis=1))
@@ -131,8 +131,8 @@ class EventChecks:
         if not np.abs([steps.start, steps.end]).max() < SENSOR_VALIDATION.latest:
             self.unused["steps", UNUSABLE] += max(1, len(steps))
             return None
-        possible = _within(steps, STEPS) | (steps.is_gap & (np.abs(steps.turn) <= STEPS["turn"][1]))
-        if not possible.all() or abs(steps.final_turn) > STEPS["turn"][1]:
+        possible = _within(steps, STEP_LIMITS) | (steps.is_gap & (np.abs(steps.turn) <= STEP_LIMITS["turn"][1]))
+        if not possible.all() or abs(steps.final_turn) > STEP_LIMITS["turn"][1]:
             steps = _as_gaps(steps, ~possible)
             self.unused["steps", UNUSABLE] += max(1, int((~possible).sum()))
         if not steps.start < end - INSTANT:
@@ -182,7 +182,7 @@ def _as_gaps(steps: Steps, which: Mask) -> Steps:
     unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": MOTION.gap_turn}
     columns = {name: np.where(which, value, getattr(steps, name)) for name, value in unknown.items()}
     sigma_length = np.where(which, MOTION.gap_speed * steps.duration, steps.sigma_length)
-    final_turn = steps.final_turn if abs(steps.final_turn) <= STEPS["turn"][1] else 0.0
+    final_turn = steps.final_turn if abs(steps.final_turn) <= STEP_LIMITS["turn"][1] else 0.0
     return replace(steps, sigma_length=sigma_length, final_turn=final_turn, **columns)
 
 

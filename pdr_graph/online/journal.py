@@ -25,9 +25,9 @@ from pdr_graph.recovery import Row, Rows, checked, is_whole
 from pdr_graph.storage import Kind, decode, encode, encode_and_decode
 from pdr_graph.types import Estimate, Trajectory
 
-REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
-JOURNAL = Kind("journal", 0x50445247, 4, REMEDY)  # "PDRG", and of this form of file
-SCHEMA = (
+JOURNAL_REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
+JOURNAL = Kind("journal", 0x50445247, 4, JOURNAL_REMEDY)  # "PDRG", and of this form of file
+JOURNAL_SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, bytes BLOB NOT NULL)",
     "CREATE TABLE event (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",
 )
@@ -81,7 +81,7 @@ class Journal(Generic[Navigator]):
         path, requested = Path(path), settings or {}
         first = {PUT["setting"]: [(name, encode(Setting(value))) for name, value in requested.items()]}
         whole = partial(_whole_rows, path, requested.keys())
-        database, loss = checked(path, JOURNAL, SCHEMA, first, _damaged_rows, whole, pages=True)
+        database, loss = checked(path, JOURNAL, JOURNAL_SCHEMA, first, _damaged_rows, whole, pages=True)
         try:
             with _explained(path):
                 database.execute(f"PRAGMA wal_autocheckpoint = {LOG_PAGES}")

@@ -14,7 +14,7 @@ from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
 from pdr_graph.types import OneLineRepr, Verdict
 
-SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
+SENSOR_SILENCE = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def issues_of(health: Mapping[str, Health], stepless: bool) -> Iterator[str]:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
     for name, sensor in health.items():
-        if sensor.samples and latest - sensor.last > SILENT:
+        if sensor.samples and latest - sensor.last > SENSOR_SILENCE:
             yield f"{name}: silent for {latest - sensor.last:.0f} s"
         elif not sensor.samples and np.isfinite(latest):
             yield f"{name}: {NO_DATA}"

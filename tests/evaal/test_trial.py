@@ -11,7 +11,7 @@ from evaal.trials import Echo, assert_same_as_loaded, received, rows_of, run, su
 from recorders import G, get_sensor_data, sample
 
 from pdr_graph.apps import cli
-from pdr_graph.apps.evaal.client import CSV, TRIES, Api, State
+from pdr_graph.apps.evaal.client import CSV_TYPE, TRIES, Api, State
 from pdr_graph.apps.evaal.row_stream import FIRST_SECOND, RowStream
 from pdr_graph.apps.evaal.trial import INTERVAL, PositionFormat, run_trial
 from pdr_graph.errors import InputError
@@ -262,7 +262,7 @@ def test_texts_of_the_server_are_printed_without_control_characters(tmp_path, lo
 
 
 def test_a_too_long_answer_raises(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("pdr_graph.apps.evaal.client.MAXIMUM_ROWS", 3000)
+    monkeypatch.setattr("pdr_graph.apps.evaal.client.MAXIMUM_REQUEST", 3000)
     with serving(t=Trial(log)) as url, pytest.raises(InputError, match="more than 3000 bytes"):
         Api(url, "t").next_data("0", "", 20.0)
 
@@ -293,7 +293,7 @@ def test_an_offline_trial_from_the_command_line(tmp_path, sampled, log, monkeypa
 def test_a_post_has_the_required_content_type(log):
     with serving(t=Trial(log, offline=True)) as url:
         assert Api(url, "t").post_estimates("1.0,11.1,49.45,0\n").code == 201
-    assert CSV == "text/csv; charset=us-ascii"
+    assert CSV_TYPE == "text/csv; charset=us-ascii"
 
 
 # Rows

@@ -13,7 +13,7 @@ from pdr_graph import InputError
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.cells import DOOR, WALL
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.drafting import UNKNOWN, drawing_of_lines
+from pdr_graph.floor.formats.drafting import UNCLEAR, drawing_of_lines
 from pdr_graph.floor.formats.floor_picture import skew_of
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
 from pdr_graph.floor.plan_files import Building
@@ -185,7 +185,7 @@ def test_nobody_walks_between_the_two_lines_of_a_wall(lines):
 def test_treads_are_stairs_and_no_walls():
     treads = np.array([[[7.0, y], [8.6, y]] for y in np.arange(0.4, 2.3, 0.28)])
     segments = room_beside_corridor([treads])
-    drawing = drawing_of_lines(Path("plan"), segments, [UNKNOWN] * len(segments), 1.0, None, [])
+    drawing = drawing_of_lines(Path("plan"), segments, [UNCLEAR] * len(segments), 1.0, None, [])
     (stairs,) = [area for area in drawing.floors[""] if area.kind == "stairs"]
     assert shapely.area(stairs.shape) == pytest.approx(1.6 * 0.28 * (len(treads) - 1), rel=0.01)
 

@@ -9,7 +9,7 @@ import shapely
 
 from pdr_graph import InputError
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.several_files import MOST_FLOORS
+from pdr_graph.floor.formats.several_files import MOST_FLOOR_FILES
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import enu
 
@@ -169,9 +169,9 @@ def test_a_broken_file_is_named(tmp_path):
 
 
 def test_too_many_files_are_refused(tmp_path):
-    for n in range(MOST_FLOORS + 1):
+    for n in range(MOST_FLOOR_FILES + 1):
         (tmp_path / f"{n}.geojson").write_text("")
-    refused(tmp_path, f"more than {MOST_FLOORS} plans")
+    refused(tmp_path, f"more than {MOST_FLOOR_FILES} plans")
 
 
 def archive(path, members):

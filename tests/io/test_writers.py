@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.io.writers import LARGEST, decimals, text_rows, write_tum
+from pdr_graph.io.writers import LARGEST_OUTPUT, decimals, text_rows, write_tum
 from pdr_graph.types import Trajectory
 
 PLACES = (1, 2, 3, 4, 5, 6, 8)
@@ -17,7 +17,7 @@ def by_python(values, places):
 @pytest.mark.parametrize("places", PLACES)
 @pytest.mark.parametrize("size", SIZES)
 def test_decimals_are_those_of_python(places, size):
-    values = np.clip(np.random.default_rng(places).normal(0, size, 5000), -0.99 * LARGEST, 0.99 * LARGEST)
+    values = np.clip(np.random.default_rng(places).normal(0, size, 5000), -0.99 * LARGEST_OUTPUT, 0.99 * LARGEST_OUTPUT)
     assert text_rows([decimals(values, places)]) == by_python(values, places)
 
 
@@ -47,7 +47,7 @@ def test_columns_are_joined_by_the_texts_before_them():
 
 def test_numbers_too_large_for_a_column_are_refused():
     with pytest.raises(ValueError, match="expected less than"):
-        decimals(np.array([1.0, 2 * LARGEST]), 4)
+        decimals(np.array([1.0, 2 * LARGEST_OUTPUT]), 4)
 
 
 def test_tum_rows_are_those_of_a_format_string(tmp_path):

@@ -24,7 +24,7 @@ from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
-from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
+from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NOT_ME, PLACE_NAME, SPLIT, Correction
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.multi_day import estimate_together
 from pdr_graph.apps.lifelog.observation import without_times
@@ -317,7 +317,7 @@ def test_a_later_correction_overrules_an_earlier_one():
 
 def test_the_names_of_places_come_in_the_order_stated():
     value = {"latitude": 48.1, "longitude": 11.5, "radius": 75.0}
-    made_names = [correction(NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
+    made_names = [correction(PLACE_NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
     assert place_names(made_names) == [(48.1, 11.5, 75.0, "a"), (48.1, 11.5, 75.0, "b")]
 
 

@@ -13,7 +13,7 @@ from made_days import outing
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
 from pdr_graph.apps.lifelog.diary import diary
-from pdr_graph.apps.lifelog.facts import ALWAYS, NAME, Correction
+from pdr_graph.apps.lifelog.facts import ALWAYS, PLACE_NAME, Correction
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.places import likely_home
 from pdr_graph.apps.lifelog.store import ZONE, Store
@@ -162,7 +162,7 @@ def test_a_day_is_as_long_as_daylight_saving_makes_it(tmp_path, date, hours):
 
 def test_a_place_has_the_name_that_the_person_gave_it(tmp_path):
     value = {"latitude": 52.5, "longitude": 13.4, "radius": 150.0, "name": "the garden"}
-    fact = Correction(0, "Anna", 0.0, NAME, *ALWAYS, value)
+    fact = Correction(0, "Anna", 0.0, PLACE_NAME, *ALWAYS, value)
     found = diary_of(tmp_path, halts([(STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN), facts=[fact])
     assert [place.name for place in found.places] == ["the garden"]
     assert found.days[0].entries[0].place == "the garden"

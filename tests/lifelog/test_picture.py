@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 
-from pdr_graph.apps.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.day import ACTIVITIES, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.maps import ENLARGED_SHARE, panels
 from pdr_graph.apps.lifelog.picture import picture
 
@@ -52,7 +52,8 @@ def test_every_walk_is_on_some_map(seed):
     outings = []
     for n in range(random.integers(1, 4)):
         legs = [
-            (str(random.choice(KINDS)), float(random.uniform(10, 900)), float(random.uniform(-3, 3))) for _ in range(4)
+            (str(random.choice(ACTIVITIES)), float(random.uniform(10, 900)), float(random.uniform(-3, 3)))
+            for _ in range(4)
         ]
         outings.append(outing([*legs, *STROLL], epoch=MIDNIGHT + n * 4 * HOUR, start=random.uniform(-5000, 5000, 2)))
     whole, *_ = panels(overview_of(day(*outings)))

@@ -9,7 +9,7 @@ from observations import HERE, NOON, observation, positions, walk
 from walks import drawn_from_the_model
 
 from pdr_graph import dead_reckon
-from pdr_graph.apps.lifelog.day import GAP, KINDS, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps
@@ -30,7 +30,7 @@ def test_segments_cover_every_second_of_an_outing_once():
             assert bounds[0][0] == pytest.approx(outing.trajectory.time[0], abs=1e-3)
             assert bounds[-1][1] == pytest.approx(outing.trajectory.time[-1], abs=1e-3)
             assert all(a[1] == pytest.approx(b[0]) for a, b in pairwise(bounds))
-            assert {s.kind for s in outing.segments} <= set(KINDS)
+            assert {s.kind for s in outing.segments} <= set(ACTIVITIES)
 
 
 def test_time_without_data_is_a_gap_without_a_distance():

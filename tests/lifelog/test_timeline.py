@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, stay
 
-from pdr_graph.apps.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.overview import as_text
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TIMELINE_HEADER, duration_text, timeline, timeline_csv
 
@@ -32,7 +32,7 @@ def rows(made):
     return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
 
 
-legs = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
+legs = st.lists(st.tuples(st.sampled_from(ACTIVITIES), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
 
 
 @given(legs=legs, edges=st.lists(st.integers(0, 500), max_size=6, unique=True), slow=st.booleans())

@@ -27,13 +27,14 @@ from pdr_graph.apps.report.charts_and_tables import health, measurement_table, s
 from pdr_graph.apps.report.content import CAUSAL, DASHES, content
 from pdr_graph.apps.report.evaluation import evaluate
 from pdr_graph.apps.report.output_files import smooth_recording
-from pdr_graph.apps.report.page import GREY, MAXIMUM_ROWS, OTHER, TRACK, TRUTH, column, page, runs, thinned
+from pdr_graph.apps.report.page import MAXIMUM_ROWS, OTHER, TRUTH, column, page, runs, thinned
 from pdr_graph.estimation.factors.heading_prior import HeadingReport
+from pdr_graph.notebook_html import BLUE, GREY
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
 from pdr_graph.walk import Options
 
 HOUR = 70  # laps of 55 s
-DRAWN = {"result": TRACK, "causal": CAUSAL, "another route": OTHER, "dead reckoning": GREY, "truth": TRUTH}
+DRAWN = {"result": BLUE, "causal": CAUSAL, "another route": OTHER, "dead reckoning": GREY, "truth": TRUTH}
 MOST_BYTES, OF_AN_HOUR = 8_000_000, 3_000_000
 
 

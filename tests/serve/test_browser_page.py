@@ -17,9 +17,9 @@ from stand_in_server import QuietHandler, served
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.hub import Hub
-from pdr_graph.apps.serve.plan_layers import METRES_PER_DEGREE, plan_layers
+from pdr_graph.apps.serve.plan_layers import plan_layers
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.frames import Frame
+from pdr_graph.frames import METRES_PER_DEGREE, Frame
 
 pytestmark = pytest.mark.timeout(90)
 MAPS = Path(__file__).parents[2] / "maps"

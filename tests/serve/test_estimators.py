@@ -9,7 +9,7 @@ import estimating_standin
 import pytest
 
 from pdr_graph.apps.serve import estimators
-from pdr_graph.apps.serve.estimating import MOST_FAILURES
+from pdr_graph.apps.serve.estimating import MOST_ATTEMPTS
 from pdr_graph.apps.serve.estimators import Estimators
 
 PATIENCE = 60.0  # [s] on a machine under load
@@ -56,10 +56,10 @@ def test_a_walker_that_kills_its_process_again_and_again_is_left_alone(tmp_path,
     """And the others of the process go on."""
 
     def until(updates):
-        return len(failures(updates)) >= MOST_FAILURES and ("looked", {"id": "calm"}) in updates
+        return len(failures(updates)) >= MOST_ATTEMPTS and ("looked", {"id": "calm"}) in updates
 
     found = failures(with_walkers(tmp_path, ["deadly", "calm"], until))
-    assert [failure["id"] for failure in found] == ["deadly"] * MOST_FAILURES
+    assert [failure["id"] for failure in found] == ["deadly"] * MOST_ATTEMPTS
     assert [failure["again"] for failure in found] == [True, True, False]
     assert found[-1]["text"] == (
         "its process was killed or crashed; it is left alone until the next start; its messages are kept"
@@ -68,7 +68,7 @@ def test_a_walker_that_kills_its_process_again_and_again_is_left_alone(tmp_path,
 
 def test_a_process_that_hangs_is_ended_and_its_walker_named(tmp_path, quick):
     def until(updates):
-        return len(failures(updates)) >= MOST_FAILURES and ("looked", {"id": "calm"}) in updates
+        return len(failures(updates)) >= MOST_ATTEMPTS and ("looked", {"id": "calm"}) in updates
 
     found = failures(with_walkers(tmp_path, ["freezing", "calm"], until))
     assert all(failure["text"].startswith("its process did not answer for 2 s") for failure in found)

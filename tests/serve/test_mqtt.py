@@ -60,7 +60,7 @@ def test_messages_of_a_phone_arrive_in_order():
 
 
 def test_a_lost_connection_is_made_again(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RETRY", 0.05)
+    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.05)
 
     async def run():
         broker = Broker()
@@ -76,7 +76,7 @@ def test_a_lost_connection_is_made_again(monkeypatch):
 
 
 def test_a_broker_that_is_not_there_is_tried_again(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RETRY", 0.02)
+    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.02)
 
     async def run():
         async with listening("mqtt://127.0.0.1:9") as (_, said):
@@ -86,7 +86,7 @@ def test_a_broker_that_is_not_there_is_tried_again(monkeypatch):
 
 
 def test_a_password_is_given_and_not_told(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RETRY", 0.02)
+    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.02)
 
     async def run():
         broker = Broker(password="s3cret")

@@ -150,7 +150,7 @@ def test_messages_are_those_of_sensor_logger(phone, polled):
 
 
 def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
-    monkeypatch.setattr(phyphox_polling, "INTERVAL", 0.02)
+    monkeypatch.setattr(phyphox_polling, "POLL_INTERVAL", 0.02)
     monkeypatch.setattr(phyphox_polling, "FIRST_RETRY", 0.02)
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)

@@ -13,7 +13,7 @@ from stand_in_server import QuietHandler, served
 
 from pdr_graph.apps.serve import study
 from pdr_graph.apps.serve.study import StudyReports, Upload, upload_of
-from pdr_graph.apps.serve.study_report import MOST_LINES, plain, refusal, report
+from pdr_graph.apps.serve.study_report import MOST_LISTED, plain, refusal, report
 from pdr_graph.errors import InputError
 
 pytestmark = pytest.mark.timeout(60)
@@ -172,7 +172,7 @@ def test_the_code_follows_no_redirect_to_another_host(tmp_path, refusing):
 
 def test_an_estimate_that_hangs_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "SMOOTH", "import time; time.sleep(60)")
-    monkeypatch.setattr(study, "SMOOTHING", 0.5)
+    monkeypatch.setattr(study, "SMOOTHING_TIMEOUT", 0.5)
     cloud = Cloud(b"this is no zip")
     reported(tmp_path, cloud)
     assert "took more than" in cloud.reports[0][1]
@@ -225,8 +225,8 @@ def test_a_report_is_one_page_and_its_text_has_no_meaning_in_markdown():
     text = report(summary)
     assert "<b>" not in text
     assert "\\| against" in text
-    assert text.count("- note") == MOST_LINES
-    assert f"and {30 - MOST_LINES} lines more" in text
+    assert text.count("- note") == MOST_LISTED
+    assert f"and {30 - MOST_LISTED} lines more" in text
     assert "2 min 5 s" in text
     assert "1 → 2" in text
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import shapely
 
-from pdr_graph.apps.serve.plan_layers import METRES_PER_DEGREE, plan_layers
+from pdr_graph.apps.serve.plan_layers import plan_layers
 from pdr_graph.apps.serve.web_page import WEB, checked_tiles, security_headers, settings
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.frames import Frame
+from pdr_graph.frames import METRES_PER_DEGREE, Frame
 
 MAPS = Path(__file__).parents[2] / "maps"
 VENDORED = {  # of `npm pack maplibre-gl@5.24.1`

@@ -86,7 +86,7 @@ def serve(
         from pdr_graph.apps.serve import serving
     except ImportError as error:
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
-    from pdr_graph.apps.serve.access import LOCAL, load_tokens
+    from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.mqtt import broker_of
     from pdr_graph.apps.serve.phyphox_polling import PhyphoxPhone
     from pdr_graph.apps.serve.pulling import Sources
@@ -98,7 +98,7 @@ def serve(
     inputs = serving.check_options(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
-    secured = host not in LOCAL or token is not None or bool(user) or file.exists()
+    secured = host not in LOCAL_HOSTS or token is not None or bool(user) or file.exists()
     tokens = load_tokens(file, user or (), token) if secured else {}
     reports = StudyReports(out / STUDY, study, map_, serving.say) if study else None
     for url in phyphox or ():

@@ -29,15 +29,15 @@ from pdr_graph.whole_files import lock
 
 # Status codes of HTTP, as the EvAAL API uses them
 GOOD, CREATED = 200, 201
-SOME_REJECTED, UNKNOWN, OVER, TOO_FAST = 409, 404, 405, 423
-RETRIED = (TOO_FAST, 429, 502, 503, 504)  # too early, or a server that is unavailable for now
+SOME_REJECTED, UNKNOWN_TRIAL, OVER, TOO_EARLY = 409, 404, 405, 423
+RETRIED = (TOO_EARLY, 429, 502, 503, 504)  # too early, or a server that is unavailable for now
 
 NOT_BEGUN, NOT_BEGUN_OFFLINE = -1.0, -2.0  # time left of a trial before its first call
-CSV = "text/csv; charset=us-ascii"  # the only content type that the server accepts
+CSV_TYPE = "text/csv; charset=us-ascii"  # the only content type that the server accepts
 TRIES, FIRST_PAUSE = 10, 0.05  # of one call; [s] after the first try, doubled each time: 26 s in all
 SILENCE, LONGEST_CALL = 10.0, 120.0  # [s] without a byte; of one call with all its tries, without the pauses
 # [bytes] of the rows of one request, some hundred times those of a phone; of a state; of a whole trial; of its log
-MAXIMUM_ROWS, MAXIMUM_TEXT, MAXIMUM_DATA, MAXIMUM_LOG = 4_000_000, 100_000, 1_000_000_000, 100_000_000
+MAXIMUM_REQUEST, MAXIMUM_TEXT, MAXIMUM_DATA, MAXIMUM_LOG = 4_000_000, 100_000, 1_000_000_000, 100_000_000
 
 
 class UnreachableError(OSError):
@@ -135,7 +135,7 @@ class Api:
         repeats its answer. Raises UnreachableError.
         """
         query = f"nextdata?horizon={horizon:g}&label={quote(label, safe='')}"
-        return self._ask(query + (f"&position={quote(position, safe=',;')}" if position else ""), most=MAXIMUM_ROWS)
+        return self._ask(query + (f"&position={quote(position, safe=',;')}" if position else ""), most=MAXIMUM_REQUEST)
 
     def all_data(self) -> Reply:
         """Request all rows of an offline trial, which the server sends once. Raises UnreachableError."""
@@ -157,7 +157,7 @@ class Api:
         """The error to raise for an unexpected answer."""
         found = f"{reply.code} {reply.text[:200].strip()!r}" if reply.body else f"{reply.code}"
         expected = {
-            UNKNOWN: "the base URL, which ends in /evaalapi/, and the trial's name as the organisers gave them",
+            UNKNOWN_TRIAL: "the base URL, which ends in /evaalapi/, and the trial's name as the organisers gave them",
             OVER: "a trial that has not ended",
         }
         if reply.code in REDIRECTS:
@@ -183,7 +183,7 @@ class Api:
 
     def _once(self, query: str, data: bytes | None, most: int, seconds: float) -> tuple[int, bytes]:
         """Status code and body of one try. Codes 4xx are answers, too: the normal end of a trial is one."""
-        method, headers = ("POST", {"Content-Type": CSV}) if data else ("GET", {})
+        method, headers = ("POST", {"Content-Type": CSV_TYPE}) if data else ("GET", {})
         try:
             answer = ask(self._base + query, SILENCE, seconds, most, method=method, body=data, headers=headers)
         except TooLongError as error:

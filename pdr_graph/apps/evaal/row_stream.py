@@ -17,7 +17,15 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.delimited import MAXIMUM_LINE, TextRows
-from pdr_graph.io.get_sensor_data import MAXIMUM_CLOCK_DRIFT, SENSORS, epochs, fixes_of, rows_by_tag, samples, sightings
+from pdr_graph.io.get_sensor_data import (
+    MAXIMUM_CLOCK_DRIFT,
+    SENSOR_TAGS,
+    epochs,
+    fixes_of,
+    rows_by_tag,
+    samples,
+    sightings,
+)
 from pdr_graph.io.validation import IMPLAUSIBLE, unit_of
 from pdr_graph.online.interface import Event, events_of
 from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal
@@ -36,7 +44,7 @@ class RowStream:
     def __init__(self):
         self.rows, self.unread, self.notes = Counter[str](), Counter[str](), Counter[str]()
         self.begin: float | None = None
-        self._sensors = {tag: _Sensor(name, self.notes) for tag, name in SENSORS.items()}
+        self._sensors = {tag: _Sensor(name, self.notes) for tag, name in SENSOR_TAGS.items()}
         self._epochs: deque[float] = deque(maxlen=8)  # the receiver's last epochs, to recognise repeats
 
     def feed(self, text: str) -> list[Event]:
@@ -44,7 +52,7 @@ class RowStream:
         lines = [line for line in text.splitlines() if line.strip() and not line.startswith("%")]
         counts = self._count(lines)
         rows = rows_by_tag("the trial", [line for line in lines if len(line) <= MAXIMUM_LINE])
-        tables = {tag: _readable(partial(samples, tag), rows[tag]) for tag in SENSORS if tag in rows}
+        tables = {tag: _readable(partial(samples, tag), rows[tag]) for tag in SENSOR_TAGS if tag in rows}
         tables["GNSS"] = _readable(epochs, rows["GNSS"]) if "GNSS" in rows else np.empty((0, 6))
         radios = {tag: sightings(rows[tag]) for tag in RADIOS if tag in rows}
 
@@ -53,14 +61,14 @@ class RowStream:
         middle = float(np.median(times)) if len(times) else 0.0
         tables = {tag: table[np.abs(table[:, 0] - middle) < MAXIMUM_SPREAD] for tag, table in tables.items()}
         radios = {tag: _near(sightings, middle) for tag, sightings in radios.items()}
-        for tag in (*SENSORS, "GNSS", *RADIOS):
+        for tag in (*SENSOR_TAGS, "GNSS", *RADIOS):
             if missing := counts[tag] - len(tables.get(tag, radios.get(tag, ()))):
                 self.unread[tag] += missing
         if self.begin is None and len(times):
             self.begin = float(times[np.abs(times - middle) < MAXIMUM_SPREAD].min())
 
         parts: dict[str, Any] = {RADIOS[tag]: sightings for tag, sightings in radios.items()}
-        parts |= dict(filter(None, (self._sensors[tag].append(tables[tag]) for tag in SENSORS if tag in tables)))
+        parts |= dict(filter(None, (self._sensors[tag].append(tables[tag]) for tag in SENSOR_TAGS if tag in tables)))
         return list(events_of(Recording("", 0.0, None, fixes=self._fixes(tables["GNSS"]), **parts)))
 
     def _count(self, lines: list[str]) -> Counter[str]:

@@ -12,7 +12,17 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.apps.lifelog.day import GAP, STANDING
-from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, MODES, NAME, NOT_ME, SPLIT, Correction
+from pdr_graph.apps.lifelog.facts import (
+    AT,
+    FORGOTTEN,
+    MERGE,
+    MODE,
+    MODE_ACTIVITIES,
+    NOT_ME,
+    PLACE_NAME,
+    SPLIT,
+    Correction,
+)
 from pdr_graph.apps.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
 from pdr_graph.apps.lifelog.sessions import is_located
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
@@ -43,7 +53,7 @@ def apply_to_observations(
         if correction.kind == AT:
             found = _with_place(found, correction, masked)
         if correction.kind in (AT, MODE):
-            kind = STANDING if correction.kind == AT else MODES[correction.text("mode")]
+            kind = STANDING if correction.kind == AT else MODE_ACTIVITIES[correction.text("mode")]
             activity = correction.start, correction.end, kind
             found = {
                 name: replace(part, stated=(*part.stated, activity)) if _covers(part, correction) else part
@@ -134,7 +144,7 @@ def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Cor
     """The entries of a person's timeline as corrected, in time order; a later correction overrules an earlier one."""
     found = list(entries)
     for correction in corrections:
-        if correction.kind == NAME or not found:
+        if correction.kind == PLACE_NAME or not found:
             continue
         start, end = _bounds(found, correction)
         found = _split_at(_split_at(found, start), end)
@@ -150,7 +160,7 @@ def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Cor
 
 def place_names(corrections: Iterable[Correction]) -> list[tuple[float, float, float, str]]:
     """Latitude, longitude [deg], radius [m] and name of each place that the person has named, in the order stated."""
-    named = [c for c in corrections if c.kind == NAME]
+    named = [c for c in corrections if c.kind == PLACE_NAME]
     return [(*c.place, c.radius, c.text("name")) for c in named]
 
 
@@ -192,7 +202,7 @@ def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> Timeline
         return _stay_at(blank, inside, correction)
     if correction.kind == MERGE:
         return _merged_stay(blank, inside)
-    mode, kind = correction.text("mode"), MODES[correction.text("mode")]
+    mode, kind = correction.text("mode"), MODE_ACTIVITIES[correction.text("mode")]
     if kind == STANDING:
         return replace(_merged_stay(blank, inside), mode=mode)
     floor = tuple(dict.fromkeys(label for e in inside for label in e.floor))

@@ -20,15 +20,15 @@ from pdr_graph.storage import compress, decode_json, decompress, encode_json
 from pdr_graph.types import INSTANT, Array, OneLineRepr, Trajectory, time_span
 
 WALKING, STANDING, VEHICLE, GAP = "walking", "standing", "vehicle", "gap"
-KINDS = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.gps_track`
+ACTIVITIES = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.gps_track`
 
 
 @dataclass(frozen=True)
 class Segment(OneLineRepr):
     """A part of an outing with one activity; segments are contiguous.
 
-    kind: one of KINDS; a gap has no data. start, end: [s]. distance: along the path [m], 0 for standing and for gaps
-    (unknown).
+    kind: one of ACTIVITIES; a gap has no data. start, end: [s]. distance: along the path [m], 0 for standing and for
+    gaps (unknown).
     """
 
     kind: str

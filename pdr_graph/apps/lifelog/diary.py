@@ -21,13 +21,13 @@ from pdr_graph.apps.lifelog.corrections import apply_to_entries, place_names
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
 from pdr_graph.apps.lifelog.facts import Correction
 from pdr_graph.apps.lifelog.local_time import LocalClock
-from pdr_graph.apps.lifelog.places import DAY_LENGTH, NamedArea, Place, places_of, plan_name
+from pdr_graph.apps.lifelog.places import NamedArea, Place, places_of, plan_name
 from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of, visits_of
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.errors import count
 from pdr_graph.storage import compress, decompress
-from pdr_graph.types import INSTANT, Index, OneLineRepr
+from pdr_graph.types import DAY_LENGTH, INSTANT, Index, OneLineRepr
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from typing import Any
 from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING
 from pdr_graph.types import OneLineRepr
 
-AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
-CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN)
+AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
+CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN)
 ESTIMATE_KINDS = (AT, MODE, NOT_ME, FORGOTTEN)  # kinds that change the estimate; the others change only its timeline
 # What a person calls a time -> the activity that the estimate assumes then
-MODES = {
+MODE_ACTIVITIES = {
     **dict.fromkeys(("bus", "car", "train", "tram", "ferry", "bicycle", "ride"), VEHICLE),
     "walk": WALKING,
     "stop": STANDING,

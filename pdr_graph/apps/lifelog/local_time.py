@@ -41,13 +41,13 @@ def zone_named(name: str) -> tzinfo:
         return UTC
 
 
-LOCAL = "local"  # name of "the zone of each place" on the command line
+LOCAL_ZONE = "local"  # name of "the zone of each place" on the command line
 
 
 def checked_zone(name: str) -> str:
-    """The setting of a time zone: its name, "" for LOCAL. Raises InputError for an unknown name."""
-    if name in (LOCAL, "UTC"):
-        return "" if name == LOCAL else name
+    """The setting of a time zone: its name, "" for LOCAL_ZONE. Raises InputError for an unknown name."""
+    if name in (LOCAL_ZONE, "UTC"):
+        return "" if name == LOCAL_ZONE else name
     try:
         ZoneInfo(name)
         return name

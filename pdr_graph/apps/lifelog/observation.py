@@ -85,7 +85,7 @@ class Observation(OneLineRepr):
     headings, fixes, barometer, bluetooth, wifi, beacons, measurements: as in ``Recording``, in the frame; ends: None if
     the field is unknown; profile: from the walker file, the initial profile of a lifelog. notes: data skipped or
     assumptions made. stated: activities that the person states, each with start, end (Unix times [s]) and one of
-    `day.KINDS`; none in a file.
+    `day.ACTIVITIES`; none in a file.
     """
 
     source: str

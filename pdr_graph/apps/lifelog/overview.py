@@ -25,7 +25,6 @@ from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
 from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
-    DAY_LENGTH,
     EVERY_DAY,
     Place,
     UsualHours,
@@ -35,7 +34,7 @@ from pdr_graph.apps.lifelog.places import (
 )
 from pdr_graph.apps.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, csv_table, duration_text
 from pdr_graph.errors import count, one_line
-from pdr_graph.types import OneLineRepr
+from pdr_graph.types import DAY_LENGTH, OneLineRepr
 
 
 @dataclass(frozen=True)

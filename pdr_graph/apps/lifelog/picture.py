@@ -30,15 +30,15 @@ from pdr_graph.apps.lifelog.maps import Dot, MercatorFrame, Panel, panels, short
 from pdr_graph.apps.lifelog.overview import Overview, distance_text, period_title, sums_text
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
-from pdr_graph.apps.report.page import FIX, RADIO, TRACK
+from pdr_graph.apps.report.page import RADIO
 from pdr_graph.apps.report.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
-from pdr_graph.notebook_html import GREY
+from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import Array, Trajectory
 
-COLOURS = {WALKING: TRACK, VEHICLE: FIX, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
+COLOURS = {WALKING: BLUE, VEHICLE: RED, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
 INK, HALO = "#2b2440", [Stroke(linewidth=2.2, foreground="white", alpha=0.85), Normal()]
 PAPER, MAP_BORDER = "#f7f6f2", "#c8c4ba"
 LABEL_SIZE = 7.5  # [pt]
@@ -262,7 +262,7 @@ def _importance(dot: Dot) -> tuple[bool, float]:
 def _draw_starts(axes: Axes, panel: Panel) -> list[Label]:
     """Draw the starts of outings; returns their times as labels."""
     for position, _ in panel.starts:
-        axes.plot(*position, marker="o", ms=5, mfc="white", mec=TRACK, mew=1.4, ls="none", zorder=6.5)
+        axes.plot(*position, marker="o", ms=5, mfc="white", mec=BLUE, mew=1.4, ls="none", zorder=6.5)
     return [(position, time, START_DISTANCE) for position, time in panel.starts]
 
 

@@ -22,13 +22,12 @@ from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at
 from pdr_graph.apps.lifelog.stays_and_legs import SURE, VISIT_RADIUS, lonlat_of, on_sphere
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, place_label
 from pdr_graph.errors import count
-from pdr_graph.types import Array, OneLineRepr
+from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
 
 PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
 WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 EVERY_DAY = "every day"  # instead of a weekday
-DAY_LENGTH = 86_400.0  # [s]
 # Chosen by hand
 UNOBSERVED_TIME = 900.0  # [s] of no data before a stay, below which its start counts as an arrival; departures likewise
 

@@ -49,12 +49,13 @@ from pdr_graph.apps.lifelog.timeline import (
 )
 from pdr_graph.apps.report import charts_and_tables
 from pdr_graph.apps.report.charts_and_tables import Table, table
-from pdr_graph.apps.report.page import CENTIMETRE, CENTISECOND, NOWHERE, TRACK, column, plan_drawing, rings, runs, track
+from pdr_graph.apps.report.page import CENTIMETRE, CENTISECOND, ON_NO_MAP, column, plan_drawing, rings, runs, track
 from pdr_graph.apps.report.page import page as interactive_page
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.geometry import confidence_band
+from pdr_graph.notebook_html import BLUE
 from pdr_graph.types import Array, Trajectory
 
 PICTURE_DPI = 130
@@ -285,10 +286,10 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
             unseen = kind in KINDS_WITHOUT_DATA
             style = {"dash": "dot" if unseen else "solid", "width": 1.2 if unseen else 2.4}
             yield _activity_track(KIND_NAMES.get(kind, kind), COLOURS[kind], own, number) | style
-    on = [number if panel.floor in ("", label) else NOWHERE for label in way.floor]
+    on = [number if panel.floor in ("", label) else ON_NO_MAP for label in way.floor]
     regions: list[Any] = [None] * maps
     regions[number] = rings(np.concatenate([_region(panel, path) for own in panel.ways for path in own]))
-    yield track("where", TRACK, way, on, width=0, walker=True, lead=True, bands=regions)
+    yield track("where", BLUE, way, on, width=0, walker=True, lead=True, bands=regions)
 
 
 def _region(panel: Panel, path: Trajectory) -> Array:
@@ -344,7 +345,7 @@ def _lane(kind: str, entries: Sequence[TimelineEntry], lane: int) -> dict[str, A
 
 
 def _sigma_chart(way: Trajectory) -> dict[str, Any]:
-    return charts_and_tables.sigma({"where": (TRACK, way)})
+    return charts_and_tables.sigma({"where": (BLUE, way)})
 
 
 def _timeline_table(entries: Sequence[TimelineEntry]) -> Table:

@@ -29,9 +29,9 @@ from pdr_graph.apps.lifelog.facts import (
     FORGOTTEN,
     MERGE,
     MODE,
-    MODES,
-    NAME,
+    MODE_ACTIVITIES,
     NOT_ME,
+    PLACE_NAME,
     SPLIT,
     Correction,
     forgotten_times,
@@ -151,7 +151,7 @@ class OpenDiary:
         named, where = one_line(correction.text("name")), ""
         if "latitude" in correction.value:
             where = "{:.5f}, {:.5f}".format(*correction.place) + f" ± {correction.radius:.0f} m"
-        if correction.kind == NAME:
+        if correction.kind == PLACE_NAME:
             return f"{where} is called {named}"
         start, end = (self.hour(time) for time in correction.span)
         words = {
@@ -197,9 +197,9 @@ def split(store: Path, at: str, person: str | None = None) -> list[str]:
 
 
 def state_mode(store: Path, start: str, end: str, mode: str, person: str | None = None) -> list[str]:
-    """State what the person did from one time to another. mode: one of `facts.MODES`."""
-    if mode not in MODES:
-        raise InputError("MODE", "", repr(mode), f"one of {', '.join(MODES)}")
+    """State what the person did from one time to another. mode: one of `facts.MODE_ACTIVITIES`."""
+    if mode not in MODE_ACTIVITIES:
+        raise InputError("MODE", "", repr(mode), f"one of {', '.join(MODE_ACTIVITIES)}")
     with Store(store) as log:
         diary = OpenDiary.of(log, person, start, end)
         return diary.make(MODE, diary.span_of_rows(start, end), {"mode": mode})
@@ -226,7 +226,7 @@ def name_place(store: Path, place: str, name: str, radius: float | None = None, 
             if not abs(latitude) <= 90:
                 raise InputError("PLACE", "", f"{place}: {diary.text(row)}", "the time of a stay, or LAT,LON")
         value: dict[str, float | str] = {"latitude": latitude, "longitude": longitude, "name": name}
-        return diary.make(NAME, span, value | {"radius": _radius(radius, NAME_RADIUS)})
+        return diary.make(PLACE_NAME, span, value | {"radius": _radius(radius, NAME_RADIUS)})
 
 
 def listing(store: Path, person: str | None = None) -> list[str]:
@@ -467,5 +467,5 @@ def _still_there(log: Store, entries: Iterable[Entry]) -> list[str]:
 
 def _named_places(log: Store, person: str) -> list[str]:
     """A line if named places remain, which hold at all times."""
-    number = sum(c.kind == NAME for c in log.corrections(person))
+    number = sum(c.kind == PLACE_NAME for c in log.corrections(person))
     return [f"{count(number, 'place')} with a name remain: pdr-graph lifelog correct list"] if number else []

@@ -22,7 +22,7 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.apps.lifelog.day import GAP, KINDS, STANDING, VEHICLE, Segment, Stay, sampled
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled
 from pdr_graph.apps.lifelog.observation import StatedActivity
 from pdr_graph.errors import count
 from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
@@ -44,7 +44,7 @@ def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tup
 
     stated: activities that the person states.
     """
-    way = way_through(fixes, [(start, end, KINDS.index(kind)) for start, end, kind in stated])
+    way = way_through(fixes, [(start, end, ACTIVITIES.index(kind)) for start, end, kind in stated])
     gone = np.diff(length_along(way.trajectory.position))
     return way.trajectory, _segments(way.kind, way.trajectory.time, gone)
 
@@ -78,7 +78,7 @@ def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
     parts: ``(p,)`` kinds; edge: ``(p + 1,)`` their bounds [s]; gone: ``(p,)`` the distance of each [m].
     """
     return tuple(
-        Segment(KINDS[parts[a]], float(edge[a]), float(edge[b]), _path_length(parts[a], gone[a:b]))
+        Segment(ACTIVITIES[parts[a]], float(edge[a]), float(edge[b]), _path_length(parts[a], gone[a:b]))
         for a, b in pairwise(_run_starts(parts))
     )
 

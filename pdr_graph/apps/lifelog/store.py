@@ -54,7 +54,7 @@ LIFELOG = Kind(
     },
     repair=": pdr-graph lifelog build recovers what is left of it",
 )
-SCHEMA = (
+STORE_SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
     "CREATE TABLE version (name TEXT PRIMARY KEY, value TEXT)",  # of the programs that built it last
     # an Entry with its options; '' for one that is not given, but NULL for begins
@@ -106,7 +106,7 @@ class RecordingOptions:
         return replace(self, **other.given)
 
 
-FILES = ("plan", "fixes", "beacons", "ranges", "walker")  # options that are paths
+PATH_OPTIONS = ("plan", "fixes", "beacons", "ranges", "walker")  # options that are paths
 
 
 @dataclass(frozen=True)
@@ -138,13 +138,13 @@ class Entry(OneLineRepr):
     def row(self) -> dict[str, Any]:
         """The entry by columns of its table."""
         options = {name: str(value) for name, value in self.options.given.items()}
-        options = dict.fromkeys((*FILES, "floor"), "") | options | {"begins": self.options.begins}
+        options = dict.fromkeys((*PATH_OPTIONS, "floor"), "") | options | {"begins": self.options.begins}
         return {name: value for name, value in vars(self).items() if name != "options"} | options
 
     @classmethod
     def of_row(cls, row: Mapping[str, Any]) -> Entry:
         """The entry with these columns."""
-        given = {name: Path(row[name]) for name in FILES if row[name]}
+        given = {name: Path(row[name]) for name in PATH_OPTIONS if row[name]}
         options = RecordingOptions(**given, floor=row["floor"] or None, begins=row["begins"])
         names = [field.name for field in fields(cls) if field.name != "options"]
         return cls(**{name: row[name] for name in names}, options=options)
@@ -181,7 +181,7 @@ class Store:
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
         begins = {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())}
-        self._database, loss = checked(path, LIFELOG, SCHEMA, begins, lambda _: "", _rows_kept, pages=thorough)
+        self._database, loss = checked(path, LIFELOG, STORE_SCHEMA, begins, lambda _: "", _rows_kept, pages=thorough)
         if loss:
             advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
             warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
@@ -417,7 +417,7 @@ def _rows_kept(read: Callable[..., list[Row]]) -> tuple[dict[str, list[Row]], st
     """The rows of a damaged lifelog that can be read, by the statement that inserts them, and how many they are."""
     kept, counts = dict[str, list[Row]](), list[str]()
     with closing(sqlite3.connect(":memory:")) as empty:
-        for statement in SCHEMA:
+        for statement in STORE_SCHEMA:
             empty.execute(statement)
         for table, known in KEPT.items():
             columns = ", ".join(row[1] for row in empty.execute(f"PRAGMA table_info({table})"))

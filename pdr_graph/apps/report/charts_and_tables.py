@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.apps.report.evaluation import circular_error, pair
-from pdr_graph.apps.report.page import CENTISECOND, FIX, GREY, RADIO, TRACK, column, thinned
+from pdr_graph.apps.report.page import CENTISECOND, RADIO, column, thinned
 from pdr_graph.errors import count
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.io.validation import INERTIAL, are_gaps, clipped
+from pdr_graph.io.validation import are_gaps, clipped
+from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import (
+    INERTIAL,
     Array,
     BeaconReport,
     Calibration,
@@ -29,7 +31,7 @@ from pdr_graph.types import (
 
 CHART_ROWS = 2000  # of a curve without jumps: 4 per pixel
 CHART_RESOLUTION = 1e-4  # in the unit of the chart; finer than a screen shows
-UNITS = {"R_s": "", "R_d": "", "b": "°/s"}
+UNIT_OF = {"R_s": "", "R_d": "", "b": "°/s"}
 MEANING = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 BAROMETER_RATE = 1.0  # [Hz] of the chart: faster changes are noise
 
@@ -56,12 +58,12 @@ def calibration_charts(calibration: Calibration, end: float) -> list[dict[str, A
         lines = [
             _steps(label, colour, time, value, sigma, mask)
             for label, colour, mask in (
-                ("estimated", TRACK, calibration.learnt[:, n]),
+                ("estimated", BLUE, calibration.learnt[:, n]),
                 ("prior kept", GREY, ~calibration.learnt[:, n]),
             )
             if mask.any()
         ]
-        charts.append({"title": MEANING[name], "unit": UNITS[name], "lines": lines})
+        charts.append({"title": MEANING[name], "unit": UNIT_OF[name], "lines": lines})
     return charts
 
 
@@ -98,7 +100,7 @@ def errors(tracks: Mapping[str, tuple[str, Trajectory]], truth: Trajectory) -> d
 def residuals(fixes: Sequence[FixReport], labels: Sequence[str]) -> dict[str, Any]:
     """Chart of the distance of each fix from the walk [m]; labels: hover text of each fix."""
     time, residual, weight = np.array([(f.time, f.residual, f.weight) for f in fixes]).T
-    marks = line("fixes", FIX, time, residual, mode="markers")
+    marks = line("fixes", RED, time, residual, mode="markers")
     marks |= {"weight": column(weight, CHART_RESOLUTION), "text": list(labels)}
     return {"title": "fix residuals", "unit": "m", "lines": [marks], "from_zero": True}
 
@@ -113,15 +115,15 @@ def gait(steps: Steps) -> list[dict[str, Any]]:
         np.insert(np.where(walked, y, np.nan), stood, np.nan) for y in (steps.length, 1 / steps.duration)
     )
     return [
-        {"title": "step length", "unit": "m", "lines": [line("length", TRACK, time, length)]},
-        {"title": "step frequency", "unit": "Hz", "lines": [line("frequency", TRACK, time, frequency)]},
+        {"title": "step length", "unit": "m", "lines": [line("length", BLUE, time, length)]},
+        {"title": "step frequency", "unit": "Hz", "lines": [line("frequency", BLUE, time, frequency)]},
     ]
 
 
 def floors(path: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
     """Chart of the floor over time; labels: of the floors, the lowest first."""
     number = {label: float(n) for n, label in enumerate(labels)}
-    on = line("floor", TRACK, path.time, np.array([number.get(f, np.nan) for f in path.floor]), shape="hv")
+    on = line("floor", BLUE, path.time, np.array([number.get(f, np.nan) for f in path.floor]), shape="hv")
     return {"title": "floor", "unit": "", "lines": [on], "labels": list(labels)}
 
 
@@ -245,7 +247,7 @@ def _rate(time: Array) -> str:
     return f"{len(time) / duration:.2g} Hz" if duration else ""
 
 
-ESTIMATED, PRIOR_KEPT = "estimated", "not observable from this walk; prior kept"
+ESTIMATED, KEPT_PRIOR = "estimated", "not observable from this walk; prior kept"
 OWN_TABLE = ("fixes", "beacons", "headings")  # kinds of measurement with a table of their own
 MAXIMUM_REPORTS = 200  # rows shown of a kind of measurement
 HALF = 0.5  # weight below which a measurement is mostly ignored
@@ -291,9 +293,9 @@ def _calibration(calibration: Calibration) -> Table:
     prior, observable = calibration.prior_sigma[-1], calibration.learnt[-1]
     rows = []
     for name, known, *numbers in zip(calibration.names, observable, value, sigma, prior, strict=True):
-        shown = np.degrees(numbers) if UNITS[name] else numbers
-        unit = f" [{UNITS[name]}]" if UNITS[name] else ""
-        rows.append([MEANING[name] + unit, *(f"{number:.4f}" for number in shown), ESTIMATED if known else PRIOR_KEPT])
+        shown = np.degrees(numbers) if UNIT_OF[name] else numbers
+        unit = f" [{UNIT_OF[name]}]" if UNIT_OF[name] else ""
+        rows.append([MEANING[name] + unit, *(f"{number:.4f}" for number in shown), ESTIMATED if known else KEPT_PRIOR])
     return table("Estimated calibration", ["coefficient", "value", "sigma", "prior sigma", "status"], rows)
 
 

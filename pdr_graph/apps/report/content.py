@@ -14,15 +14,12 @@ from pdr_graph.apps.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
     CENTISECOND,
-    EVERYWHERE,
-    FIX,
-    GREY,
     MAXIMUM_MARKS,
+    ON_EVERY_MAP,
     OTHER,
     PERCENT,
     RADIO,
     SURROUNDINGS,
-    TRACK,
     TRUTH,
     bands,
     column,
@@ -38,20 +35,21 @@ from pdr_graph.estimation.results import is_usual
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import Array, Estimate, FixReport, OneLineRepr, Recording, Steps, Trajectory, time_span
 
 CAUSAL = "#2fa37d"  # colour of causal tracks
 DASHES = {GREY: "dash", OTHER: "dashdot"}  # of tracks that have the lightness of others; those of sources are dotted
 DEAD_RECKONING = "dead reckoning, rigidly aligned"
-NAMES = {
+RESULT_NAMES = {
     "graph": "graph",
     "filter": "filter",
     "rts": "filter, smoothed",
     "pdr": DEAD_RECKONING,
     "live": "in hindsight, smoothed",
 }  # of the results of each method
-WHOLE_PLAN, EDGE = 1.3, 1.0  # a plan up to this many times as large as what is shown is whole; [m] around it
-USED = 0.5  # weight from which a fix is within the map as it opens
+WHOLE_PLAN, RIM = 1.3, 1.0  # a plan up to this many times as large as what is shown is whole; [m] around it
+USED_WEIGHT = 0.5  # weight from which a fix is within the map as it opens
 FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
 
 
@@ -80,12 +78,12 @@ class WalkReport(OneLineRepr):
     @property
     def name(self) -> str:
         """Name of the result: the method, or "smoothed positions" without steps."""
-        return NAMES[self.method] if self.summary["steps"] else "smoothed positions"
+        return RESULT_NAMES[self.method] if self.summary["steps"] else "smoothed positions"
 
     @property
     def tracks(self) -> dict[str, tuple[str, Trajectory]]:
         """All tracks, name -> (colour, path), the result first."""
-        tracks = {self.name: (TRACK, self.estimate.trajectory)}
+        tracks = {self.name: (BLUE, self.estimate.trajectory)}
         others = self.estimate.routes[1:]
         tracks |= {f"route {n + 2}, {percent(share)}": (OTHER, path) for n, (share, path) in enumerate(others)}
         tracks |= {name: (CAUSAL, path) for name, path in self.causal.items()}
@@ -182,10 +180,10 @@ def _maps(report: WalkReport) -> list[dict[str, Any]]:
     floors = () if report.building is None else tuple(report.building[label] for label in report.labels)
     path = report.estimate.trajectory
     on = np.array(maps_of(path.floor, report.labels))
-    used = np.array([(f.time, f.x, f.y) for f in report.estimate.fixes if f.weight > USED]).reshape(-1, 3)
+    used = np.array([(f.time, f.x, f.y) for f in report.estimate.fixes if f.weight > USED_WEIGHT]).reshape(-1, 3)
     maps = []
     for n, label in enumerate(report.labels):
-        here = (on == n) | (on == EVERYWHERE)
+        here = (on == n) | (on == ON_EVERY_MAP)
         near = here[nearest(path.time, used[:, 0])]
         corners = _around(np.concatenate([path.position[here], used[near, 1:]]), floors[n] if floors else None)
         maps.append({"name": label, "corners": corners, "plan": page.plan_drawing(floors[n]) if floors else None})
@@ -201,7 +199,7 @@ def _around(position: Array, floor: FloorPlan | None) -> list[list[float]]:
     margin = max(5.0, SURROUNDINGS * float(np.max(high - low)))  # smallest margin [m]: shown around a walk
     low, high = low - margin, high + margin
     if floor is not None:
-        west_south, east_north = np.minimum(low, floor.corners[0] - EDGE), np.maximum(high, floor.corners[1] + EDGE)
+        west_south, east_north = np.minimum(low, floor.corners[0] - RIM), np.maximum(high, floor.corners[1] + RIM)
         if (east_north - west_south < WHOLE_PLAN * (high - low)).all():
             low, high = west_south, east_north
     return [low.round(2).tolist(), high.round(2).tolist()]
@@ -266,7 +264,7 @@ def _fixes(
     time, x, y, weight = np.array([(f.time, f.x, f.y, f.weight) for f in fixes]).T
     floors = [path.floor[row] for row in nearest(path.time, time).tolist()]
     to_x, to_y = (column(axis, CENTIMETRE) for axis in interpolate(time, path.time, path.position).T)
-    marks = _marks("fixes, by weight", FIX, np.stack([x, y], axis=1), fix_labels)
+    marks = _marks("fixes, by weight", RED, np.stack([x, y], axis=1), fix_labels)
     marks |= {"on": runs(maps_of(floors, labels)), "symbol": "circle", "weight": column(weight, PERCENT)}
     return [marks | {"time": column(time, CENTISECOND), "to_x": to_x, "to_y": to_y}]
 
@@ -274,12 +272,12 @@ def _fixes(
 def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
     """Estimated places of the beacons; those far from their listed place in another colour."""
     drawn = []
-    for name, colour, moved in (("beacons", RADIO, False), ("misplaced beacons", FIX, True)):
+    for name, colour, moved in (("beacons", RADIO, False), ("misplaced beacons", RED, True)):
         group = [b for b in estimate.beacons if b.misplaced == moved and np.isfinite([b.x, b.y]).all()]
         if group:
             place = np.array([(b.x, b.y) for b in group])
             drawn.append(_marks(name, colour, place, [f"{b.label}\n{b.reason}" for b in group]))
-            drawn[-1] |= {"on": [[EVERYWHERE, len(group)]], "symbol": "diamond-open"}
+            drawn[-1] |= {"on": [[ON_EVERY_MAP, len(group)]], "symbol": "diamond-open"}
     return drawn
 
 

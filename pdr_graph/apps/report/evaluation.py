@@ -146,7 +146,7 @@ def circular_accuracy(pairs: Pairs) -> float:
     return float(np.hypot(*_mode(errors[:: -(-len(errors) // 1000)])))
 
 
-MAXIMUM_SHIFTS, CONVERGED = 500, 1e-6  # iterations of mean shift; [kernel widths] shift at convergence
+MAXIMUM_SHIFTS, CONVERGED_SHIFT = 500, 1e-6  # iterations of mean shift; [kernel widths] shift at convergence
 
 
 def _mode(points: Array) -> Array:
@@ -165,7 +165,7 @@ def _mode(points: Array) -> Array:
     for _ in range(MAXIMUM_SHIFTS):
         before, weight = mode, np.exp(-0.5 * np.sum((white - mode) ** 2, axis=1))
         mode = weight @ white / weight.sum()
-        if np.hypot(*(mode - before)) < CONVERGED:
+        if np.hypot(*(mode - before)) < CONVERGED_SHIFT:
             break
     return axes @ (mode * np.sqrt(variance))
 
@@ -324,15 +324,15 @@ def _size(track: Trajectory) -> dict[str, float]:
     return {"distance": round(distance, 3), "duration": round(float(np.ptp(track.time)), 3)}
 
 
-HEADING = "he"  # in radians in the scores, in degrees for people
+HEADING_KEY = "he"  # in radians in the scores, in degrees for people
 # Heading of a column: key of its score, key of the statistic, digits
-COLUMNS: dict[str, tuple[str, str, int]] = {
+SCORE_COLUMNS: dict[str, tuple[str, str, int]] = {
     "distance [m]": ("distance", "", 1),
     "CE50 [m]": ("ce", "p50", 2),
     "CE75 [m]": ("ce", "p75", 2),
     "CE95 [m]": ("ce", "p95", 2),
     "CE max [m]": ("ce", "max", 2),
-    "HE50 [°]": (HEADING, "p50", 1),
+    "HE50 [°]": (HEADING_KEY, "p50", 1),
     "EAG [m/s]": ("eag", "", 4),
     "VE [m/s]": ("ve", "", 3),
     "CA [m]": ("ca", "", 2),
@@ -344,9 +344,9 @@ COLUMNS: dict[str, tuple[str, str, int]] = {
 
 def comparison_table(comparison: Comparison) -> str:
     """The scores as a text: a row per trajectory, a column per metric; those that no row has are left out."""
-    rows = [[_cell(scores, *column) for column in COLUMNS.values()] for scores in comparison.scores.values()]
-    used = [n for n in range(len(COLUMNS)) if any(row[n] for row in rows)]
-    heads = list(COLUMNS)
+    rows = [[_cell(scores, *column) for column in SCORE_COLUMNS.values()] for scores in comparison.scores.values()]
+    used = [n for n in range(len(SCORE_COLUMNS)) if any(row[n] for row in rows)]
+    heads = list(SCORE_COLUMNS)
     lines = [["", *(heads[n] for n in used)]]
     names = [one_line(name) for name in comparison.scores]
     lines += [[name, *(row[n] or "—" for n in used)] for name, row in zip(names, rows, strict=True)]
@@ -363,7 +363,7 @@ def _cell(scores: Mapping[str, Any], key: str, statistic: str, digits: int) -> s
     value = value[statistic] if statistic and value is not None else value
     if value is None:
         return ""
-    return f"{np.degrees(value) if key == HEADING else value:.{digits}f}"
+    return f"{np.degrees(value) if key == HEADING_KEY else value:.{digits}f}"
 
 
 def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:

@@ -9,13 +9,14 @@ import numpy as np
 
 from pdr_graph.apps.report.charts_and_tables import CHART_ROWS, Table, line, table
 from pdr_graph.apps.report.evaluation import error_text, evaluate
-from pdr_graph.apps.report.page import RADIO, TRACK, maps_of, thinned, track
+from pdr_graph.apps.report.page import RADIO, maps_of, thinned, track
 from pdr_graph.apps.report.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import protection_level
+from pdr_graph.notebook_html import BLUE
 from pdr_graph.types import Trajectory
 
-COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
+SOURCE_COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
 CHARTED = 0.95  # probability of the protection level that is drawn; others are multiples of it
 ALONE = "by {} alone"  # name of a source's track
 
@@ -25,7 +26,7 @@ def source_tracks(sources: Sequence[PositionSource], labels: Sequence[str]) -> l
     style = {"width": 1.3, "dash": "dot"}
     return [
         track(ALONE.format(one.name), colour, one.track, maps_of(one.track.floor, labels), **style)
-        for one, colour in zip(sources, np.resize(COLOURS, len(sources)).tolist(), strict=True)
+        for one, colour in zip(sources, np.resize(SOURCE_COLOURS, len(sources)).tolist(), strict=True)
         if one.track is not None
     ]
 
@@ -55,7 +56,7 @@ def protection_charts(track: Trajectory, levels: Mapping[str, Any] | None) -> li
     both = protection_level(track.covariance[rows], np.nan_to_num(track.heading[rows]), CHARTED).T
     lines = [
         line(axis, colour, track.time[rows], values)
-        for axis, colour, values in zip(("along", "across"), (TRACK, RADIO), both, strict=True)
+        for axis, colour, values in zip(("along", "across"), (BLUE, RADIO), both, strict=True)
     ]
     return [{"title": f"protection level {100 * CHARTED:g} %", "unit": "m", "lines": lines, "from_zero": True}]
 
@@ -89,7 +90,7 @@ SCORES = {  # key in the result of `evaluate` -> label, unit
     ("fe",): ("FE: share on the correct floor", ""),
     ("n",): ("samples with ground truth", ""),
 }
-PERCENTILES = "error 50 / 75 / 95 %"
+PERCENTILES_HEAD = "error 50 / 75 / 95 %"
 
 
 def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Building | None) -> Table | None:
@@ -108,7 +109,7 @@ def error_figures(summary: Mapping[str, Any]) -> list[list[str]]:
         return _live_figures(summary["live"])
     if scores is None or scores["ce"] is None:
         return []
-    return [[PERCENTILES, error_text({**scores["ce"], "in_90": None})]]
+    return [[PERCENTILES_HEAD, error_text({**scores["ce"], "in_90": None})]]
 
 
 def _live_figures(live: Mapping[str, Any]) -> list[list[str]]:
@@ -119,7 +120,7 @@ def _live_figures(live: Mapping[str, Any]) -> list[list[str]]:
             ["live: first pose after", f"{live['first_pose']:.1f} s"],
             ["live: median sigma", f"{live['sigma']:.1f} m"],
         ]
-    figures = [[f"live, known at once: {PERCENTILES}", error_text({**error, "in_90": None})]]
+    figures = [[f"live, known at once: {PERCENTILES_HEAD}", error_text({**error, "in_90": None})]]
     return figures + ([] if smoothed is None else [["in hindsight, smoothed", error_text({**smoothed, "in_90": None})]])
 
 

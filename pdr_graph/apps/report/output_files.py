@@ -32,7 +32,7 @@ PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its 
 REPORT = "report.html"
 KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
 REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
-NAMED = (*REPORTED, "ranges")  # kinds whose reports have a key of the summary; those of others are under "reports"
+KEYED_KINDS = (*REPORTED, "ranges")  # kinds with a key of the summary; reports of others are under "reports"
 
 
 def smooth_recording(
@@ -238,10 +238,10 @@ def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | Non
 
 
 def _reports_by_kind(estimate: Estimate, clock_origin: float) -> dict[str, Any]:
-    """The reports of NAMED kinds by name; under "reports" those of other kinds, if there are any."""
+    """The reports of KEYED_KINDS by name; under "reports" those of other kinds, if there are any."""
     listed = {kind: _reports(estimate.reports.get(kind, ()), clock_origin) for kind in (*REPORTED, *estimate.reports)}
-    others = {kind: rows for kind, rows in listed.items() if kind not in NAMED}
-    named = {kind: rows for kind, rows in listed.items() if kind in NAMED}
+    others = {kind: rows for kind, rows in listed.items() if kind not in KEYED_KINDS}
+    named = {kind: rows for kind, rows in listed.items() if kind in KEYED_KINDS}
     return named | ({"reports": others} if others else {})
 
 

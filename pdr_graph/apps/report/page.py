@@ -30,14 +30,14 @@ from pdr_graph.geometry import confidence_band
 from pdr_graph.types import Array, Index, Trajectory
 
 # Colours and margin of all pictures and reports
-SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
-ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
-CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # colours of kinds of cells
-TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
+SOLID_FILL, BORDER, EDGES, OUTDOORS, WALKABLE_COLOUR = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
+ROOM, OPENING, STAIRS_COLOUR = "#f4f6f0", "#e8c9a8", "#ebe3c8"
+CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS_COLOUR))  # colours of kinds of cells
+BAND, TRUTH, RADIO = "#7fb0f0", "#111111", "#7b4fa6"  # and those of `notebook_html`: BLUE track, GREY, RED fixes
 OTHER = "#b0458a"  # other routes
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
 SCRIPTS = ("content", "walker", "map", "charts", "player", "words", "start")  # in this order
-PLACE = re.compile(rb"\{\{(\w+)\}\}")  # placeholder of a part in the template
+PLACEHOLDER = re.compile(rb"\{\{(\w+)\}\}")  # placeholder of a part in the template
 
 
 def page(content: dict[str, Any]) -> bytes:
@@ -55,7 +55,7 @@ def page(content: dict[str, Any]) -> bytes:
         b"library": library,
         b"script": script,
     }
-    pieces = PLACE.split(template)  # every second piece is the name of a part
+    pieces = PLACEHOLDER.split(template)  # every second piece is the name of a part
     pieces[1::2] = [parts[name] for name in pieces[1::2]]
     return b"".join(pieces)
 
@@ -84,7 +84,7 @@ def thinned(rows: int, most: int = MAXIMUM_ROWS) -> Index:
     return np.unique(np.linspace(0, rows - 1, min(rows, most)).round().astype(np.intp))
 
 
-THIN, WALL = 0.05, 0.12  # [m] line width of borders and walls
+THIN, WALL_WIDTH = 0.05, 0.12  # [m] line width of borders and walls
 
 
 def plan_drawing(floor: FloorPlan) -> dict[str, Any]:
@@ -100,9 +100,9 @@ def plan_drawing(floor: FloorPlan) -> dict[str, Any]:
     shapes = [
         _path(floor, everything, fill=SOLID_FILL),
         _path(floor, solid, stroke=BORDER, width=THIN),
-        _path(floor, floor.walkable, fill=WALKABLE, stroke=EDGE, width=THIN),
+        _path(floor, floor.walkable, fill=WALKABLE_COLOUR, stroke=EDGES, width=THIN),
         *(_path(floor, polygons, fill=colour) for polygons, colour in cells),
-        _path(floor, floor.cells.barriers, stroke=EDGE, width=WALL),
+        _path(floor, floor.cells.barriers, stroke=EDGES, width=WALL_WIDTH),
         _path(floor, links, stroke=BORDER, width=THIN),
     ]
     width, height = (floor.corners[1] - floor.corners[0]).tolist()
@@ -147,15 +147,15 @@ def _pairs(centimetres: Array) -> str:
     return " ".join(f"{x / 100:.10g},{y / 100:.10g}" for x, y in centimetres.tolist())
 
 
-EVERYWHERE, NOWHERE = -1, -2  # instead of a map number: on every map, on none
+ON_EVERY_MAP, ON_NO_MAP = -1, -2  # instead of a map number: on every map, on none
 
 
 def maps_of(floors: Sequence[str], labels: Sequence[str]) -> list[int]:
-    """The map number of each row: of its floor, EVERYWHERE if the floor is unknown, NOWHERE if it has no map."""
+    """The map number of each row: of its floor, ON_EVERY_MAP if the floor is unknown, ON_NO_MAP if it has no map."""
     if len(labels) == 1:
         return [0] * len(floors)
-    number = {label: n for n, label in enumerate(labels)} | {"": EVERYWHERE}
-    return [number.get(floor, NOWHERE) for floor in floors]
+    number = {label: n for n, label in enumerate(labels)} | {"": ON_EVERY_MAP}
+    return [number.get(floor, ON_NO_MAP) for floor in floors]
 
 
 def track(name: str, colour: str, path: Trajectory, on: Sequence[int], **style: Any) -> dict[str, Any]:
@@ -180,7 +180,7 @@ def track(name: str, colour: str, path: Trajectory, on: Sequence[int], **style: 
 def bands(path: Trajectory, on: Sequence[int], maps: int) -> list[dict[str, Any]]:
     """The 95 % region of a path on each of ``maps`` maps, as rings."""
     where = np.array(on)
-    return [rings(confidence_band(path, (where == n) | (where == EVERYWHERE))) for n in range(maps)]
+    return [rings(confidence_band(path, (where == n) | (where == ON_EVERY_MAP))) for n in range(maps)]
 
 
 def rings(polygons: Array) -> dict[str, Any]:

@@ -24,26 +24,24 @@ from pdr_graph.apps.report.page import (
     BAND,
     BORDER,
     CELLS,
-    EDGE,
-    FIX,
-    GREY,
+    EDGES,
     OPENING,
     OTHER,
-    OUTSIDE,
+    OUTDOORS,
     RADIO,
     ROOM,
     SOLID_FILL,
-    STAIRS,
+    STAIRS_COLOUR,
     SURROUNDINGS,
-    TRACK,
     TRUTH,
-    WALKABLE,
+    WALKABLE_COLOUR,
 )
 from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
+from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import Array, Estimate, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
@@ -123,9 +121,9 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
         path = _on(route, label)
         axes.plot(*path.T, color=OTHER, lw=1.2, alpha=0.8, label=named, zorder=4)
         axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, fontsize=8, zorder=4, clip_on=True)
-    axes.plot(*track.T, color=TRACK, lw=2.2, label=_name_of(estimate), zorder=5, solid_joinstyle="round")
-    axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
-    axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
+    axes.plot(*track.T, color=BLUE, lw=2.2, label=_name_of(estimate), zorder=5, solid_joinstyle="round")
+    axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=BLUE, mew=2, ls="none", zorder=7, label="start")
+    axes.plot(*track[-1], marker="s", ms=8, mfc=BLUE, mec="white", mew=1, ls="none", zorder=7, label="end")
     if truth is not None:
         few = len(truth) <= MANY
         name = "surveyed points" if few else "true path"
@@ -167,7 +165,7 @@ def picture_bytes(figure: Figure, dpi: float = 120, file_format: str = "png") ->
     return content.getvalue()
 
 
-COLOURS = ("#1f5fbf", "#d1602b", "#2a9d6f", "#b0458a", "#c9a227", "#7b4fa6", "#5b5b5b", "#36a9c9")  # of trajectories
+CYCLE = ("#1f5fbf", "#d1602b", "#2a9d6f", "#b0458a", "#c9a227", "#7b4fa6", "#5b5b5b", "#36a9c9")  # of trajectories
 
 
 def plot_comparison(
@@ -183,8 +181,8 @@ def plot_comparison(
             draw_plan(axes, floors[n])
         label = floors[n].label if len(floors) > 1 else None
         for number, (name, track) in enumerate(tracks.items()):
-            style: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "lw": 1.8, "label": printable(name)}
-            axes.plot(*_on(track, label).T, ls=LINES[number % len(LINES)], zorder=5, **style)
+            style: dict[str, Any] = {"color": CYCLE[number % len(CYCLE)], "lw": 1.8, "label": printable(name)}
+            axes.plot(*_on(track, label).T, ls=LINE_STYLES[number % len(LINE_STYLES)], zorder=5, **style)
         if truth is not None:
             axes.plot(*_on(truth, label).T, label="truth", zorder=8, **_truth_style(truth))
         _title(axes, label or "")
@@ -193,7 +191,7 @@ def plot_comparison(
     return figure
 
 
-LINES = ("-", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # styles, so that grey prints differ too
+LINE_STYLES = ("-", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # styles, so that grey prints differ too
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:
@@ -214,16 +212,16 @@ def plot_conversion(ignored: shapely.Geometry, *floors: FloorPlan) -> Figure:
     for axes, floor in zip(canvases, floors, strict=True):
         draw_plan(axes, floor)
         _title(axes, f"{floor.label}   walkable {floor.walkable_area:.0f} m²")
-    _lines(canvases[0], ignored, color=FIX, lw=0.8, ls="--", zorder=2.6)
+    _lines(canvases[0], ignored, color=RED, lw=0.8, ls="--", zorder=2.6)
     fills = {
-        "corridor, free space": WALKABLE,
+        "corridor, free space": WALKABLE_COLOUR,
         "room, lift": ROOM,
         "door": OPENING,
-        "stairs": STAIRS,
+        "stairs": STAIRS_COLOUR,
         "solid": SOLID_FILL,
     }
-    marks: list[Artist] = [Patch(facecolor=colour, edgecolor=EDGE, label=name) for name, colour in fills.items()]
-    marks += [Line2D([], [], color=EDGE, lw=0.9, label="wall"), Line2D([], [], color=FIX, ls="--", label="ignored")]
+    marks: list[Artist] = [Patch(facecolor=colour, edgecolor=EDGES, label=name) for name, colour in fills.items()]
+    marks += [Line2D([], [], color=EDGES, lw=0.9, label="wall"), Line2D([], [], color=RED, ls="--", label="ignored")]
     figure.legend(handles=marks, loc="lower center", ncols=4, frameon=False, fontsize=8)
     return figure
 
@@ -232,18 +230,18 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     """Draw the walkable and solid areas of a plan [m], with the names that fit."""
     solid = [area for area in floor.of_kind(*SOLID) if area.is_polygon]
     drawn = [area for area in floor.areas if area.is_polygon and area.kind != LINK]
-    axes.set_facecolor(OUTSIDE)
+    axes.set_facecolor(OUTDOORS)
     axes.add_collection(_patches(shapely.union_all([a.shape for a in drawn]), facecolor=SOLID_FILL, lw=0, zorder=1))
     borders = shapely.geometrycollections([area.shape for area in solid])
     axes.add_collection(_patches(borders, facecolor="none", edgecolor=BORDER, lw=0.4, zorder=1))
-    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE, edgecolor=EDGE, lw=0.5, zorder=2))
+    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE_COLOUR, edgecolor=EDGES, lw=0.5, zorder=2))
     for kinds, colour in CELLS:
         cells = shapely.geometrycollections([c.polygon for c in floor.cells.cells if c.kind in kinds])
         axes.add_collection(_patches(cells, facecolor=colour, lw=0, zorder=2.1))
-    _lines(axes, floor.cells.barriers, color=EDGE, lw=0.7, zorder=2.2)
+    _lines(axes, floor.cells.barriers, color=EDGES, lw=0.7, zorder=2.2)
     _lines(axes, shapely.union_all([a.shape for a in floor.of_kind(LINK)]), color=BORDER, lw=0.5, ls=":", zorder=2.3)
     for beacon in floor.of_kind(BEACON):
-        axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=FIX, ls="none", zorder=2.4)
+        axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=RED, ls="none", zorder=2.4)
     for area in (*solid, *floor.of_kind(*CLOSED, *OPEN)):
         if area.name.isascii() and area.name.isprintable() and area.is_polygon:
             _name(axes, area.name, area.shape)
@@ -303,18 +301,18 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
         return
     share = min(1.0, MANY / len(place))
     gaps = list(np.stack([place, at], axis=1))
-    axes.add_collection(LineCollection(gaps, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
+    axes.add_collection(LineCollection(gaps, color=RED, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
     size = max(42 * share, 5)
-    axes.scatter(*place.T, s=size, c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5)
+    axes.scatter(*place.T, s=size, c=faces, edgecolors=RED, linewidths=1.2, zorder=4.5)
     name = "fix" + ("" if weight.min() > REJECTED else " (hollow: rejected)")
-    style: dict[str, Any] = {"color": FIX, "lw": 0.8, "marker": "o", "ms": size**0.5, "label": name}
+    style: dict[str, Any] = {"color": RED, "lw": 0.8, "marker": "o", "ms": size**0.5, "label": name}
     axes.plot([], [], **style)
 
 
 def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
     """Draw the estimated positions of the beacons with their names, misplaced ones in another colour."""
-    for colour, moved, label in ((RADIO, False, "beacons"), (FIX, True, "misplaced beacons")):
+    for colour, moved, label in ((RADIO, False, "beacons"), (RED, True, "misplaced beacons")):
         group = [b for b in estimate.beacons if b.misplaced == moved]
         if group:
             place = np.array([(b.x, b.y) for b in group])

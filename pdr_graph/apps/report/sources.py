@@ -21,8 +21,8 @@ from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.priors import INITIAL, REPORTS, VERDICTS
 from pdr_graph.types import Estimate, OneLineRepr, Trajectory
 
-FIXES, PLAN = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
-NAMED = 5  # beacons that a remark names
+FIXES_SOURCE, PLAN_SOURCE = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
+MOST_NAMED = 5  # beacons that a remark names
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def _tables(graph: WalkGraph, estimate: Estimate) -> Iterator[tuple[str, Any, li
     for name in dict.fromkeys(graph.fixes.source):
         which = np.flatnonzero(source == name)
         of_source = [reports[n] for n in which.tolist()] if len(reports) == len(graph.fixes) else []
-        yield name or FIXES, graph.fixes[which], list(used_fixes(of_source))
+        yield name or FIXES_SOURCE, graph.fixes[which], list(used_fixes(of_source))
     for table in graph.data:
         kind = kind_of(table).name
         if kind in locating_kinds():
@@ -117,8 +117,8 @@ def _reason(rejected: list[Any]) -> str:
     """The reason of rejected measurements: names of beacons, else the reason with the largest residual."""
     names = list(dict.fromkeys(report.label for report in rejected if hasattr(report, "label")))
     if names:
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        return f"{', '.join(names[:NAMED])}{more} not where listed"
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        return f"{', '.join(names[:MOST_NAMED])}{more} not where listed"
     worst = max(rejected, key=lambda report: np.nan_to_num(abs(getattr(report, "residual", 0.0))))
     return f"the worst {getattr(worst, 'reason', 'has no stated reason')}"
 
@@ -131,4 +131,4 @@ def _plan(graph: WalkGraph, estimate: Estimate) -> Iterator[PositionSource]:
     if graph.walled:
         crossed = int(Building.around(graph.floor).crosses_wall(track.position, track.floor).sum())
         remark = f"used, {crossed} of {len(track)} rows through walls"
-    yield PositionSource(PLAN, len(track), float("nan"), remark)
+    yield PositionSource(PLAN_SOURCE, len(track), float("nan"), remark)

@@ -19,7 +19,7 @@ from pdr_graph.errors import InputError
 
 OWNER = "owner"
 COOKIE = "pdr_graph_token"
-LOCAL = ("127.0.0.1", "localhost", "::1")
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
 SHORTEST_TOKEN = 16  # characters of a token by hand: those made here have 32 and 192 bits
 
 
@@ -74,7 +74,7 @@ def is_local(headers: Mapping[str, str]) -> bool:
     if any(name in headers for name in ("forwarded", "x-forwarded-for", "x-real-ip", "via")):
         return False
     try:
-        return urlsplit(f"//{headers.get('host', '')}").hostname in LOCAL
+        return urlsplit(f"//{headers.get('host', '')}").hostname in LOCAL_HOSTS
     except ValueError:
         return False
 

@@ -22,7 +22,7 @@ from starlette.routing import Route
 
 from pdr_graph.apps.lifelog import report, revision
 from pdr_graph.apps.lifelog.diary import DiaryDay, diary
-from pdr_graph.apps.lifelog.facts import MODES
+from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.picture import picture as drawn_picture
@@ -186,7 +186,7 @@ def entry_page(store: Path, query: Fields) -> str:
     hidden = {"person": day.person, "date": day.date, "start": _time(entry.start, entry.offset)}
     hidden |= {"end": _time(entry.end, entry.end_offset)}
     hidden |= {"at": (middle := _time((entry.start + entry.end) / 2, entry.offset))}
-    modes = "".join(f"<option>{mode}</option>" for mode in MODES)
+    modes = "".join(f"<option>{mode}</option>" for mode in MODE_ACTIVITIES)
     forms = [
         _form("at", hidden, "I was at", '<input name="value" placeholder="LAT,LON or a name" required>'),
         _form("name", hidden, "This place is called", '<input name="value" required>'),

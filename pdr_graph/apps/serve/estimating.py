@@ -26,10 +26,10 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.walk import Options
 
 LATEST_POSE = 1.0  # [s] the same of a pose
-MOST_FAILURES = 3  # after which a walker is left alone until the next start
+MOST_ATTEMPTS = 3  # after which a walker is left alone until the next start
 SLOWEST_WAIT = 3600.0  # [s]
 STOP, PING = "stop", "ping"  # actions: ends the process; is answered
-READY = "ready"  # the first update
+FIRST_UPDATE = "ready"  # the first update
 
 
 @dataclass
@@ -112,7 +112,7 @@ class Estimating:
         except Exception as error:  # of one walker: the others go on
             failures = self._failed.get(id_, (0, 0.0))[0] + 1
             # retry [s] after a failure of a walker
-            again = time.monotonic() + 5.0 if failures < MOST_FAILURES else np.inf
+            again = time.monotonic() + 5.0 if failures < MOST_ATTEMPTS else np.inf
             self._tasks.pop(id_, None)
             self._failed[id_] = failures, again
             text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
@@ -175,7 +175,7 @@ def run(connection: Connection, root: str, options: Mapping[str, Any], working: 
         connection.send_bytes(msgspec.msgpack.encode((kind, update)))
 
     estimating = Estimating(Path(root), Options(**options), send, working)
-    send(READY, {})
+    send(FIRST_UPDATE, {})
     try:
         while True:
             while connection.poll(estimating.wait):

@@ -20,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from pdr_graph.apps.serve.estimating import MOST_FAILURES, PING, READY, STOP, run, run_process
+from pdr_graph.apps.serve.estimating import FIRST_UPDATE, MOST_ATTEMPTS, PING, STOP, run, run_process
 
 RESTART = 1.0  # [s] until a process that ended is started again, doubled each time up to SLOWEST_RESTART
 SLOWEST_RESTART = 60.0
@@ -72,7 +72,7 @@ class Estimators:
 
     def tell(self, action: str, id_: str) -> None:
         """Send an action to the process of a walker; while it restarts this is not necessary."""
-        if self._ended_by[id_] < MOST_FAILURES or action == "forget":
+        if self._ended_by[id_] < MOST_ATTEMPTS or action == "forget":
             self._send(self.number_of(id_), action, id_)
 
     def _send(self, number: int, action: str, id_: str) -> None:
@@ -133,9 +133,9 @@ class Estimators:
             except (EOFError, OSError, TypeError):  # TypeError: closed while it waited
                 break
             running.heard = time.monotonic()
-            if kind != READY:
+            if kind != FIRST_UPDATE:
                 delay = RESTART
-            if kind not in (READY, PING):
+            if kind not in (FIRST_UPDATE, PING):
                 self._call(self._receive, kind, update)
         if not self._stopping:
             self._call(self._ended, number, running, delay)
@@ -145,7 +145,7 @@ class Estimators:
         id_ = running.working.value.decode("ascii", "replace")
         if id_:
             self._ended_by[id_] += 1
-            again = self._ended_by[id_] < MOST_FAILURES
+            again = self._ended_by[id_] < MOST_ATTEMPTS
             after = "it is tried again" if again else "it is left alone until the next start; its messages are kept"
             self._receive("failed", {"id": id_, "text": f"its process {running.end}; {after}", "again": again})
         self._loop.call_later(delay, self._start, number, min(2 * delay, SLOWEST_RESTART))

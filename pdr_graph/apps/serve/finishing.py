@@ -21,7 +21,7 @@ from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
 
-FILES = {  # name in a message: table of an export, and its columns
+TABLE_FILES = {  # name in a message: table of an export, and its columns
     "accelerometer": ("Accelerometer", "z,y,x"),
     "gravity": ("Gravity", "z,y,x"),
     "gyroscope": ("Gyroscope", "z,y,x"),
@@ -74,9 +74,9 @@ def _write_export(file: Path, folder: Path, session: Session) -> None:
                 sensor_messages.signals_of(columns, signs, session.platform, android)
             for sample in sorted(message.payload, key=lambda sample: sample.time):
                 name, time = sample.name.lower(), int(sample.time)
-                if name not in FILES:
+                if name not in TABLE_FILES:
                     continue
-                title, header = FILES[name]
+                title, header = TABLE_FILES[name]
                 start = start or time
                 if name not in tables:
                     tables[name] = files.enter_context((Path(scratch) / f"{title}.csv").open("w", encoding="utf-8"))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from pdr_graph.apps.serve.publishing import COLUMNS
+from pdr_graph.apps.serve.publishing import PATH_KEYS
 
 Event = tuple[str, dict[str, Any]]  # name and data
 MOST_SUBSCRIBERS = 100
@@ -23,8 +23,8 @@ class Published:
 
     user: str
     pose: dict[str, Any]
-    finalised: dict[str, Any] = field(default_factory=lambda: {name: [] for name in COLUMNS})
-    current: dict[str, Any] = field(default_factory=lambda: {name: [] for name in COLUMNS})
+    finalised: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
+    current: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
     revision: int = 0
 
     def extend(self, path: dict[str, Any]) -> None:
@@ -33,7 +33,7 @@ class Published:
         if count < len(self.finalised["time"]) or (new["lon"] is None) != (self.finalised["lon"] is None):
             self.revision += 1
         self.finalised = {
-            name: None if new[name] is None else (self.finalised[name] or [])[:count] + new[name] for name in COLUMNS
+            name: None if new[name] is None else (self.finalised[name] or [])[:count] + new[name] for name in PATH_KEYS
         }
         self.current = path["current"]
 

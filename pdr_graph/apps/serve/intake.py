@@ -13,12 +13,11 @@ import numpy as np
 
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.sensor_messages import Signs
-from pdr_graph.io.validation import INERTIAL
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
 from pdr_graph.priors import FIXES
-from pdr_graph.types import LONLAT, Array, Fixes, Recording, Signal
+from pdr_graph.types import INERTIAL, LONLAT, Array, Fixes, Recording, Signal
 
-FARTHEST = 1e8  # [s] from the first sample: three years; times beyond are damage
+LATEST_TIME = 1e8  # [s] from the first sample: three years; times beyond are damage
 SENSOR_LOGGER = "sensorlogger"
 PLATFORMS = ("ios", "android")
 
@@ -61,7 +60,7 @@ class Intake:
         if np.isnan(self.origin):
             self.origin = float(fixes.time[0])
         fixes = sensor_messages.shifted(fixes, self.origin)
-        usable = np.abs(fixes.time) < FARTHEST
+        usable = np.abs(fixes.time) < LATEST_TIME
         self._count_unusable("location", int((~usable).sum()))
         return [fixes[usable]] if usable.any() else []
 
@@ -96,7 +95,7 @@ class Intake:
         """The rows of finite numbers, times since the origin."""
         table = table - np.eye(1, table.shape[1])[0] * self.origin
         with np.errstate(invalid="ignore"):
-            usable = np.isfinite(table).all(axis=1) & (np.abs(table[:, 0]) < FARTHEST)
+            usable = np.isfinite(table).all(axis=1) & (np.abs(table[:, 0]) < LATEST_TIME)
         self._count_unusable(name, int((~usable).sum()))
         return table[usable]
 
@@ -116,7 +115,7 @@ class Intake:
             self.held[name] = table if earlier is None else np.concatenate([earlier, table])
         if fixes is not None:
             rows = np.column_stack([fixes.time - self.origin, fixes.position, fixes.sigma])
-            rows = rows[(np.abs(rows[:, 0]) < FARTHEST) & (rows[:, 0] >= -FIXES.longest_overhang)]
+            rows = rows[(np.abs(rows[:, 0]) < LATEST_TIME) & (rows[:, 0] >= -FIXES.longest_overhang)]
             self.held_fixes = np.concatenate([self.held_fixes, rows])
         if times:
             self.samples += sum(len(time) for time in times)

@@ -26,7 +26,7 @@ from pdr_graph.online.interface import Event
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Trajectory
 
-PATIENCE = 2.0  # [s] for which a message waits for those before it
+LONGEST_WAIT = 2.0  # [s] for which a message waits for those before it
 MOST_WAITING = 64  # messages that wait for one; then it is given up
 LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
@@ -51,7 +51,7 @@ class Session:
 
 
 class Queue:
-    """Messages in the order of their identities; one waits for those before it, up to PATIENCE.
+    """Messages in the order of their identities; one waits for those before it, up to LONGEST_WAIT.
 
     The order depends on their identities and times of arrival, not on the moments at which `next` is called: it is the
     same when the log is read again.
@@ -97,7 +97,7 @@ class Queue:
         begins = self._expected < 0 and first <= 1  # apps count from 0 or from 1
         if not self._ordered or begins or 0 <= first <= self._expected or len(self._waiting) > MOST_WAITING:
             return -np.inf
-        return min(arrival for _, _, arrival, _ in self._waiting) + PATIENCE
+        return min(arrival for _, _, arrival, _ in self._waiting) + LONGEST_WAIT
 
 
 class LiveWalk:

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from pdr_graph.errors import InputError
+from pdr_graph.storage import CHECKSUM
 
 MAGIC = b"PDRGLOG1"
-HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
-CHECKSUM = 4  # bytes
-PACKED = b"x\x01"  # how bytes begin that are compressed at this level
+RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
+ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class MessageLog:
 def pack(identity: int, received: float, body: bytes) -> bytes:
     """The record of a message."""
     packed = zlib.compress(body, 1)  # level of zlib: the next ones take twice the time for little
-    rest = HEADER.pack(0, len(packed), identity, received)[CHECKSUM:] + packed
+    rest = RECORD_HEADER.pack(0, len(packed), identity, received)[CHECKSUM:] + packed
     return struct.pack("<I", zlib.crc32(rest)) + rest
 
 
@@ -102,11 +102,11 @@ def read_entries(path: Path, offset: int = len(MAGIC)) -> Iterator[Entry]:
 def _entry_at(file: BinaryIO, offset: int, size: int) -> Entry | None:
     """The message at an offset of a file of a size [bytes]; None if there is no whole one."""
     file.seek(offset)
-    header = file.read(HEADER.size)
-    if len(header) < HEADER.size:
+    header = file.read(RECORD_HEADER.size)
+    if len(header) < RECORD_HEADER.size:
         return None
-    checksum, length, identity, received = HEADER.unpack(header)
-    end = offset + HEADER.size + length
+    checksum, length, identity, received = RECORD_HEADER.unpack(header)
+    end = offset + RECORD_HEADER.size + length
     if end > size or zlib.crc32(file.read(length), zlib.crc32(header[CHECKSUM:])) != checksum:
         return None
     return Entry(identity, received, offset, end)
@@ -114,12 +114,12 @@ def _entry_at(file: BinaryIO, offset: int, size: int) -> Entry | None:
 
 def _found_after(file: BinaryIO, offset: int, size: int) -> Entry | None:
     """The first whole message after an offset where there is none; None if there is none to the end."""
-    if offset + HEADER.size >= size:
+    if offset + RECORD_HEADER.size >= size:
         return None
     with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
-        body = offset + HEADER.size
-        while (body := content.find(PACKED, body + 1)) >= 0:
-            entry = _entry_at(file, body - HEADER.size, size)
+        body = offset + RECORD_HEADER.size
+        while (body := content.find(ZLIB_START, body + 1)) >= 0:
+            entry = _entry_at(file, body - RECORD_HEADER.size, size)
             if entry is not None:
                 return replace(entry, skipped=entry.offset - offset)
     return None
@@ -132,7 +132,7 @@ def read_body(path: Path, entry: Entry) -> bytes:
         record = file.read(entry.end - entry.offset)
     if zlib.crc32(record[CHECKSUM:]) != struct.unpack_from("<I", record)[0]:
         raise InputError(path, f"byte {entry.offset}", "a damaged message", "a log that is whole")
-    return zlib.decompress(record[HEADER.size :])
+    return zlib.decompress(record[RECORD_HEADER.size :])
 
 
 def _write(file: int, data: bytes) -> None:

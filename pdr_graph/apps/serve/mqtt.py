@@ -20,8 +20,8 @@ TOPIC = "sensor-logger"  # the app's default
 PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 8000, "wss": 8884}  # by scheme
 PASSWORD = "PDR_GRAPH_MQTT_PASSWORD"  # environment variable: an address is seen by all users of a machine
 # Messages that wait for this process, and their bytes; further ones are lost, as QoS 0 may
-WAITING, WAITING_BYTES = 500, 32 << 20
-FIRST_RETRY, LAST_RETRY = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
+WAITING_MESSAGES, WAITING_BYTES = 500, 32 << 20
+FIRST_RECONNECT, LAST_RECONNECT = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
         import aiomqtt
     except ImportError:
         raise InputError("--mqtt", "", "no aiomqtt", install("serve-mqtt")) from None
-    wait = FIRST_RETRY
+    wait = FIRST_RECONNECT
     while True:
         try:
             async with aiomqtt.Client(
@@ -113,17 +113,17 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 tls_context=ssl.create_default_context() if broker.tls else None,
                 transport="websockets" if broker.websocket else "tcp",
                 websocket_path=broker.path if broker.websocket else None,
-                max_queued_incoming_messages=WAITING,
+                max_queued_incoming_messages=WAITING_MESSAGES,
                 queue_type=bounded_queue(),
                 timeout=10.0,  # timeout [s] for the broker to answer
             ) as client:
                 await client.subscribe(broker.topic)
                 say(f"mqtt: subscribed to {broker.address}")
-                wait = FIRST_RETRY
+                wait = FIRST_RECONNECT
                 async for message in client.messages:
                     if isinstance(message.payload, bytes | bytearray):
                         receive(bytes(message.payload))
         except (aiomqtt.MqttError, OSError, ValueError) as error:
             say(f"mqtt: {broker.address}: {one_line(str(error))}; again in {wait:.0f} s")
         await asyncio.sleep(wait)
-        wait = min(2 * wait, LAST_RETRY)
+        wait = min(2 * wait, LAST_RECONNECT)

@@ -9,23 +9,23 @@ from typing import Any
 import pdr_graph.apps.serve.publishing as publishing
 from pdr_graph import __version__
 
-JSON, TEXT, GEOJSON, STREAM = "application/json", "text/plain", "application/geo+json", "text/event-stream"
-NUMBER, WORDS, LINES = {"type": ["number", "null"]}, {"type": "string"}, {"type": "array", "items": {"type": "string"}}
+JSON, TEXT, GEO_JSON, EVENTS = "application/json", "text/plain", "application/geo+json", "text/event-stream"
+NUMERIC, WORDS, LINES = {"type": ["number", "null"]}, {"type": "string"}, {"type": "array", "items": {"type": "string"}}
 REGION = {
     "type": ["object", "null"],
     "description": "Ellipse about x, y that holds the position with the probability; metres, radians from +x.",
     "properties": {name: {"type": "number"} for name in ("probability", "semi_major", "semi_minor", "angle")},
 }
-PLACE = {name: NUMBER for name in ("x", "y", "lon", "lat", "heading")} | {"region": REGION}
-POSE = {
+PLACE_FIELDS = {name: NUMERIC for name in ("x", "y", "lon", "lat", "heading")} | {"region": REGION}
+POSE_SCHEMA = {
     "type": "object",
     "required": ["id", "name", "state", "time", "x", "y", "lon", "lat", "sigma", "heading", "floor"],
     "properties": {
         **dict.fromkeys(("id", "name", "state", "floor"), WORDS),
-        **dict.fromkeys(("time", "sigma", "heading_sigma", "bearing"), NUMBER),
-        **PLACE,
+        **dict.fromkeys(("time", "sigma", "heading_sigma", "bearing"), NUMERIC),
+        **PLACE_FIELDS,
         "display": {"type": ["array", "null"], "items": {"type": "number"}},
-        "modes": {"type": "array", "items": {"type": "object", "properties": {"probability": NUMBER, **PLACE}}},
+        "modes": {"type": "array", "items": {"type": "object", "properties": {"probability": NUMERIC, **PLACE_FIELDS}}},
         **dict.fromkeys(("missing", "issues"), LINES),
         "health": {"type": "object", "additionalProperties": WORDS},
         "ignored": {"type": "object", "additionalProperties": {"type": "integer"}},
@@ -60,19 +60,19 @@ class Operation:
     query: tuple[str, ...] = ()
 
 
-UNKNOWN = {"404": "No such walker, or one of another user."}
+ABSENT = {"404": "No such walker, or one of another user."}
 OPERATIONS = (
     Operation("get", "/", "The page.", "text/html"),
-    Operation("get", "/walkers", "The last pose of each walker.", schema={"type": "array", "items": POSE}),
-    Operation("get", "/walkers/{id}", "The last pose of a walker.", schema=POSE, faults=UNKNOWN),
-    Operation("get", "/walkers/{id}.geojson", "Path, finalised and current part, and pose.", GEOJSON, faults=UNKNOWN),
-    Operation("get", "/walkers/{id}.navsatfix", "The pose as sensor_msgs/NavSatFix.", faults=UNKNOWN),
-    Operation("get", "/walkers/{id}/recording", "The recording of a finished walk.", "application/zip", faults=UNKNOWN),
-    Operation("post", "/walkers/{id}/finish", "End a walk.", TEXT, faults=UNKNOWN),
-    Operation("delete", "/walkers/{id}", "Delete a walk with all its files.", TEXT, faults=UNKNOWN),
-    Operation("get", "/events", "Server-sent events: pose, path and forgotten.", STREAM),
+    Operation("get", "/walkers", "The last pose of each walker.", schema={"type": "array", "items": POSE_SCHEMA}),
+    Operation("get", "/walkers/{id}", "The last pose of a walker.", schema=POSE_SCHEMA, faults=ABSENT),
+    Operation("get", "/walkers/{id}.geojson", "Path, finalised and current part, and pose.", GEO_JSON, faults=ABSENT),
+    Operation("get", "/walkers/{id}.navsatfix", "The pose as sensor_msgs/NavSatFix.", faults=ABSENT),
+    Operation("get", "/walkers/{id}/recording", "The recording of a finished walk.", "application/zip", faults=ABSENT),
+    Operation("post", "/walkers/{id}/finish", "End a walk.", TEXT, faults=ABSENT),
+    Operation("delete", "/walkers/{id}", "Delete a walk with all its files.", TEXT, faults=ABSENT),
+    Operation("get", "/events", "Server-sent events: pose, path and forgotten.", EVENTS),
     Operation("get", "/socket", "The same events on a WebSocket, a JSON each, with the member event."),
-    Operation("get", "/plan", "The floor plan.", GEOJSON),
+    Operation("get", "/plan", "The floor plan.", GEO_JSON),
     Operation("get", "/settings", "What the page asks first."),
     Operation("get", "/openapi.json", "This description."),
     Operation("get", "/api", "This description for people.", "text/html"),

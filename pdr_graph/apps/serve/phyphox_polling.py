@@ -28,11 +28,11 @@ from pdr_graph.io.phyphox import ExperimentClock
 from pdr_graph.types import Array
 from pdr_graph.web_request import TooLongError, ask
 
-INTERVAL = 1.0  # [s] between two polls
-PATIENCE, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
+POLL_INTERVAL = 1.0  # [s] between two polls
+POLL_TIMEOUT, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
 HISTORY = 600.0  # [s] of an experiment under way that the first poll asks for
 FIRST_RETRY, LAST_RETRY = 2.0, 30.0  # [s] after a fault of the phone, doubled each time
-SENSORS = {  # of phyphox: ours, and its outputs
+PHYPHOX_OUTPUTS = {  # of phyphox: ours, and its outputs
     "accelerometer": ("accelerometer", "xyz"),
     "linear_acceleration": ("linear_acceleration", "xyz"),
     "gyroscope": ("gyroscope", "xyz"),
@@ -54,7 +54,7 @@ PLATFORM = "android"  # phyphox has the signs of Android on iPhones too
 
 
 # What an answer causes that is none of phyphox
-UNREADABLE = (
+UNREADABLE_ANSWER = (
     LookupError,
     TypeError,
     ValueError,
@@ -106,7 +106,7 @@ def inputs_of(config: Mapping[str, Any]) -> tuple[list[Input], list[str]]:
     used, ignored = list[Input](), list[str]()
     for each in config.get("inputs", ()):
         outputs = {key: name for output in each.get("outputs", ()) for key, name in output.items()}
-        ours, axes = SENSORS.get(each.get("source"), ("", ""))
+        ours, axes = PHYPHOX_OUTPUTS.get(each.get("source"), ("", ""))
         if each.get("source") == "location":
             ours, axes = "location", [key for key in LOCATION if key in outputs or key != "accuracy"]
         if ours and "t" in outputs and all(axis in outputs for axis in axes):
@@ -162,7 +162,7 @@ class PhyphoxPhone:
     """
 
     def __init__(
-        self, url: str, stored: Callable[[str], Stored | None] = lambda run: None, timeout: float = PATIENCE
+        self, url: str, stored: Callable[[str], Stored | None] = lambda run: None, timeout: float = POLL_TIMEOUT
     ) -> None:
         """Check and complete the address. Raises InputError if it is none."""
         parts = urlsplit(url if "://" in url else f"http://{url}")
@@ -177,7 +177,7 @@ class PhyphoxPhone:
         """Return what is new since the last poll. Raises PhoneError."""
         try:
             return self._poll()
-        except UNREADABLE as error:
+        except UNREADABLE_ANSWER as error:
             raise PhoneError(f"{self.url}: found {one_line(repr(error))}, expected an answer of phyphox") from None
 
     def _poll(self) -> Poll:
@@ -306,7 +306,7 @@ async def follow(
             for message in messages_of(poll, phone.messages):
                 await receive(message, poll.name)
                 phone.messages += 1
-            await asyncio.sleep(INTERVAL)
+            await asyncio.sleep(POLL_INTERVAL)
         except PhoneError as error:
             if answered is not False:
                 say(f"phyphox: {error}")

@@ -15,10 +15,9 @@ import shapely
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
+from pdr_graph.frames import METRES_PER_DEGREE, Frame
 from pdr_graph.types import Array
 
-METRES_PER_DEGREE = 111_319.49  # at latitude 0 in the map's projection: earth radius 6378137 m times pi / 180
 CELL_LAYERS = {"room": CLOSED, "door": (DOOR,), "stairs": ("stairs",)}  # layers and the kinds of cells in them
 
 

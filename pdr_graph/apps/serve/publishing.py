@@ -48,14 +48,14 @@ import numpy as np
 from pdr_graph.frames import Frame
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.interface import NO_DATA, Pose
-from pdr_graph.online.status import SILENT, Status
+from pdr_graph.online.status import SENSOR_SILENCE, Status
 from pdr_graph.types import Array, Trajectory
 
 PATH_INTERVAL = 2.0  # [s] between two events `path` of a walker
 PROBABILITY = 0.9  # of the region
 RADII = float(np.sqrt(-2 * np.log(1 - PROBABILITY)))  # [sigma] half axes of the ellipse of that probability
-METRES, DEGREES, RADIANS, SECONDS = 3, 8, 4, 3  # decimals
-COLUMNS = ("time", "x", "y", "lon", "lat", "floor")
+METRE_DECIMALS, DEGREE_DECIMALS, RADIAN_DECIMALS, SECOND_DECIMALS = 3, 8, 4, 3  # decimals
+PATH_KEYS = ("time", "x", "y", "lon", "lat", "floor")
 
 
 def pose_json(
@@ -66,13 +66,13 @@ def pose_json(
     event |= dict.fromkeys(("time", "x", "y", "lon", "lat", "sigma", "heading", "heading_sigma"))
     event |= {"floor": "", "region": None, "display": None, "bearing": None, "modes": []}
     if pose is not None:
-        event |= _place(pose, frame) | {"time": round(epoch + pose.time, SECONDS), "floor": pose.floor}
+        event |= _place(pose, frame) | {"time": round(epoch + pose.time, SECOND_DECIMALS), "floor": pose.floor}
         event |= {
-            "sigma": round(pose.sigma, METRES),
-            "heading_sigma": round(float(pose.covariance[2, 2]) ** 0.5, RADIANS),
+            "sigma": round(pose.sigma, METRE_DECIMALS),
+            "heading_sigma": round(float(pose.covariance[2, 2]) ** 0.5, RADIAN_DECIMALS),
         }
         shown = pose.display or (pose.x, pose.y)
-        event["display"] = _lonlat(frame, shown) or [round(shown[0], METRES), round(shown[1], METRES)]
+        event["display"] = _lonlat(frame, shown) or [round(shown[0], METRE_DECIMALS), round(shown[1], METRE_DECIMALS)]
         event["bearing"] = _bearing(pose, frame)
         event["modes"] = [{"probability": round(mode.probability, 3)} | _place(mode, frame) for mode in pose.modes]
     return event | {"missing": list(status.missing), "issues": list(status.issues), "health": health_texts(status)}
@@ -81,14 +81,14 @@ def pose_json(
 def _place(pose: Any, frame: Frame | None) -> dict[str, Any]:
     """Position, heading and region of a `Pose` or a `Mode`."""
     lon, lat = _lonlat(frame, (pose.x, pose.y)) or (None, None)
-    place = {"x": round(pose.x, METRES), "y": round(pose.y, METRES), "lon": lon, "lat": lat}
-    return place | {"heading": round(pose.heading, RADIANS), "region": region(pose.covariance)}
+    place = {"x": round(pose.x, METRE_DECIMALS), "y": round(pose.y, METRE_DECIMALS), "lon": lon, "lat": lat}
+    return place | {"heading": round(pose.heading, RADIAN_DECIMALS), "region": region(pose.covariance)}
 
 
 def _lonlat(frame: Frame | None, position: tuple[float, float]) -> list[float] | None:
     if frame is None or not frame.georeferenced:
         return None
-    return np.round(frame.to_lonlat(np.array([position]))[0], DEGREES).tolist()
+    return np.round(frame.to_lonlat(np.array([position]))[0], DEGREE_DECIMALS).tolist()
 
 
 def _bearing(pose: Pose, frame: Frame | None) -> float:
@@ -104,8 +104,8 @@ def region(covariance: Array) -> dict[str, float]:
     variance, axes = np.linalg.eigh(covariance[:2, :2])
     minor, major = (RADII * np.sqrt(np.maximum(variance, 0.0))).tolist()
     angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
-    half_axes = {"semi_major": round(major, METRES), "semi_minor": round(minor, METRES)}
-    return {"probability": PROBABILITY, **half_axes, "angle": round(angle, RADIANS)}
+    half_axes = {"semi_major": round(major, METRE_DECIMALS), "semi_minor": round(minor, METRE_DECIMALS)}
+    return {"probability": PROBABILITY, **half_axes, "angle": round(angle, RADIAN_DECIMALS)}
 
 
 def health_texts(status: Status) -> dict[str, str]:
@@ -117,7 +117,7 @@ def health_texts(status: Status) -> dict[str, str]:
 def _health(sensor: Health, latest: float) -> str:
     if not sensor.samples:
         return NO_DATA
-    if latest - sensor.last > SILENT:
+    if latest - sensor.last > SENSOR_SILENCE:
         return f"silent for {latest - sensor.last:.0f} s"
     gaps = f", {sensor.gaps} gaps" if sensor.gaps else ""
     return f"{sensor.rate:.0f} Hz{gaps}"
@@ -127,10 +127,10 @@ def path_columns(path: Trajectory, frame: Frame | None, epoch: float) -> dict[st
     """A part of the path as columns of equal length."""
     lon = lat = None
     if frame is not None and frame.georeferenced:
-        lon, lat = np.round(frame.to_lonlat(path.position), DEGREES).T.tolist() if len(path) else ([], [])
-    x, y = np.round(path.position, METRES).T.tolist()
-    time = np.round(path.time + epoch, SECONDS).tolist()
-    return dict(zip(COLUMNS, (time, x, y, lon, lat, list(path.floor)), strict=True))
+        lon, lat = np.round(frame.to_lonlat(path.position), DEGREE_DECIMALS).T.tolist() if len(path) else ([], [])
+    x, y = np.round(path.position, METRE_DECIMALS).T.tolist()
+    time = np.round(path.time + epoch, SECOND_DECIMALS).tolist()
+    return dict(zip(PATH_KEYS, (time, x, y, lon, lat, list(path.floor)), strict=True))
 
 
 def walk_geojson(pose: Mapping[str, Any], finalised: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,13 +159,13 @@ def _line(part: str, path: Mapping[str, Any], georeferenced: bool) -> dict[str, 
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-FIX, NO_FIX = 0, -1  # sensor_msgs/NavSatStatus: STATUS_FIX, STATUS_NO_FIX
+FIX_STATUS, NO_FIX_STATUS = 0, -1  # sensor_msgs/NavSatStatus: STATUS_FIX, STATUS_NO_FIX
 
 
 def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
     """The pose in the shape of ROS's sensor_msgs/NavSatFix: degrees, covariance in east, north, up [m²].
 
-    Without a position on earth, the status is NO_FIX and latitude and longitude are null.
+    Without a position on earth, the status is NO_FIX_STATUS and latitude and longitude are null.
     """
     time, fixed = pose["time"] or 0.0, pose["lon"] is not None
     seconds = int(time)
@@ -176,7 +176,7 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
             "stamp": {"sec": seconds, "nanosec": round((time - seconds) * 1e9)},
             "frame_id": pose["id"],
         },
-        "status": {"status": FIX if fixed else NO_FIX, "service": 0},
+        "status": {"status": FIX_STATUS if fixed else NO_FIX_STATUS, "service": 0},
         "latitude": pose["lat"],
         "longitude": pose["lon"],
         "altitude": None,

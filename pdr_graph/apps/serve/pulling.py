@@ -19,8 +19,8 @@ from pdr_graph.apps.serve.phyphox_polling import PLATFORM, PhyphoxPhone, Stored,
 from pdr_graph.apps.serve.reception import Reception, RefusalError, id_of
 from pdr_graph.apps.serve.study import StudyReports
 
-PASSING = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
-PAUSE = 5.0  # [s] until a message that was refused for a while is given again
+REFUSED_FOR_NOW = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
+REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given again
 
 Say = Callable[[str], None]
 
@@ -79,9 +79,9 @@ async def receive_patiently(reception: Reception, say: Say, body: bytes, name: s
             reception.receive(SENSOR_LOGGER, OWNER, body, PLATFORM, name)
             return
         except RefusalError as refused:
-            if refused.status not in PASSING:
+            if refused.status not in REFUSED_FOR_NOW:
                 return say(f"{name}: {refused.text}")
-        await asyncio.sleep(PAUSE)
+        await asyncio.sleep(REFUSAL_PAUSE)
 
 
 def receive_once(reception: Reception, body: bytes) -> None:

@@ -17,19 +17,18 @@ import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
-from pdr_graph.io.sensor_logger import NANOSECOND, sign_by_gravity
+from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_gravity
 from pdr_graph.io.validation import GRAVITY_IN_G, receiver_fixes, unit_of
 from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Sightings, Signal
 
-XYZ = ("x", "y", "z")
-USED = {  # name in a message: name of its columns here
+USED_COLUMNS = {  # name in a message: name of its columns here
     **{name: XYZ for name in ("accelerometer", "gravity", "gyroscope", "magnetometer")},
     **{f"{name}uncalibrated": XYZ for name in ("accelerometer", "gyroscope", "magnetometer")},
     "barometer": ("pressure",),
     "location": ("latitude", "longitude", "horizontalAccuracy"),
 }
 OPTIONAL = ("horizontalAccuracy",)
-PLAIN = {
+PLAIN_NAMES = {
     "gyroscope": ("gyroscope", "gyroscopeuncalibrated"),
     "magnetometer": ("magnetometer", "magnetometeruncalibrated"),
 }
@@ -114,11 +113,11 @@ def tables_of(payload: Sequence[Sample]) -> tuple[dict[str, Array], dict[str, in
         by_name.setdefault(sample.name.lower(), []).append(sample)
     tables, ignored = dict[str, Array](), dict[str, int]()
     for name, samples in by_name.items():
-        if name not in USED:
+        if name not in USED_COLUMNS:
             ignored[one_line(name)[:40]] = len(samples)
             continue
-        rows = [[sample.time, *(getattr(sample.values, column) for column in USED[name])] for sample in samples]
-        table = _numbers(rows) * ([NANOSECOND] + [1.0] * len(USED[name]))
+        rows = [[sample.time, *(getattr(sample.values, column) for column in USED_COLUMNS[name])] for sample in samples]
+        table = _numbers(rows) * ([NANOSECOND] + [1.0] * len(USED_COLUMNS[name]))
         tables[name] = table[np.argsort(table[:, 0], kind="stable")]
     return tables, ignored
 
@@ -179,7 +178,7 @@ def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", andro
     missing value stay, NaN, and are counted where they are used.
     """
     signals = _acceleration(tables, signs, platform, android)
-    for sensor, names in PLAIN.items():
+    for sensor, names in PLAIN_NAMES.items():
         present = [name for name in names if name in tables]
         if present:
             name = signs.plain.setdefault(sensor, present[0])

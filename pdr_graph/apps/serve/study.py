@@ -30,10 +30,10 @@ API = "https://sensorlogger.app/api"
 ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
 LONGEST_NAME = 200  # characters of an identity
 MOST_PENDING = 1000  # uploads, each a file of 1 kB
-PATIENCE = 30.0  # [s] for an answer of the cloud to begin or go on
+CLOUD_TIMEOUT = 30.0  # [s] for an answer of the cloud to begin or go on
 DOWNLOAD, POST = 600.0, 60.0  # [s] for all of a recording; for a report
-SMOOTHING = 1800.0  # [s] for an estimate
-ATTEMPTS, PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
+SMOOTHING_TIMEOUT = 1800.0  # [s] for an estimate
+ATTEMPTS, ATTEMPT_PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
 SMOOTH = "from pdr_graph.apps.cli import main; main()"
 
 
@@ -86,7 +86,7 @@ class StudyReports:
     plan: Path | None = None
     say: Callable[[str], None] = print
     api: str = API
-    pause: float = PAUSE
+    pause: float = ATTEMPT_PAUSE
     _changed: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def accept(self, upload: Upload) -> None:
@@ -147,9 +147,9 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
         *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=pipe
     )
     try:
-        _, said = await asyncio.wait_for(process.communicate(), SMOOTHING)
+        _, said = await asyncio.wait_for(process.communicate(), SMOOTHING_TIMEOUT)
     except TimeoutError:
-        return refusal(f"the estimate took more than {SMOOTHING / 60:.0f} minutes")
+        return refusal(f"the estimate took more than {SMOOTHING_TIMEOUT / 60:.0f} minutes")
     finally:
         if process.returncode is None:
             process.kill()
@@ -194,7 +194,7 @@ def _ask(
     follow = anywhere if body is None else nowhere
     most = 2**30  # bytes of a recording; an hour at 100 Hz is 100 MB
     try:
-        answer = ask(address, PATIENCE, whole, most, follow, method=method, body=body, headers=headers, out=out)
+        answer = ask(address, CLOUD_TIMEOUT, whole, most, follow, method=method, body=body, headers=headers, out=out)
     except OSError as error:
         again = not isinstance(error, TooLongError)
         raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again) from None

@@ -9,9 +9,9 @@ from typing import Any
 from pdr_graph.errors import count, one_line
 from pdr_graph.types import DOUBTFUL, OK
 
-MOST_LINES = 8  # of each list: the report is one page
+MOST_LISTED = 8  # of each list: the report is one page
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~])")
-VERDICTS = {
+VERDICT_WORDS = {
     OK: "The sources of this walk agree with each other.",
     DOUBTFUL: "**Treat the path with caution**: sources of this walk contradict each other.",
 }
@@ -21,7 +21,7 @@ NOT_CONSISTENT = "**The path cannot be trusted**: nothing fits together."
 def report(summary: Mapping[str, Any]) -> str:
     """The report of a walk by its ``summary.json``."""
     verdict = summary["verdict"]
-    lines = ["# Your walk", "", VERDICTS.get(verdict["state"], NOT_CONSISTENT), ""]
+    lines = ["# Your walk", "", VERDICT_WORDS.get(verdict["state"], NOT_CONSISTENT), ""]
     lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in _figures(summary)), ""]
     lines += _listed("What contradicts", [f"{each['text']} Check: {each['check']}" for each in verdict["reasons"]])
     lines += _listed("What could not be estimated", summary["missing"])
@@ -62,6 +62,6 @@ def _figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _listed(title: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
-    more = len(lines) - MOST_LINES
-    listed = [f"- {plain(line)}" for line in lines[:MOST_LINES]]
+    more = len(lines) - MOST_LISTED
+    listed = [f"- {plain(line)}" for line in lines[:MOST_LISTED]]
     return [f"## {title}", "", *listed, *([f"- and {count(more, 'line')} more"] if more > 0 else []), ""]

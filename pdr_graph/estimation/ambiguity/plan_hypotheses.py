@@ -34,18 +34,18 @@ from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
 from pdr_graph.types import Array, Mask
 
-PLAN = "plan"  # the kind of hypotheses about it
+PLAN_KIND = "plan"  # the kind of hypotheses about it
 MOST_STORED = 10_000_000  # particles times keyframes of a run: half a gigabyte, if a walk fits everywhere
 
 
-@wording_of(PLAN)
+@wording_of(PLAN_KIND)
 def _wording(hypothesis: Hypothesis) -> Wording:
     """The plan does not fit, or is displaced."""
     text = "the floor plan does not fit the walk and the positions on it"
     if hypothesis.kind[1] == "displaced":
         text = f"the floor plan, or the only position on it, is displaced by about {hypothesis.parameter[0]:.0f} m"
     check = "the floor plan (another floor, displaced, a door missing?) and the positions on it (start, fixes)"
-    return Wording(PLAN, text, check)
+    return Wording(PLAN_KIND, text, check)
 
 
 def joint_solutions(graph: WalkGraph) -> list[Optimum]:
@@ -104,7 +104,7 @@ def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
     walks = different_directions(free)
     for walk in walks:
         price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
-        wrong = Hypothesis((PLAN, "wrong"), price=price + float(np.log(len(walks))))
+        wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
         yield _assuming(replace(walk, burden=0.0), free, wrong)
 
 
@@ -118,11 +118,11 @@ def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
     """Walks between the walls that start some metres from the only fix: it is misplaced, or the plan by as much."""
     positions = free.graph.positions
     wide = free.graph.assuming((positions.misplaced(DOUBTS.misplaced),))
-    wrong = Hypothesis((PLAN, "wrong"), price=PRICES.displaced_plan + float(np.log(2)))  # it, or the position
+    wrong = Hypothesis((PLAN_KIND, "wrong"), price=PRICES.displaced_plan + float(np.log(2)))  # it, or the position
     for walk in solutions(graph, optimize(wide, free.state)):
         fix = int(np.argmax(positions.used))
         by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
-        displaced = Hypothesis((PLAN, "displaced"), parameter=(float(np.round(np.hypot(*by))),))
+        displaced = Hypothesis((PLAN_KIND, "displaced"), parameter=(float(np.round(np.hypot(*by))),))
         for place in (walk, _moved(walk, by, free.graph)):
             yield _assuming(place, free, wrong, displaced)
 

@@ -369,7 +369,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
 
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading
-MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
+MOST_COSTS = 1_000_000  # costs of places, powers and stretches in memory
 
 
 def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
@@ -384,7 +384,7 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
     places = np.concatenate([levels.position[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + BEACONS.height**2
     expected = q[0] - 5 * q[1] * np.log10(square)
-    parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_AT_ONCE)
+    parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_COSTS)
     return surveyed, places, np.concatenate([_negative_log_likelihood(table[surveyed], part) for part in parts], axis=1)
 
 

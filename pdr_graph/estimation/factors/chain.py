@@ -27,7 +27,7 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
-MOST_AT_ONCE = 10_000  # pieces whose sums fit into a processor's cache
+CACHED_PIECES = 10_000  # pieces whose sums fit into a processor's cache
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
 
 
@@ -78,7 +78,7 @@ class Pieces:
 
     def parts(self) -> list[tuple[int, int, slice]]:
         """First interval, the one after the last, and the pieces of parts that are evaluated by themselves."""
-        cuts = np.searchsorted(self.first, np.arange(MOST_AT_ONCE, len(self.length), MOST_AT_ONCE))
+        cuts = np.searchsorted(self.first, np.arange(CACHED_PIECES, len(self.length), CACHED_PIECES))
         of_parts = pairwise(np.unique([0, *cuts, len(self.first)]).tolist())
         return [(a, b, slice(self.first[a], self.last[b - 1] + 1)) for a, b in of_parts]
 
@@ -197,7 +197,7 @@ class Increments:
 def preintegrate(pieces: Pieces, c: Array) -> Increments:
     """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
     count = len(pieces.length)
-    if count <= MOST_AT_ONCE:
+    if count <= CACHED_PIECES:
         return _preintegrated(pieces, c)
     whole = Increments(np.empty((count, 3)), np.empty((count, 3, 3)))
     for a, b, here in pieces.parts():
@@ -262,7 +262,7 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
     with all sums over the pieces up to k, for any o that ends no earlier.
     """
     intervals, count = len(pieces.last), len(pieces.length)
-    if count <= MOST_AT_ONCE:
+    if count <= CACHED_PIECES:
         return _bridge(pieces, increments.delta)
     whole = Bridge(*(np.empty((n, 3, 3)) for n in (intervals, count, count)))
     for a, b, here in pieces.parts():

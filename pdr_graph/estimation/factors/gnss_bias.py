@@ -34,7 +34,7 @@ from pdr_graph.types import Array, Complex, Index, Steps
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
+SOURCE_NODES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers: those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
 THROUGHOUT = 1.0  # k of a receiver that is as good as it states
 
@@ -238,7 +238,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
 
 def _number(source: str) -> int:
     """The number of a receiver, so that it does not depend on the others."""
-    return zlib.crc32(source.encode()) % SOURCES
+    return zlib.crc32(source.encode()) % SOURCE_NODES
 
 
 def velocities(track: Complex, heading: Array, time: Array) -> Array:

@@ -42,7 +42,7 @@ from pdr_graph.estimation.live.live_output import (
 )
 from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Path
+from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Path
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
@@ -186,7 +186,7 @@ def try_path(graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]]
 
 def _optimized(graph: LiveGraph, rounds: int) -> float:
     """The cost of the path at its optimum, with the price of the regions that it leads through."""
-    price = graph.associate_walls(ALL)
+    price = graph.associate_walls(UNLIMITED)
     graph.solve(rounds)
     return graph.total_cost + price
 
@@ -277,7 +277,7 @@ class LiveAmbiguity:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
         self.next_comparison = -np.inf if output.sure else self.next_comparison
-        graph.associate_walls(ALL)  # or a search without walls would move the walk off the solution
+        graph.associate_walls(UNLIMITED)  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
         graph.solve(SCHEDULE.rounds)
 

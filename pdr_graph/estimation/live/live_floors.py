@@ -14,7 +14,7 @@ from pdr_graph.priors import CLIMB, LIVE_FLOORS
 from pdr_graph.types import Array, Fixes, Signal, Steps
 
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
-MOST_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
+STORED_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
 
 
 class LiveFloors:
@@ -53,8 +53,8 @@ class LiveFloors:
         """Append fixes; only those with a floor label are used."""
         labelled = np.array([bool(label) for label in fixes.floor], dtype=bool)
         if labelled.any():
-            self.fix_time = np.append(self.fix_time, fixes.time[labelled])[-MOST_FIXES:]
-            self.fix_label = np.append(self.fix_label, np.array(fixes.floor, dtype=object)[labelled])[-MOST_FIXES:]
+            self.fix_time = np.append(self.fix_time, fixes.time[labelled])[-STORED_FIXES:]
+            self.fix_label = np.append(self.fix_label, np.array(fixes.floor, dtype=object)[labelled])[-STORED_FIXES:]
             self.heard = True
 
     def add_steps(self, steps: Steps) -> None:

@@ -29,14 +29,14 @@ from pdr_graph.estimation.live.measurement_log import (
     merged_decisions,
     same_decisions,
 )
-from pdr_graph.estimation.live.window import ALL, CLOSE, Interval, Part, Path, Window
+from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Part, Path, Window
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Index, Sightings, take
 
-MOST_FAILURES = 100  # reasons that are kept
+MOST_REASONS = 100  # reasons that are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +280,7 @@ class LiveGraph:
 
     def _fail(self, error: Exception) -> None:
         """Begin anew without the marginal, after factors that cannot be solved; measurements in it are left out."""
-        self.failures = [*self.failures, str(error).splitlines()[0][:100]][-MOST_FAILURES:]
+        self.failures = [*self.failures, str(error).splitlines()[0][:100]][-MOST_REASONS:]
         self.restart(self.leaving_after)
 
     def moved(self) -> None:
@@ -295,7 +295,7 @@ class LiveGraph:
     def move_to(self, path: Path) -> None:
         """Move the window to a path, with the walls there."""
         self.place_on(path)
-        self.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
+        self.associate_walls(UNLIMITED)  # or the walls of the path that is left would pull at the first solution
         self.solve()
 
     def restart(self, lag: float) -> None:

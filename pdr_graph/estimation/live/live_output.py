@@ -31,7 +31,7 @@ from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, END, ROW, StepBuffer
+from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, StepBuffer
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.floor.distance_field import DistanceField
@@ -39,8 +39,8 @@ from pdr_graph.geometry import horizontal_sigma, pose_rotation
 from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
 from pdr_graph.types import Array, Calibration, Fixes, Headings, Index, Steps, take
 
-LEFT = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
-SHORTEST = 1e-6  # [s] between two times; less is rounding
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
+TIME_ROUNDING = 1e-6  # [s] between two times; less is rounding
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,8 @@ def predict(
 
     whole, start: of the steps, see `intervals`.
     """
-    moments = np.unique([*(fix.time for fix in fixes if begin + SHORTEST < fix.time <= end), end])
-    if moments[-1] < begin + SHORTEST:
+    moments = np.unique([*(fix.time for fix in fixes if begin + TIME_ROUNDING < fix.time <= end), end])
+    if moments[-1] < begin + TIME_ROUNDING:
         return mixture
     pieces = intervals(whole, start, begin, moments)
     mean_c = mixture.mean[mixture.best, 3:]
@@ -134,7 +134,7 @@ def _moved(mixture: GaussianMixture, delta: Array, by_c: Array, spread: Array, m
     mean = mixture.mean.copy()
     mean[:, :3] += np.einsum("hij,hj->hi", R, of_each)
     F = np.tile(np.eye(6), (len(mean), 1, 1))
-    F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ LEFT.T
+    F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ QUARTER_TURN.T
     F[:, :3, 3:] = R @ by_c
     covariance = F @ mixture.covariance @ F.transpose(0, 2, 1)
     covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
@@ -162,7 +162,7 @@ class Modes:
 
     def advance(self, steps: StepBuffer, fixes: list[Position]) -> None:
         """Follow the certain steps, with the fixes since the last update."""
-        if self.mixture is None or steps.end < self.time + SHORTEST:
+        if self.mixture is None or steps.end < self.time + TIME_ROUNDING:
             return
         self.mixture = predict(self.mixture, steps.whole, steps.start, self.time, steps.end, fixes)
         self.time = steps.end
@@ -183,7 +183,7 @@ def after_headings(
     """The mixture at ``now`` [s] after headings of earlier moments. whole, start: of the steps, see `intervals`."""
     rows = zip(headings.time.tolist(), headings.heading.tolist(), headings.sigma.tolist(), strict=True)
     for time, heading, sigma in rows:
-        if time > now - SHORTEST:
+        if time > now - TIME_ROUNDING:
             mixture = corrected_by_heading(mixture, np.zeros(3), heading, sigma)
             continue
         pieces = intervals(whole, start, max(time, start), np.array([now]))
@@ -399,7 +399,7 @@ class LiveOutput:
         """Predicted rows of the steps since the last keyframe; the last row is the current pose."""
         window = self.graph.window
         whole = window.steps.with_tail(tail)
-        ends = whole[(whole[:, END] > window.times[-1] + CLOSE) & (whole[:, ROW] > 0), END]
+        ends = whole[(whole[:, END] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), END]
         moments = np.unique(np.append(ends, whole[-1:, END]))
         moments = moments[moments > window.times[-1] + CLOSE]
         beliefs = [self.belief(tail, until) for until in moments.tolist()]

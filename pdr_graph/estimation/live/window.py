@@ -30,7 +30,7 @@ from pdr_graph.priors import FIXES, MOTION
 from pdr_graph.types import INSTANT, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
-END, LENGTH, VARIANCE, ROW, GAP = 0, 1, 3, 6, 7  # columns of whole pieces
+END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
 
 
 @dataclass
@@ -146,21 +146,21 @@ class StepBuffer:
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
-        driven = np.where(self.whole[:, GAP] > 0, FIXES.driven * np.diff(self.whole[:, END], prepend=self.start), 0)
+        driven = np.where(self.whole[:, IS_GAP] > 0, FIXES.driven * np.diff(self.whole[:, END], prepend=self.start), 0)
         distance = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
         return np.asarray(self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), distance))
 
     def rows(self, begin: float, end: float) -> Array:
         """The pieces after ``begin`` and until ``end`` [s] that end with a trajectory row."""
         ends = self.whole[:, END]
-        return self.whole[(self.whole[:, ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
+        return self.whole[(self.whole[:, IS_ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
 
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
         """Times [s] of the next keyframes after ``last``: at ``marks``, gaps and each PIECES_PER_KEYFRAME pieces."""
         after = self.whole[:, END] > last + CLOSE
-        if np.count_nonzero(after) < MOTION.steps_per_keyframe and not marks and not self.whole[after, GAP].any():
+        if np.count_nonzero(after) < MOTION.steps_per_keyframe and not marks and not self.whole[after, IS_GAP].any():
             return []
-        gaps = np.flatnonzero(after & (self.whole[:, GAP] > 0))
+        gaps = np.flatnonzero(after & (self.whole[:, IS_GAP] > 0))
         begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
         required = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *self.whole[gaps, END]])
         ends, pieces = list[float](), self.whole[after, END]
@@ -183,7 +183,7 @@ class StepBuffer:
 
     def gap_within(self, begin: float, end: float) -> bool:
         """True if the recording has a gap between ``begin`` and ``end`` [s]."""
-        return bool(self.rows(begin, end)[:, GAP].any())
+        return bool(self.rows(begin, end)[:, IS_GAP].any())
 
     def forget(self, before: float) -> None:
         """Drop steps that ended before the first keyframe of the window, ``before`` [s]."""
@@ -218,7 +218,7 @@ def _rows(steps: Steps) -> Array:
     return np.column_stack([whole, row, gap])
 
 
-ALL = 10**9  # more pieces or intervals than any window has
+UNLIMITED = 10**9  # more pieces or intervals than any window has
 Others = Mapping[str, Mapping[int, Array]]  # estimates ``(3,)`` of further variables, by symbol and number
 
 
@@ -306,7 +306,7 @@ class Window:
                 self._chain = None
         return first < np.inf
 
-    def part(self, last: int = ALL) -> Part:
+    def part(self, last: int = UNLIMITED) -> Part:
         """The last ``last`` intervals, as a chain for the factors."""
         first = max(0, len(self.intervals) - last)
         if self._chain is None:

@@ -8,21 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines, holds
+from pdr_graph.floor.formats.drafting import LARGEST_COORDINATE, MOST_SEGMENTS, UNCLEAR, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_limits import check_file_size
 from pdr_graph.types import Array
 
-COLUMNS = ("x1", "y1", "x2", "y2")
+SEGMENT_COLUMNS = ("x1", "y1", "x2", "y2")
 LAYER = "layer"
-LARGEST_COORDINATE = 1e10  # [unit] northings of a projection in millimetres
 
 
 def recognizes(path: Path, head: bytes) -> bool:
     """True for a table whose header names the ends of segments, or whose first row is four numbers."""
     line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("utf-8", "replace")
     cells = [cell.strip().casefold() for cell in line.replace(";", ",").replace("\t", ",").split(",")]
-    return set(COLUMNS) <= set(cells) or (len(cells) == 4 and all(_is_number(cell) for cell in cells))
+    return set(SEGMENT_COLUMNS) <= set(cells) or (len(cells) == 4 and all(_is_number(cell) for cell in cells))
 
 
 def _is_number(text: str) -> bool:
@@ -50,17 +49,17 @@ def _rows(path: Path) -> tuple[Array, list[str]]:
     first = text.split("\n", 1)[0]
     rows = csv.reader(text.splitlines(), delimiter=next((d for d in ";\t" if d in first), ","))
     header = [cell.strip().casefold() for cell in next(rows, [])]
-    named = set(COLUMNS) <= set(header)
-    columns = [header.index(name) if named else n for n, name in enumerate(COLUMNS)]
+    named = set(SEGMENT_COLUMNS) <= set(header)
+    columns = [header.index(name) if named else n for n, name in enumerate(SEGMENT_COLUMNS)]
     layer = header.index(LAYER) if named and LAYER in header else None
-    segments, layers = [] if named else [[float(cell) for cell in header]], [] if named else [UNKNOWN]
+    segments, layers = [] if named else [[float(cell) for cell in header]], [] if named else [UNCLEAR]
     for number, row in enumerate(rows, 2):
         if not any(cell.strip() for cell in row):
             continue
         if len(segments) >= MOST_SEGMENTS:
             raise InputError(path, f"line {number}", f"more than {MOST_SEGMENTS} segments", "the lines of one floor")
         segments.append(_segment(path, number, row, columns))
-        layers.append(holds(row[layer]) if layer is not None and layer < len(row) else UNKNOWN)
+        layers.append(holds(row[layer]) if layer is not None and layer < len(row) else UNCLEAR)
     ends = np.array(segments, dtype=float).reshape(-1, 2, 2)
     if not (np.abs(ends) < LARGEST_COORDINATE).all():
         raise InputError(

@@ -80,9 +80,9 @@ def _labelled(drawing: Drawing, floor: str) -> Drawing:
     return replace(drawing, floors={floor: areas}, heights={})
 
 
-NUMBER = r"\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*"
-TWO_POINTS = re.compile(rf"{NUMBER},{NUMBER}[\s;]{NUMBER},{NUMBER}={NUMBER}m?\s*")
-TIE_POINT = re.compile(rf"{NUMBER},{NUMBER}={NUMBER},{NUMBER}")
+XML_NUMBER = r"\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*"
+TWO_POINTS = re.compile(rf"{XML_NUMBER},{XML_NUMBER}[\s;]{XML_NUMBER},{XML_NUMBER}={XML_NUMBER}m?\s*")
+TIE_POINT = re.compile(rf"{XML_NUMBER},{XML_NUMBER}={XML_NUMBER},{XML_NUMBER}")
 LARGEST_CONTRADICTION = 0.05  # of two scales, as a share: points clicked in a picture are a pixel or two off
 
 

@@ -16,7 +16,7 @@ from pdr_graph.errors import count
 from pdr_graph.floor.cells import CLOSED, DOOR, OPEN, Area
 from pdr_graph.priors import PLANS
 
-NARROWEST = 0.6  # [m] length of border that can have a door
+NARROWEST_DOOR = 0.6  # [m] length of border that can have a door
 DOOR_SLACK = 0.2  # [m] from a room within which a door belongs to it
 
 
@@ -55,7 +55,7 @@ def open_doorless_rooms(
 def _has_outer_wall(shapes: NDArray[np.object_], n: int, near: list[int]) -> bool:
     """True if a part of the border of cell n wide enough for a door has no other cell behind it."""
     around = shapely.buffer(shapely.union_all(shapes[near]), PLANS.crack, join_style="mitre")
-    return float(shapely.length(shapely.difference(shapely.boundary(shapes[n]), around))) > NARROWEST
+    return float(shapely.length(shapely.difference(shapely.boundary(shapes[n]), around))) > NARROWEST_DOOR
 
 
 def _borders(shapes: NDArray[np.object_], n: int, others: list[int], near: list[int]) -> list[shapely.Geometry]:
@@ -67,7 +67,7 @@ def _borders(shapes: NDArray[np.object_], n: int, others: list[int], near: list[
         border = shapely.intersection(ring, shapely.buffer(shapes[k], PLANS.crack, join_style="mitre"))
         # clearance [m] between an opening and any third cell, which it would open too; chosen by hand
         border = shapely.difference(border, shapely.buffer(third, 0.3))
-        lines = [line for line in shapely.get_parts(border) if shapely.length(line) > NARROWEST]
+        lines = [line for line in shapely.get_parts(border) if shapely.length(line) > NARROWEST_DOOR]
         if lines:
             found.append(shapely.line_merge(shapely.union_all(lines)))
     return found

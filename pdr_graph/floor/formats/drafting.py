@@ -20,6 +20,7 @@ from pdr_graph.types import Array, Mask
 
 MOST_SEGMENTS = 200_000  # of an untrusted file
 FEWEST_SEGMENTS = 3
+LARGEST_COORDINATE = 1e10  # [unit] northings of a projection in millimetres
 MARGIN = 0.01  # share of a page's longer side between a frame and the drawing in it
 # Treads of stairs: equal parallel lines, evenly spaced
 TREAD_LENGTH = (0.7, 4.0)  # [m]
@@ -79,21 +80,21 @@ def _frame(segments: Array) -> Mask:
 
 def _with_walls_named(holds: Array, notes: list[str]) -> Array:
     """What each layer holds; where some are named walls, unknown ones are left out, otherwise they are walls."""
-    named, unknown = np.count_nonzero(holds == WALLS), holds == UNKNOWN
+    named, unknown = np.count_nonzero(holds == WALL_LINES), holds == UNCLEAR
     if named >= FEWEST_SEGMENTS and unknown.any():
         notes.append(f"{count(int(unknown.sum()), 'segment')} on layers not named walls were left out")
         return np.where(unknown, IGNORED, holds)
-    return np.where(unknown, WALLS, holds)
+    return np.where(unknown, WALL_LINES, holds)
 
 
 def _understood(segments: Array, holds: Array, notes: list[str]) -> tuple[Lines, Array]:
     """Walls, doors and stairs, and the segments ``(m, 2, 2)`` that are neither [m]."""
-    on_doors, on_stairs, ignored = (holds == kind for kind in (DOORS, STAIRS, IGNORED))
+    on_doors, on_stairs, ignored = (holds == kind for kind in (DOOR_LINES, STAIR_LINES, IGNORED))
     if ignored.any():
         notes.append(f"{count(int(ignored.sum()), 'segment')} on layers of texts, dimensions or furniture left out")
-    swinging, swing = swing_doors(segments, holds == WALLS)
-    treads, steps = _stairs(segments, (holds == WALLS) & ~swing)
-    walls = (holds == WALLS) & ~swing & ~treads
+    swinging, swing = swing_doors(segments, holds == WALL_LINES)
+    treads, steps = _stairs(segments, (holds == WALL_LINES) & ~swing)
+    walls = (holds == WALL_LINES) & ~swing & ~treads
     symbols = symbol_doors(segments[on_doors], segments[walls])
     if swinging:
         notes.append(f"{count(len(swinging), 'door')} drawn with a swing")
@@ -140,35 +141,35 @@ def _clusters(segments: Array) -> list[shapely.Geometry]:
     return [hull for hull in hulls if shapely.area(hull) > TREAD_SPACING[1]]
 
 
-WALLS, DOORS, STAIRS, IGNORED, UNKNOWN = "walls", "doors", "stairs", "ignored", "unknown"
+WALL_LINES, DOOR_LINES, STAIR_LINES, IGNORED, UNCLEAR = "walls", "doors", "stairs", "ignored", "unknown"
 # Parts of names, the first that fits decides: "A-WALL", "A-DOOR", "I-FURN" of the AIA; German, French, Spanish, Italian
-NAMES = (
+LAYER_NAMES = (
     (IGNORED, r"text|txt|anno|label|dim\b|dims|dimen|bema|maß|cota|cote|quota|grid|axis|achse|raster|hatch|schraff"),
     (IGNORED, r"furn|möbel|moebel|mobel|mobil|equip|einricht|elec|elektr|light|lamp|plumb|sanit|hvac|heiz|duct|pipe"),
     (IGNORED, r"title|border|frame|rahmen|viewport|defpoints|logo|legend|north|symb|area|room.?name|tree|baum|topo"),
-    (DOORS, r"door|tür|tuer|\btur\b|porte|puerta|\bporta|drzwi|deur"),
-    (STAIRS, r"stair|trepp|escal|\bscal|step|stufe|ramp|rolltr"),
-    (WALLS, r"wall|wand|wänd|waend|mauer|\bmur|muro|parede|pared|column|\bcol\b|stütz|stuetz|säule|pillar|colonn"),
+    (DOOR_LINES, r"door|tür|tuer|\btur\b|porte|puerta|\bporta|drzwi|deur"),
+    (STAIR_LINES, r"stair|trepp|escal|\bscal|step|stufe|ramp|rolltr"),
+    (WALL_LINES, r"wall|wand|wänd|waend|mauer|\bmur|muro|parede|pared|column|\bcol\b|stütz|stuetz|säule|pillar|colonn"),
     (
-        WALLS,
+        WALL_LINES,
         r"window|fenster|fenetre|fenêtre|ventana|finestra|glaz|glas|facade|fassade|railing|gelaender|geländer|core",
     ),
 )
 
 
 def holds(name: str) -> str:
-    """What a layer or a block of this name holds: WALLS, DOORS, STAIRS, IGNORED or UNKNOWN."""
-    for kind, pattern in NAMES:
+    """What a layer or a block of this name holds: WALL_LINES, DOOR_LINES, STAIR_LINES, IGNORED or UNCLEAR."""
+    for kind, pattern in LAYER_NAMES:
         if re.search(pattern, name.casefold()):
             return kind
-    return UNKNOWN
+    return UNCLEAR
 
 
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "feet": 0.3048, "inches": 0.0254}  # [m]
 LIKELY = (10.0, 300.0)  # [m] longer side of most buildings, for guesses alone
 POSSIBLE = (2.5, 3000.0)  # [m] longer side of a plan: a small room, more than the largest terminal
 WIDTHS = (0.2, 500.0)  # [m] typical width of the walkable area: a body is 0.5 m wide, the widest halls have 400 m
-SCALES = (1e-9, 1e9)  # [m] per unit that --scale may state
+ACCEPTED_SCALES = (1e-9, 1e9)  # [m] per unit that --scale may state
 
 
 def metres_per_unit(path: Path, points: Array, scale: float | None, noun: str, stated: float | None = None) -> float:
@@ -184,7 +185,7 @@ def metres_per_unit(path: Path, points: Array, scale: float | None, noun: str, s
         raise InputError(path, "", found, expected + _guess(max(width, height)))
     metres = stated if scale is None else scale
     assert metres is not None
-    if not SCALES[0] <= metres <= SCALES[1]:
+    if not ACCEPTED_SCALES[0] <= metres <= ACCEPTED_SCALES[1]:
         raise InputError("--scale" if scale is not None else path, "", f"{metres:g}", "metres per unit, above 0")
     size = metres * max(width, height)
     if not POSSIBLE[0] <= size <= POSSIBLE[1]:

@@ -11,13 +11,20 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import IGNORED, MOST_SEGMENTS, UNITS, UNKNOWN, drawing_of_lines, holds
+from pdr_graph.floor.formats.drafting import (
+    IGNORED,
+    LARGEST_COORDINATE,
+    MOST_SEGMENTS,
+    UNCLEAR,
+    UNITS,
+    drawing_of_lines,
+    holds,
+)
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
-LARGEST_FILE = 100_000_000  # [bytes]
-LARGEST_COORDINATE = 1e10  # [unit]
+LARGEST_DXF = 100_000_000  # [bytes]
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
 INSERT_UNITS = {  # $INSUNITS: metres per unit
@@ -40,7 +47,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     document = _document(path)
     notes, reading = list[str](), _Reading(path, _hidden_layers(document))
     for entity in document.modelspace():
-        reading.add(entity, UNKNOWN, 0)
+        reading.add(entity, UNCLEAR, 0)
     segments = np.concatenate(reading.segments) if reading.segments else np.empty((0, 2, 2))
     if not (np.abs(segments) < LARGEST_COORDINATE).all():
         raise InputError(path, "", "coordinates that are no numbers or too large", f"below {LARGEST_COORDINATE:g}")
@@ -57,7 +64,7 @@ def _document(path: Path) -> Any:
     with required_library(path, "a DXF drawing", "ezdxf"):
         from ezdxf import recover
         from ezdxf.lldxf.const import DXFError
-    check_file_size(path, LARGEST_FILE)
+    check_file_size(path, LARGEST_DXF)
     try:
         return recover.readfile(path)[0]
     except (DXFError, OSError, ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:
@@ -87,12 +94,12 @@ class _Reading:
         """Add an entity's segments, or count it as skipped. inherited: what the block that it is in holds."""
         kind, layer = entity.dxftype(), str(entity.dxf.get("layer", "0"))
         on = holds(layer)
-        on = inherited if on == UNKNOWN else on
+        on = inherited if on == UNCLEAR else on
         if layer in self.hidden or entity.dxf.get("invisible", 0):
             self.skipped["hidden entities"] += 1
         elif kind == "INSERT":
             for part in self._parts(entity, depth):
-                self.add(part, on if on != UNKNOWN else holds(str(entity.dxf.get("name", ""))), depth + 1)
+                self.add(part, on if on != UNCLEAR else holds(str(entity.dxf.get("name", ""))), depth + 1)
         elif kind not in CURVES or (on == IGNORED and kind != "LINE"):
             self.skipped[kind] += 1
         else:

@@ -18,7 +18,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 
 # Limits of an untrusted file
-LARGEST_FILE = 200_000_000  # [bytes]
+LARGEST_GEOJSON = 200_000_000  # [bytes]
 MOST_FEATURES = 50_000  # of a collection: an airport has 20 000, and 30 000 rooms take 20 s
 MOST_HOLES = 20_000  # of a feature; 10 000 take 4 s, and the time grows with their square
 WIDEST_PLAN = 1.0  # [deg] a wider plan is in metres
@@ -28,7 +28,7 @@ Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in a file. Raises InputError for other files."""
     try:
-        check_file_size(path, LARGEST_FILE)
+        check_file_size(path, LARGEST_GEOJSON)
         value = json.loads(path.read_text(encoding="utf-8-sig"))
     except InputError:
         raise

@@ -22,8 +22,8 @@ from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
 from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees, features_of, read_json
 from pdr_graph.frames import Frame
 
-FILES = ("level.geojson", "unit.geojson")  # without them an archive has no floor
-OPTIONAL = ("opening", "fixture", "kiosk", "amenity", "anchor", "occupant")  # further feature types that are read
+LEAST_FILES = ("level.geojson", "unit.geojson")  # without them an archive has no floor
+OPTIONAL_TYPES = ("opening", "fixture", "kiosk", "amenity", "anchor", "occupant")  # further feature types that are read
 MANIFEST = "manifest.json"
 # Categories of units; all others are rooms
 KIND_OF_UNIT = {
@@ -39,17 +39,17 @@ SLOPES = ("steps", "ramp")  # within a floor or between two: stairs where one on
 
 def root_of(path: Path) -> Path:
     """The folder of an archive from one of its main files; any other path unchanged."""
-    return path.parent if path.name in (*FILES, MANIFEST) and recognizes(path.parent) else path
+    return path.parent if path.name in (*LEAST_FILES, MANIFEST) and recognizes(path.parent) else path
 
 
 def recognizes(folder: Path) -> bool:
     """True for the folder of an unpacked archive."""
-    return all((folder / name).is_file() for name in FILES)
+    return all((folder / name).is_file() for name in LEAST_FILES)
 
 
 def files_of(folder: Path) -> tuple[Path, ...]:
     """The files of an archive that `read` reads."""
-    named = (MANIFEST, *FILES, *(f"{kind}.geojson" for kind in OPTIONAL))
+    named = (MANIFEST, *LEAST_FILES, *(f"{kind}.geojson" for kind in OPTIONAL_TYPES))
     return tuple(folder / name for name in named if (folder / name).is_file())
 
 
@@ -65,10 +65,10 @@ def read(folder: Path) -> Drawing:
             check_degrees(folder / f"{kind}.geojson", features)
     levels = of_type["level"]
     if not levels or not of_type["unit"]:
-        empty = folder / (FILES[1] if levels else FILES[0])
+        empty = folder / (LEAST_FILES[1] if levels else LEAST_FILES[0])
         raise InputError(empty, "features", "none with a geometry", "the levels and units of a building")
     frame = frame_about(shape for _, shape, _ in levels)
-    ordinals = _ordinals(folder / FILES[0], levels)
+    ordinals = _ordinals(folder / LEAST_FILES[0], levels)
     areas = {ordinal: list[Area]() for ordinal in sorted(set(ordinals.values()))}
     for kind, features in of_type.items():
         _place(kind, features, frame, ordinals, areas, notes)

@@ -14,8 +14,8 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.geojson import Feature, area_of
 from pdr_graph.frames import projected
+from pdr_graph.types import UTM_32N
 
-EPSG = 32632
 KIND_OF_TYPE = {
     "Corridor": "corridor",
     "Gallery": "corridor",
@@ -41,11 +41,11 @@ def read(path: Path, collection: dict[str, Any], features: list[Feature], notes:
     corners = shapely.get_coordinates([shape for _, shape, _ in features])
     in_degrees = bool((np.abs(corners) <= (180, 90)).all())
     stated = re.findall(r"\d{4,5}|CRS84", json.dumps(collection.get("crs")))
-    expected = ["4326", "CRS84"] if in_degrees else [str(EPSG)]
+    expected = ["4326", "CRS84"] if in_degrees else [str(UTM_32N)]
     if stated and stated[-1] not in expected:
-        found = "degrees" if in_degrees else f"metres, read as EPSG:{EPSG}"
+        found = "degrees" if in_degrees else f"metres, read as EPSG:{UTM_32N}"
         notes.append(f"the file states CRS {stated[-1]}, but its coordinates are {found}")
-    frame = projected(EPSG)
+    frame = projected(UTM_32N)
     areas: list[Area] = []
     for feature in features:
         kind = KIND_OF_TYPE.get(str(feature[2].get("Type")))

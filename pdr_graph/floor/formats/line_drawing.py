@@ -18,7 +18,6 @@ from pdr_graph.floor.formats import raster
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
-STAIRS = "stairs"
 Geometries = NDArray[np.object_]
 
 
@@ -100,13 +99,13 @@ def _with_walls(
     """All areas of a floor: outline, cells, doors, stairs, solid parts, and walls as lines."""
     solid = _solid(outline, [*(cell.shape for cell in cells), *stairs], doors)
     areas = [Area(OUTLINE, "", outline), *cells, *(Area(DOOR, "", door) for door in doors)]
-    areas += [Area(STAIRS, "", flight) for flight in stairs]
+    areas += [Area("stairs", "", flight) for flight in stairs]
     return (*areas, *(Area(WALL, "", part) for part in (*solid, *_wall_lines(walls))))
 
 
 def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
     """The polygons that the lines enclose once gaps are closed, with the smallest radius that closes the building."""
-    radius = closing_radius(shapely.get_coordinates(shapely.get_parts(shapely.segmentize(walls, STEP))))
+    radius = closing_radius(shapely.get_coordinates(shapely.get_parts(shapely.segmentize(walls, PIXEL))))
     if radius is None:
         return shapely.Polygon()
     closed = f"gaps of up to {2 * radius:g} m closed"
@@ -120,7 +119,7 @@ def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
     return outline
 
 
-STEP, MOST_CELLS = 0.05, 2000  # [m] of the raster, and its cells along the longer side of a large building
+PIXEL, MOST_CELLS = 0.05, 2000  # [m] of the raster, and its cells along the longer side of a large building
 
 
 def closing_radius(points: Array) -> float | None:
@@ -130,7 +129,7 @@ def closing_radius(points: Array) -> float | None:
     large as with the largest radius.
     """
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    step = max(STEP, float(extent.max()) / MOST_CELLS)
+    step = max(PIXEL, float(extent.max()) / MOST_CELLS)
     around = int(np.ceil(2 * RULES.closing_radii[-1] / step))
     cells = ((points - low) / step).astype(np.intp) + around
     free = np.ones((extent / step).astype(int) + 2 * around + 1, dtype=bool)
@@ -228,8 +227,8 @@ def _wall_lines(walls: shapely.Geometry) -> Geometries:
     return merged[(shapely.length(merged) > 2 * RULES.half_wall) & (shapely.get_dimensions(merged) == 1)]
 
 
-NARROWEST, WIDEST = 0.55, 1.5  # [m] a leaf of a door: 0.6 to 1.2, and what was drawn inaccurately
-TOUCH = 0.08  # [m] two ends so close were meant to touch; the thickness of a leaf drawn as a rectangle
+NARROWEST_LEAF, WIDEST_LEAF = 0.55, 1.5  # [m] a leaf of a door: 0.6 to 1.2, and what was drawn inaccurately
+TOUCHING = 0.08  # [m] two ends so close were meant to touch; the thickness of a leaf drawn as a rectangle
 FEWEST_CHORDS = 3
 BENDS = np.radians([0.5, 40.0])  # [rad] between two chords of an arc
 SWEEPS = np.radians([40.0, 130.0])  # [rad] of a swing, 90° as a rule, on drawings also 45°
@@ -263,14 +262,14 @@ def swing_doors(segments: Array, candidates: Mask) -> tuple[list[shapely.Geometr
     if not arcs:
         return [], drawing
     lines = lines_of(segments)
-    shapes = shapely.union_all([shapely.buffer(shapely.LineString(arc.points), TOUCH / 4) for arc in arcs])
+    shapes = shapely.union_all([shapely.buffer(shapely.LineString(arc.points), TOUCHING / 4) for arc in arcs])
     drawing |= candidates & shapely.covers(shapes, lines)
     tree, doors = shapely.STRtree(lines), []
     for arc in arcs:
-        near = tree.query(shapely.LineString(arc.points), predicate="dwithin", distance=WIDEST)
+        near = tree.query(shapely.LineString(arc.points), predicate="dwithin", distance=WIDEST_LEAF)
         opening, leaf = _opening(arc, shapely.union_all(lines[near[~drawing[near]]]))
         doors.append(opening)
-        along = near[shapely.covers(shapely.buffer(leaf, TOUCH), lines[near])]
+        along = near[shapely.covers(shapely.buffer(leaf, TOUCHING), lines[near])]
         drawing[along] |= candidates[along]
     return doors, drawing
 
@@ -280,10 +279,10 @@ def _opening(arc: Arc, walls: shapely.Geometry) -> tuple[shapely.Geometry, shape
     sides = [shapely.LineString([arc.centre, end]) for end in arc.points[[0, -1]]]
     costs = []
     for side, end in zip(sides, arc.points[[0, -1]], strict=True):
-        beyond = shapely.difference(walls, shapely.buffer(side, TOUCH))
-        covered = shapely.length(shapely.intersection(side, shapely.buffer(walls, TOUCH / 2))) / shapely.length(side)
-        gap = shapely.distance(beyond, shapely.Point(end)) if not shapely.is_empty(beyond) else WIDEST
-        costs.append(float(gap) + TOUCH * float(covered))
+        beyond = shapely.difference(walls, shapely.buffer(side, TOUCHING))
+        covered = shapely.length(shapely.intersection(side, shapely.buffer(walls, TOUCHING / 2))) / shapely.length(side)
+        gap = shapely.distance(beyond, shapely.Point(end)) if not shapely.is_empty(beyond) else WIDEST_LEAF
+        costs.append(float(gap) + TOUCHING * float(covered))
     return (sides[0], sides[1]) if costs[0] <= costs[1] else (sides[1], sides[0])
 
 
@@ -319,7 +318,7 @@ def _fitted(points: Array) -> Arc | None:
     design = np.stack([2 * x, 2 * y, np.ones(len(x))], axis=1)
     solution = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
     radius = float(np.sqrt(max(0.0, solution[2] + solution[0] ** 2 + solution[1] ** 2)))
-    if not NARROWEST <= radius <= WIDEST:
+    if not NARROWEST_LEAF <= radius <= WIDEST_LEAF:
         return None
     centre = middle + solution[:2]
     away = points - centre
@@ -336,7 +335,7 @@ def closed_doors(segments: Array) -> list[shapely.Geometry]:
     """
     along = segments[:, 1] - segments[:, 0]
     length = np.hypot(*along.T)
-    leaves = np.flatnonzero((length >= NARROWEST) & (length <= WIDEST))
+    leaves = np.flatnonzero((length >= NARROWEST_LEAF) & (length <= WIDEST_LEAF))
     jambs = np.flatnonzero((length >= JAMB[0]) & (length <= JAMB[1]))
     if not len(leaves) or not len(jambs):
         return []
@@ -358,11 +357,11 @@ def _ends_wall(
     segments: Array, course: Array, ends: KDTree, jambs: Index, tree: shapely.STRtree, end: Array, outward: Array
 ) -> bool:
     """True if a leaf's end ``(2,)`` lies on a jamb from whose both ends a wall goes on along `outward (2,)`."""
-    near = np.intersect1d(tree.query(shapely.Point(end), predicate="dwithin", distance=TOUCH / 2), jambs)
+    near = np.intersect1d(tree.query(shapely.Point(end), predicate="dwithin", distance=TOUCHING / 2), jambs)
     for jamb in near[np.abs(course[near] @ outward) < SQUARE].tolist():
         faces = 0
         for corner in segments[jamb]:
-            touching = np.array(ends.query_ball_point(corner, TOUCH / 2), dtype=np.intp)
+            touching = np.array(ends.query_ball_point(corner, TOUCHING / 2), dtype=np.intp)
             others, which = np.divmod(touching, 2)
             leaving = course[others] * np.where(which == 0, 1.0, -1.0)[:, None]
             faces += bool((leaving @ outward > 1 - SQUARE**2).any())
@@ -374,8 +373,8 @@ def _ends_wall(
 def _is_backed(tree: shapely.STRtree, leaf: Array) -> bool:
     """True if a line lies behind the middle of a leaf ``(2, 2)``: a niche, or a wall drawn as two lines."""
     middle = shapely.LineString([0.6 * leaf[0] + 0.4 * leaf[1], 0.4 * leaf[0] + 0.6 * leaf[1]])
-    near = tree.geometries[tree.query(middle, predicate="dwithin", distance=NARROWEST / 2)]
-    return bool((shapely.distance(near, middle) > TOUCH).any())
+    near = tree.geometries[tree.query(middle, predicate="dwithin", distance=NARROWEST_LEAF / 2)]
+    return bool((shapely.distance(near, middle) > TOUCHING).any())
 
 
 def symbol_doors(symbols: Array, walls: Array) -> list[shapely.Geometry]:
@@ -387,11 +386,11 @@ def symbol_doors(symbols: Array, walls: Array) -> list[shapely.Geometry]:
         return []
     all_walls = shapely.union_all(shapely.linestrings(walls)) if len(walls) else shapely.LineString()
     doors = []
-    for part in shapely.get_parts(shapely.union_all(shapely.buffer(shapely.linestrings(symbols), TOUCH / 2))):
+    for part in shapely.get_parts(shapely.union_all(shapely.buffer(shapely.linestrings(symbols), TOUCHING / 2))):
         within = symbols[shapely.covers(part, shapely.linestrings(symbols))]
         arcs = _arcs(within)
         if arcs:
-            near = shapely.intersection(all_walls, shapely.buffer(part, WIDEST))
+            near = shapely.intersection(all_walls, shapely.buffer(part, WIDEST_LEAF))
             doors += [_opening(arc, near)[0] for arc in arcs]
         else:
             doors += _straight_symbol(part, all_walls)
@@ -407,7 +406,7 @@ def _straight_symbol(part: shapely.Geometry, walls: shapely.Geometry) -> list[sh
     lines = [shapely.LineString(pair) for pair in (middles[[0, 2]], middles[[1, 3]])]
     lines += [shapely.LineString(corners[n : n + 2]) for n in range(4)]
     # widest opening [m]: a door of two leaves
-    lines = [line for line in lines if NARROWEST <= shapely.length(line) <= 3.0]
+    lines = [line for line in lines if NARROWEST_LEAF <= shapely.length(line) <= 3.0]
     if not lines:
         return []
     ends = [shapely.points(shapely.get_coordinates(line)) for line in lines]

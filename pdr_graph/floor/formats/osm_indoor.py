@@ -28,9 +28,9 @@ from pdr_graph.priors import PLANS
 
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
-MOST_AREAS = 100_000  # features times the levels on which each is
+MOST_LEVEL_AREAS = 100_000  # features times the levels on which each is
 STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
-NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
+LEVEL_NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
 def recognizes(features: Iterable[Feature]) -> bool:
@@ -99,7 +99,7 @@ def levels_of(text: Any, missing: Iterable[float] = ()) -> tuple[float, ...]:
     """
     levels = list[float]()
     for part in re.split(r"[;,]", str(text)):
-        found = re.fullmatch(rf"\s*({NUMBER})\s*(?:-\s*({NUMBER})\s*)?", part)
+        found = re.fullmatch(rf"\s*({LEVEL_NUMBER})\s*(?:-\s*({LEVEL_NUMBER})\s*)?", part)
         if found is None:
             raise ValueError(f"level {str(text)[:40]!r}")
         first = float(found[1])
@@ -161,8 +161,8 @@ def _areas(
     if without:
         notes.append(f"{count(without, 'feature')} without a level: taken as level 0")
     notes += [f"{count(times, 'feature')} with an unreadable {text} left out" for text, times in unreadable.items()]
-    if sum(len(area.floors) for area in areas) > MOST_AREAS:
-        raise InputError(path, "level", "features on too many levels", f"at most {MOST_AREAS} areas")
+    if sum(len(area.floors) for area in areas) > MOST_LEVEL_AREAS:
+        raise InputError(path, "level", "features on too many levels", f"at most {MOST_LEVEL_AREAS} areas")
     return [*_connections([area for area in areas if area.kind in CONNECTING], areas), *_rest(areas)]
 
 

@@ -10,13 +10,13 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.cells import KINDS, Area
+from pdr_graph.floor.cells import CELL_KINDS, Area
 from pdr_graph.floor.formats.drawing import Drawing, floor_heights, frame_about
 from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees
 from pdr_graph.frames import Frame, enu
 from pdr_graph.whole_files import write_file
 
-LOCAL = "local"  # value of the member ``pdr_graph.frame``
+LOCAL_FRAME = "local"  # value of the member ``pdr_graph.frame``
 
 
 def read(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
@@ -28,12 +28,12 @@ def read(path: Path, collection: dict[str, Any], features: list[Feature], notes:
     coordinates are metres of a plan without georeference.
     """
     for n, _, properties in features:
-        if properties.get("kind") not in KINDS:
+        if properties.get("kind") not in CELL_KINDS:
             found = f"kind {properties.get('kind')!r}"[:80]
-            raise InputError(path, f"feature {n}", found, "one of " + ", ".join(KINDS))
+            raise InputError(path, f"feature {n}", found, "one of " + ", ".join(CELL_KINDS))
     about = collection.get("pdr_graph")
     about = about if isinstance(about, dict) else {}
-    frame = Frame() if about.get("frame") == LOCAL else _georeferenced(path, about, features)
+    frame = Frame() if about.get("frame") == LOCAL_FRAME else _georeferenced(path, about, features)
     areas = [area_of(f[2]["kind"], f, frame if frame.georeferenced else None) for f in features]
     labels = {label for area in areas for label in area.floors} or {str(about.get("floor", ""))}
     heights = floor_heights(path, labels, about.get("heights"))
@@ -44,7 +44,7 @@ def read(path: Path, collection: dict[str, Any], features: list[Feature], notes:
 def _georeferenced(path: Path, about: dict[str, Any], features: list[Feature]) -> Frame:
     """The frame of a plan in degrees. Raises InputError for other coordinates, or another member ``frame``."""
     if "frame" in about:
-        raise InputError(path, "pdr_graph.frame", repr(about["frame"])[:40], f"{LOCAL!r}, or no such member")
+        raise InputError(path, "pdr_graph.frame", repr(about["frame"])[:40], f"{LOCAL_FRAME!r}, or no such member")
     check_degrees(path, features)
     if "origin" not in about:
         return frame_about(shape for _, shape, _ in features)
@@ -60,14 +60,14 @@ def _is_place(value: object) -> bool:
     return numbers and abs(value[0]) <= 180 and abs(value[1]) <= 90  # type: ignore[index]
 
 
-DEGREES, METRES = 8, 3  # digits of coordinates: 1 mm
+LONLAT_DIGITS, METRE_DIGITS = 8, 3  # digits of coordinates: 1 mm
 WRITTEN_ANEW = ("kind", "name", "floor", "level", "Type")  # properties that are not copied
 
 
 def write(path: Path, drawing: Drawing) -> None:
     """Write a plan: longitude and latitude, or metres with ``"frame": "local"`` of one without georeference."""
     labels = list(drawing.floors)
-    about: dict[str, Any] = {} if drawing.frame.georeferenced else {"frame": LOCAL}
+    about: dict[str, Any] = {} if drawing.frame.georeferenced else {"frame": LOCAL_FRAME}
     if drawing.frame.kind == "enu" and drawing.frame.origin is not None:
         about["origin"] = list(drawing.frame.origin[::-1])
     if len(labels) == 1:
@@ -91,7 +91,7 @@ def _feature(area: Area, floors: list[str], frame: Frame) -> dict[str, Any]:
     if floors:
         properties["floor"] = floors[0] if len(floors) == 1 else floors
     placed = shapely.transform(area.shape, frame.to_lonlat) if frame.georeferenced else area.shape
-    digits = DEGREES if frame.georeferenced else METRES
+    digits = LONLAT_DIGITS if frame.georeferenced else METRE_DIGITS
     shape = shapely.transform(placed, lambda position: np.round(position, digits))
     if not shapely.is_valid(shape):  # rounded corners may make an outline cross itself
         shape = placed

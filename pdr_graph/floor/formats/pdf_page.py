@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNCLEAR, drawing_of_lines
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.floor_picture import drawing_of_picture
 from pdr_graph.floor.plan_limits import check_file_size, required_library
@@ -93,7 +93,7 @@ def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
         raise InputError(path, "", f"a damaged PDF page ({str(error)[:80]})", "a page with a plan") from None
     if picture is None:
         notes.append(f"{count(len(segments), 'segment')} of the page's vector lines")
-        return drawing_of_lines(path, segments, [UNKNOWN] * len(segments), scale, None, notes, framed=True)
+        return drawing_of_lines(path, segments, [UNCLEAR] * len(segments), scale, None, notes, framed=True)
     notes.append("the page has no vector lines: its picture was traced")
     return drawing_of_picture(path, np.ascontiguousarray(picture.reshape(picture.shape[:2])), scale, finer, notes)
 

@@ -19,10 +19,10 @@ from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
-FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
-OCCUPIED, FREE = 0.65, 0.196  # default thresholds of map_server
+PICTURE_FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
+OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # default thresholds of map_server
 LARGEST_NUMBER = 1e7  # in the file: metres of an origin far away
-MODES = ("trinary", "scale", "raw")
+MAP_MODES = ("trinary", "scale", "raw")
 
 
 def recognizes(path: Path, head: bytes) -> bool:
@@ -42,7 +42,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     resolution = _number(path, settings, "resolution")
     if scale is not None:
         raise InputError("--scale", "", f"{scale:g}", f"none: {path.name} states {resolution:g} m per pixel")
-    picture, factor = opened(_picture_of(path, settings), FORMATS)
+    picture, factor = opened(_picture_of(path, settings), PICTURE_FORMATS)
     rows, columns = np.array(picture.shape) * factor
     metres_per_unit(path, np.array([[0, 0], [columns, rows]]), resolution, "a picture")
     notes = [f"an occupancy map of {resolution:g} m per pixel"]
@@ -56,7 +56,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     )
     areas = areas_within(outline, walkable, notes)
     if not areas:
-        raise InputError(path, "", "no free pixels", f"free space, lighter than free_thresh {FREE}")
+        raise InputError(path, "", "no free pixels", f"free space, lighter than free_thresh {FREE_BELOW}")
     return Drawing({"": areas}, Frame(), tuple(notes))
 
 
@@ -97,17 +97,17 @@ def _number(path: Path, settings: dict[str, Any], key: str, default: float | Non
 
 def _cells_of(path: Path, settings: dict[str, Any], picture: Picture, notes: list[str]) -> tuple[Mask, Mask]:
     """Which pixels are free, and which are unknown: neither free nor occupied."""
-    mode = settings.get("mode", MODES[0])
-    if mode not in MODES:
-        raise InputError(path, "mode", f"{mode!r}"[:60], "one of " + ", ".join(MODES))
+    mode = settings.get("mode", MAP_MODES[0])
+    if mode not in MAP_MODES:
+        raise InputError(path, "mode", f"{mode!r}"[:60], "one of " + ", ".join(MAP_MODES))
     if mode == "raw":  # values are percent
         occupancy, known = picture / 100.0, picture <= 100
     else:
         negate = _number(path, settings, "negate", 0) != 0
         occupancy = (picture if negate else 255 - picture.astype(int)) / 255.0
         known = np.ones(picture.shape, dtype=bool)
-    free = known & (occupancy < _number(path, settings, "free_thresh", FREE))
-    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", OCCUPIED))
+    free = known & (occupancy < _number(path, settings, "free_thresh", FREE_BELOW))
+    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", OCCUPIED_ABOVE))
     unknown = ~free & ~occupied
     notes.append(
         f"{np.mean(free):.0%} of the pixels free, {np.mean(occupied):.0%} occupied, {np.mean(unknown):.0%} unknown"

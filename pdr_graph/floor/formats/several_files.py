@@ -18,12 +18,12 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.formats import microsoft
 from pdr_graph.floor.formats.drawing import Drawing, floor_heights
-from pdr_graph.floor.formats.geojson import LARGEST_FILE
+from pdr_graph.floor.formats.geojson import LARGEST_GEOJSON
 from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
 
 # Endings of plans, those with most detail first: what has the first is the plan, pictures beside it are not
-FORMATS = (
+PLAN_ENDINGS = (
     (".geojson", ".osm"),
     (".json",),
     (".dxf",),
@@ -31,7 +31,7 @@ FORMATS = (
     (".yaml", ".yml"),
     (".pdf", ".png", ".jpg", ".jpeg"),
 )
-MOST_FLOORS = 200
+MOST_FLOOR_FILES = 200
 ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 Reader = Callable[[Path], Drawing]
 
@@ -50,7 +50,7 @@ def unpacked(path: Path) -> Iterator[Path]:
 
     Raises InputError for hostile archives: names that lead elsewhere, links, doubles, more than 200 MB of files.
     """
-    source = Source(path, "floor plan", LARGEST_FILE)
+    source = Source(path, "floor plan", LARGEST_GEOJSON)
     with TemporaryDirectory(prefix="pdr_graph-") as top:
         folder = Path(top) / path.stem
         try:
@@ -76,14 +76,14 @@ def files_of(folder: Path) -> tuple[Path, ...]:
     floors = [child for child in sorted(folder.iterdir()) if child.is_dir() and microsoft.recognizes(child)]
     files = [child for child in sorted(folder.iterdir()) if child.is_file()]
     files = [file for file in files if file.name not in microsoft.FILES and not file.name.startswith(".")]
-    for endings in FORMATS:
+    for endings in PLAN_ENDINGS:
         plans = [] if floors else [file for file in files if file.suffix.lower() in endings]
         if plans:
-            return tuple(plans[: MOST_FLOORS + 1])
+            return tuple(plans[: MOST_FLOOR_FILES + 1])
     if not floors:
         expected = "a floor plan, a file or folder for each floor, or an IMDF archive"
         raise InputError(folder, "", f"a folder without {microsoft.FILES[0]} or any plan", expected)
-    return tuple(floors[: MOST_FLOORS + 1])
+    return tuple(floors[: MOST_FLOOR_FILES + 1])
 
 
 def read(folder: Path, read_file: Reader) -> Drawing:
@@ -93,8 +93,8 @@ def read(folder: Path, read_file: Reader) -> Drawing:
     two floors have one label, or the plans are not in one frame.
     """
     files = files_of(folder)
-    if len(files) > MOST_FLOORS:
-        raise InputError(folder, "", f"more than {MOST_FLOORS} plans", "a file for each floor of one building")
+    if len(files) > MOST_FLOOR_FILES:
+        raise InputError(folder, "", f"more than {MOST_FLOOR_FILES} plans", "a file for each floor of one building")
     drawings = [read_file(file) for file in files]
     if len(drawings) == 1:
         return drawings[0]

@@ -86,7 +86,7 @@ class GyroIntegration:
 
 # Standard deviations of GravityFilter, chosen by hand: [m/s²] of gravity per root second; of one walking sample
 GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0
-CONVERGED = 1e-6  # relative change of the gain below which it is constant
+CONVERGED_GAIN = 1e-6  # relative change of the gain below which it is constant
 
 
 class GravityFilter:
@@ -124,7 +124,7 @@ class GravityFilter:
     def _next_gain(self) -> float | None:
         """The gain for the next sample; None after convergence."""
         gain = 1.0 if np.isinf(self._variance) else self._variance / (self._variance + 1)
-        if gain - self._gain < CONVERGED * self._gain:
+        if gain - self._gain < CONVERGED_GAIN * self._gain:
             return None
         self._variance = gain + self._process
         return gain

@@ -50,7 +50,7 @@ class Hold:
     roughness: float = 0.4
 
 
-RIGHT, FORWARD, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+RIGHT, FRONT, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 LEFT, BACK, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 C, S = np.cos(0.6), np.sin(0.6)  # of 0.6 rad, by which the top of a phone in the hand is raised
 HOLDS = {
@@ -65,7 +65,7 @@ HOLDS = {
         roughness=0.65,
     ),
     "swinging arm": Hold(
-        axes=(UP, FORWARD, LEFT),
+        axes=(UP, FRONT, LEFT),
         spread=0.25,
         hinge=(0.11, 0.0, 0.28),
         lever=(0.02, 0.13, -0.62),
@@ -75,7 +75,7 @@ HOLDS = {
         wander=(0.06, 0.06),
     ),
     "trouser pocket": Hold(
-        axes=(RIGHT, DOWN, FORWARD),
+        axes=(RIGHT, DOWN, FRONT),
         spread=0.30,
         hinge=(0.06, 0.03, -0.02),
         lever=(0.04, 0.10, -0.22),
@@ -88,7 +88,7 @@ HOLDS = {
         roughness=1.2,
     ),
     "breast pocket": Hold(
-        axes=(LEFT, UP, FORWARD),
+        axes=(LEFT, UP, FRONT),
         spread=0.20,
         hinge=(-0.05, 0.07, 0.22),
         swings=((2, "right", 0.020, 0.0), (1, "forward", 0.030, 0.5), (1, "up", 0.070, 0.0)),
@@ -98,7 +98,7 @@ HOLDS = {
         wander=(0.03, 0.03),
     ),
     "bag": Hold(
-        axes=(FORWARD, UP, RIGHT),
+        axes=(FRONT, UP, RIGHT),
         spread=1.5,  # any orientation
         hinge=(0.10, -0.03, 0.25),
         lever=(0.08, 0.0, -0.55),
@@ -111,7 +111,7 @@ HOLDS = {
         roughness=1.2,
     ),
     "cart": Hold(
-        axes=(RIGHT, FORWARD, UP),
+        axes=(RIGHT, FRONT, UP),
         spread=0.0,
         hinge=(0.0, 0.0, 0.0),
         bounce=0.0,

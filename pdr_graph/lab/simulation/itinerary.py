@@ -23,7 +23,7 @@ from pdr_graph.lab.simulation.pedestrian import MANNERS
 from pdr_graph.types import Array, OneLineRepr
 
 # Names of types in messages
-NAMES = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}
+TYPE_NAMES = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}
 MAXIMUM_COORDINATE = 1e5  # [m] from the origin
 
 
@@ -34,7 +34,7 @@ def typed(path: Path, place: str, value: Any, kind: type) -> Any:
             return kind(value)
     elif isinstance(value, kind):
         return value
-    raise InputError(path, place, repr(value), NAMES[kind])
+    raise InputError(path, place, repr(value), TYPE_NAMES[kind])
 
 
 def number(path: Path, place: str, value: Any, low: float = -1e5, high: float = 1e5, unit: str = "") -> float:
@@ -263,7 +263,7 @@ def _link(draft: _Draft, place: str, name: str) -> list[Array]:
     return [c for n, c in enumerate(corners) if n or np.hypot(*(c - draft.position)) > SHORTEST_LEG]
 
 
-FRONT = 0.7  # [m] distance of a visitor from a shop front
+SHOP_FRONT = 0.7  # [m] distance of a visitor from a shop front
 
 
 def _front(draft: _Draft, place: str, name: str) -> Array:
@@ -274,7 +274,7 @@ def _front(draft: _Draft, place: str, name: str) -> Array:
         raise InputError(draft.path, place, f"a visit to {name!r}", "the name of an area of the plan on this floor")
     nearest = np.array(shapely.shortest_line(shapely.Point(draft.position), areas[0].shape).coords)[-1]
     back = draft.position - nearest
-    return nearest + back * min(1.0, FRONT / max(float(np.hypot(*back)), 1e-9))
+    return nearest + back * min(1.0, SHOP_FRONT / max(float(np.hypot(*back)), 1e-9))
 
 
 def _floor(draft: _Draft, place: str, label: Any) -> str:

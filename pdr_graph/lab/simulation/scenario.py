@@ -23,14 +23,14 @@ from pdr_graph.lab.simulation.recorders import RECORDERS
 from pdr_graph.lab.simulation.sensors import Receiver, SampleClock, Transmitter
 from pdr_graph.types import OneLineRepr
 
-READY = Path(__file__).parent / "scenarios"
+SCENARIOS = Path(__file__).parent / "scenarios"
 PACKAGE = Path(pdr_graph.__file__).parent
-MAPS = (PACKAGE / "maps", PACKAGE.parent / "maps")  # plans of READY: in an installation; in a checkout
+MAPS = (PACKAGE / "maps", PACKAGE.parent / "maps")  # plans of SCENARIOS: in an installation; in a checkout
 
 
 def names() -> tuple[str, ...]:
     """The names of all scenarios of the package, sorted."""
-    return tuple(sorted(file.stem for file in READY.glob("*.toml")))
+    return tuple(sorted(file.stem for file in SCENARIOS.glob("*.toml")))
 
 
 def scenario_file(name: str | Path) -> Path:
@@ -41,14 +41,14 @@ def scenario_file(name: str | Path) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    if (READY / f"{name}.toml").is_file():
-        return READY / f"{name}.toml"
+    if (SCENARIOS / f"{name}.toml").is_file():
+        return SCENARIOS / f"{name}.toml"
     found = "a folder" if path.is_dir() else "no such file"
     raise InputError(path, "", found, f"a scenario's TOML file, or one of {', '.join(names())}")
 
 
-SENSORS = ("accelerometer", "gyroscope", "magnetometer", "barometer")
-PLACE = (135.0, 35.0)  # [deg] longitude and latitude of (0, 0) without a plan
+SIMULATED = ("accelerometer", "gyroscope", "magnetometer", "barometer")
+ORIGIN = (135.0, 35.0)  # [deg] longitude and latitude of (0, 0) without a plan
 Section = TypeVar("Section")
 
 
@@ -64,7 +64,7 @@ class Person:
 class Phone:
     """The phone: how it is carried and how it samples.
 
-    hold: of HOLDS; rate [Hz], jitter [s], lost and repeated shares of samples; sensors: of SENSORS; disturbance: of
+    hold: of HOLDS; rate [Hz], jitter [s], lost and repeated shares of samples; sensors: of SIMULATED; disturbance: of
     the magnetic field [µT]; altitude: of the floor where the walk begins [m]; barometer_rate [Hz].
     """
 
@@ -73,7 +73,7 @@ class Phone:
     jitter: float = 0.0004
     lost: float = 0.0005
     repeated: float = 0.0002
-    sensors: tuple[str, ...] = SENSORS
+    sensors: tuple[str, ...] = SIMULATED
     disturbance: float = 5.0
     altitude: float = 30.0
     barometer_rate: float = 5.0
@@ -109,7 +109,7 @@ class Scenario(OneLineRepr):
     start: float = 1_777_629_600.0
     recorder: str = "sensor_logger"
     platform: str = "android"
-    place: tuple[float, float] = PLACE
+    place: tuple[float, float] = ORIGIN
     plan: Path | None = None
     plans: Mapping[str, FloorPlan] = field(default_factory=dict)
     walker: Person = field(default_factory=Person)
@@ -151,7 +151,7 @@ def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
     phone = _section(path, "phone", content, Phone)
     one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
     for sensor in phone.sensors:
-        one_of(path, "phone.sensors", sensor, SENSORS)
+        one_of(path, "phone.sensors", sensor, SIMULATED)
     person = _section(path, "walker", content, Person)
     one_of(path, "walker.sex", person.sex, ("", "f", "m"))
     route = route_of(
@@ -169,7 +169,7 @@ def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
         start=_unix_time(path, content.get("start", Scenario.start)),
         recorder=one_of(path, "recorder", content.get("recorder", Scenario.recorder), tuple(RECORDERS)),
         platform=one_of(path, "platform", content.get("platform", Scenario.platform), ("android", "ios")),
-        place=_place(path, content.get("place", PLACE)),
+        place=_place(path, content.get("place", ORIGIN)),
         plan=plan,
         plans=plans,
         walker=person,
@@ -210,7 +210,7 @@ def _tuple(value: list[Any]) -> tuple[Any, ...]:
 
 
 # Accepted values: minimum, maximum, unit
-RANGES = {
+ACCEPTED_RANGES = {
     "seed": (0, 1e15, ""),
     "walker.height": (0.5, 2.5, "m"),
     "phone.rate": (20, 1000, "Hz"),
@@ -234,8 +234,8 @@ RANGES = {
 
 def _check_range(path: Path, place: str, value: Any) -> None:
     """Raise InputError if the key `place` has a range and the value is outside."""
-    if place in RANGES:
-        number(path, place, value, *RANGES[place])
+    if place in ACCEPTED_RANGES:
+        number(path, place, value, *ACCEPTED_RANGES[place])
 
 
 def _unix_time(path: Path, value: Any) -> float:

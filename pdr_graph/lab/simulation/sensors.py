@@ -37,10 +37,10 @@ class SensorErrors:
     resolution: float
 
 
-ACCELEROMETER = SensorErrors(0.018, 0.05, 0.003, 0.01, 0.004, 78.4, 0.0024)  # [m/s²]
-GYROSCOPE = SensorErrors(0.0022, 0.003, 0.0002, 0.0006, 0.006, 17.45, 0.0011)  # [rad/s]; calibrated by the phone
-MAGNETOMETER = SensorErrors(0.45, 3.0, 0.05, 0.3, 0.02, 4900.0, 0.06)  # [µT]
-BAROMETER = SensorErrors(0.012, 0.8, 0.002, 0.02, 0.0, 1300.0, 0.0012)  # [hPa]
+ACCELEROMETER_ERRORS = SensorErrors(0.018, 0.05, 0.003, 0.01, 0.004, 78.4, 0.0024)  # [m/s²]
+GYROSCOPE_ERRORS = SensorErrors(0.0022, 0.003, 0.0002, 0.0006, 0.006, 17.45, 0.0011)  # [rad/s]; calibrated by the phone
+MAGNETOMETER_ERRORS = SensorErrors(0.45, 3.0, 0.05, 0.3, 0.02, 4900.0, 0.06)  # [µT]
+BAROMETER_ERRORS = SensorErrors(0.012, 0.8, 0.002, 0.02, 0.0, 1300.0, 0.0012)  # [hPa]
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,10 @@ class SampleClock:
 def imu(motion: Motion, clock: SampleClock, random: np.random.Generator) -> dict[str, Signal]:
     """Measurements of accelerometer [m/s²] and gyroscope [rad/s], which are on one chip and share its clock."""
     time, copies = clock.times(motion.time[0], motion.time[-1], random)
-    axes = {"accelerometer": (motion.acceleration, ACCELEROMETER), "gyroscope": (motion.angular_rate, GYROSCOPE)}
+    axes = {
+        "accelerometer": (motion.acceleration, ACCELEROMETER_ERRORS),
+        "gyroscope": (motion.angular_rate, GYROSCOPE_ERRORS),
+    }
     signals = {}
     for name, (truth, errors) in axes.items():
         at = interpolate(time, motion.time, truth)
@@ -88,7 +91,7 @@ def magnetometer(
     world = interpolate(motion.time, motion.time[every], field.at(position[every]))
     device = motion.R_world_device.inv().apply(world)
     at = interpolate(time, motion.time, device)
-    return _written(time, _measured(at, time, MAGNETOMETER, clock.rate, random), copies)
+    return _written(time, _measured(at, time, MAGNETOMETER_ERRORS, clock.rate, random), copies)
 
 
 SEA_LEVEL, LAPSE, EXPONENT = 1013.25, 2.25577e-5, 5.25588  # [hPa], [1/m], [-]: the standard atmosphere
@@ -102,7 +105,7 @@ def barometer(motion: Motion, altitude: float, clock: SampleClock, random: np.ra
     pressure = SEA_LEVEL * (1 - LAPSE * height) ** EXPONENT
     weather = smooth_noise(random, len(time), WEATHER_TIME * clock.rate, WEATHER)[:, 0] if len(time) else 0.0
     truth = (pressure + weather)[:, None]
-    return _written(time, _measured(truth, time, BAROMETER, clock.rate, random), copies)
+    return _written(time, _measured(truth, time, BAROMETER_ERRORS, clock.rate, random), copies)
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,7 @@ class SatelliteFixes(OneLineRepr):
 
 ACCURACY_SPREAD = 0.25  # log-normal spread of the accuracy about the receiver's
 SYSTEMATIC, SYSTEMATIC_TIME = 0.9, 50.0  # correlated share of the error (multipath, atmosphere); its time constant [s]
-OUTLIER = 5.0  # standard deviation of an outlier per axis, in accuracies of the receiver
+FIX_OUTLIER = 5.0  # standard deviation of an outlier per axis, in accuracies of the receiver
 
 
 def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> SatelliteFixes:
@@ -224,7 +227,7 @@ def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> S
     share = autoregressive_noise(random, n, keep, SYSTEMATIC, 2) + random.normal(0, np.sqrt(1 - SYSTEMATIC**2), (n, 2))
     error = reported[:, None] / RADIUS_68 * share
     outlier = random.random(n) < receiver.outliers
-    error[outlier] += OUTLIER * receiver.accuracy * random.normal(0, 1, (int(outlier.sum()), 2))
+    error[outlier] += FIX_OUTLIER * receiver.accuracy * random.normal(0, 1, (int(outlier.sum()), 2))
     logged = measured + receiver.latency
     available = logged <= body.time[-1]
     for begin, end in receiver.outages:
@@ -263,7 +266,7 @@ BLUETOOTH = RadioChannel(exponent=2.2, shadow=7.0, fading=4.0, period=0.35, toge
 WIFI = RadioChannel(exponent=2.8, shadow=4.0, fading=3.0, period=3.0, together=True)
 
 
-WALLS = 3.0  # [dB] standard deviation of the gain or loss by walls and furniture, a fixed pattern
+WALL_LOSS = 3.0  # [dB] standard deviation of the gain or loss by walls and furniture, a fixed pattern
 SENSITIVITY = -97.0  # [dBm] of the receivers
 
 
@@ -285,7 +288,7 @@ def receptions(
         time = np.clip(time, 0, body.time[-1])
         at = np.clip(np.searchsorted(body.time, time), 0, len(body.time) - 1)
         pattern = RandomPattern.sample(place, 4.0, 1)
-        level = _level(body, at, transmitter, channel) + WALLS * pattern.at(body.position[at])[:, 0]
+        level = _level(body, at, transmitter, channel) + WALL_LOSS * pattern.at(body.position[at])[:, 0]
         level += random.normal(0, channel.fading, len(at))
         received = level > SENSITIVITY
         times.append(time[received])

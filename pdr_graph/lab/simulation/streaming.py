@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Recording
 
-NAMES = {"accelerometer": "accelerometeruncalibrated", "linear_acceleration": "accelerometer"}
-RADIUS_68 = 1.51  # [σ per axis] radius of 68 % of a circular normal distribution
+STREAM_NAMES = {"accelerometer": "accelerometeruncalibrated", "linear_acceleration": "accelerometer"}
 
 
 def batches(walk: Recording, period: float = 1.0, ios: bool = False) -> list[list[dict[str, Any]]]:
@@ -24,7 +24,7 @@ def batches(walk: Recording, period: float = 1.0, ios: bool = False) -> list[lis
     for sensor, signal in walk.signals.items():
         keys = ("pressure",) if sensor == "barometer" else ("x", "y", "z")
         factor = -1 / STANDARD_GRAVITY if ios and "acceler" in sensor else 1.0
-        rows += _samples(NAMES.get(sensor, sensor), signal.time, signal.values * factor, keys, epoch)
+        rows += _samples(STREAM_NAMES.get(sensor, sensor), signal.time, signal.values * factor, keys, epoch)
     fixes = walk.fixes
     if len(fixes) and fixes.epsg == LONLAT:
         values = np.column_stack([fixes.position[:, ::-1], RADIUS_68 * fixes.sigma])

@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.apps.lifelog.past.past_rows import assumed_accuracy
-from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, POSITION, WIFI, Rows
+from pdr_graph.frames import METRES_PER_DEGREE
+from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, HEARD, MS, POSITION, Rows
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import Array, Index
 
-METRES = 111_319.49  # per degree of latitude
 GOOD_RADIUS = 60.0  # [m] 68 % radius of a position from which the map is learnt
 BRACKET, BESIDE = 60.0, 20.0  # [s] to a position on both sides, and on one side, of a scan at a known place
-WALKING, CURVED = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
+WALKING_SPEED, CURVED = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
 FEWEST_POINTS = 3  # access points in a scan that agree
 ACCESS_POINT_SIGMA = 15.0  # [m] error per axis of an access point's position as that of the scan
 UNCHECKED = 2.0  # factor of sigma where there are too few scans to measure it
@@ -71,7 +71,7 @@ def scans_of(sightings: Rows) -> Scans:
 
 def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     """The scans near in time to good measured positions, and where they were."""
-    good = positions[(assumed_accuracy(positions) <= GOOD_RADIUS) & ~np.isin(positions["source"], (GOOGLE_PATH, WIFI))]
+    good = positions[(assumed_accuracy(positions) <= GOOD_RADIUS) & ~np.isin(positions["source"], (GOOGLE_PATH, HEARD))]
     if not len(good) or not len(scans):
         return ScanPositions(np.empty(0, int), *np.empty((3, 0)))
     time, at = good["time"] / MS, scans.time / MS
@@ -86,7 +86,7 @@ def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     length = _distance(lat[before], lon[before], lat[after], lon[after])
     middle = [(1 - share) * x[before] + share * x[after] for x in (lat, lon)]
     both = np.hypot(np.maximum(sigma[before], sigma[after]), CURVED * length)
-    one = np.hypot(sigma[nearest], WALKING * age)
+    one = np.hypot(sigma[nearest], WALKING_SPEED * age)
     error = np.where(between, both, one)
     near = np.flatnonzero((between | (age <= BESIDE)) & (error <= GOOD_RADIUS / RADIUS_68))
     places = [np.where(between, x, y[nearest])[near] for x, y in zip(middle, (lat, lon), strict=True)]
@@ -156,7 +156,9 @@ def sigma_factor(days: Iterator[tuple[Scans, ScanPositions, int]], sums: Sequenc
         errors.append(_distance(found.lat[ours], found.lon[ours], places.lat[theirs], places.lon[theirs]))
         sigmas.append(found.sigma[ours])
         known.append(places.sigma[theirs])
-        cells.append(np.rint(np.stack([places.lat[theirs], places.lon[theirs]], axis=1) * METRES / PLACE_CELL))
+        cells.append(
+            np.rint(np.stack([places.lat[theirs], places.lon[theirs]], axis=1) * METRES_PER_DEGREE / PLACE_CELL)
+        )
     error, sigma, place = (np.concatenate(parts) for parts in (errors, sigmas, known))
     _, of, number = np.unique(np.concatenate(cells), axis=0, return_inverse=True, return_counts=True)
     if not len(number):
@@ -170,7 +172,7 @@ def sigma_factor(days: Iterator[tuple[Scans, ScanPositions, int]], sums: Sequenc
 
 
 def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Rows:
-    """The positions of scans that have no measured position near in time, as rows with the source WIFI."""
+    """The positions of scans that have no measured position near in time, as rows with the source HEARD."""
     found = scan_positions(scans, points)
     found = replace(found, sigma=factor * found.sigma)
     measured = positions[positions["source"] != GOOGLE_PATH]
@@ -182,7 +184,7 @@ def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Row
     lonely = np.minimum(time - padded[after], padded[after + 1] - time) > 60.0 * MS
     chosen = lonely & (found.sigma <= LARGEST_SIGMA)
     rows = np.zeros(int(chosen.sum()), POSITION)
-    rows["time"], rows["source"] = time[chosen], WIFI
+    rows["time"], rows["source"] = time[chosen], HEARD
     rows["lat"], rows["lon"] = np.rint(found.lat[chosen] * E7), np.rint(found.lon[chosen] * E7)
     rows["accuracy"] = np.rint(found.sigma[chosen] * RADIUS_68 * CM)
     return rows
@@ -197,12 +199,16 @@ def _combined(mac: Array, weight: Array, place: Array, spread: Array, limits: tu
     sums["mac"], sums["day"] = names, day
     sums["weight"] = np.bincount(of, weight)
     origin = place[np.unique(of, return_index=True)[1]]  # near the mean, so that the squares keep their digits
-    moved = (place - origin[of]) * METRES * np.stack([np.ones(len(mac)), np.cos(np.radians(place[:, 0]))], axis=1)
+    moved = (
+        (place - origin[of])
+        * METRES_PER_DEGREE
+        * np.stack([np.ones(len(mac)), np.cos(np.radians(place[:, 0]))], axis=1)
+    )
     mean = np.stack([np.bincount(of, weight * x) / sums["weight"] for x in moved.T], axis=1)
     square = np.bincount(of, weight * ((moved**2).sum(axis=1) / 2 + spread)) / sums["weight"]
     sums["spread"] = np.maximum(square - (mean**2).sum(axis=1) / 2, 0)
-    sums["lat"] = origin[:, 0] + mean[:, 0] / METRES
-    sums["lon"] = origin[:, 1] + mean[:, 1] / (METRES * np.cos(np.radians(origin[:, 0])).clip(1e-3))
+    sums["lat"] = origin[:, 0] + mean[:, 0] / METRES_PER_DEGREE
+    sums["lon"] = origin[:, 1] + mean[:, 1] / (METRES_PER_DEGREE * np.cos(np.radians(origin[:, 0])).clip(1e-3))
     order = np.argsort(of, kind="stable")
     first = np.searchsorted(of[order], np.arange(len(names)))
     sums["low"] = np.minimum.reduceat(limits[0][order], first)
@@ -217,4 +223,4 @@ def _strength(rssi: Array) -> Array:
 
 def _distance(lat: Array, lon: Array, lat2: Array, lon2: Array) -> Array:
     """Distances [m] between places less than some hundred kilometres apart; far ones only have to be far."""
-    return METRES * np.hypot(lat - lat2, (lon - lon2) * np.cos(np.radians((lat + lat2) / 2)))
+    return METRES_PER_DEGREE * np.hypot(lat - lat2, (lon - lon2) * np.cos(np.radians((lat + lat2) / 2)))

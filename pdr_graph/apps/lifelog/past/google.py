@@ -196,7 +196,7 @@ RECORDS = Format(
 # Timeline.json of Android, and location-history.json of iOS: a bare list of segments whose numbers are texts
 ANDROID = {"semanticSegments": _segments, "rawSignals": _raw_signals}
 IOS = rb'\A(?=\s*\[\s*\{.*"startTime").*"(?:visit|activity|timelinePath|timelineMemory)"'
-FORMATS = (
+GOOGLE_FORMATS = (
     RECORDS,
     lists_format(SEMANTIC, rb'"timelineObjects"\s*:\s*\[', {"timelineObjects": _semantic}),
     lists_format(TIMELINE, rb'"(?:semanticSegments|rawSignals)"\s*:\s*\[', ANDROID),

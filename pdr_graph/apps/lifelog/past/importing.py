@@ -28,17 +28,17 @@ from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
 from pdr_graph.io.source import Source
 
 # The first whose sign a file has reads it
-FORMATS = (
+PAST_FORMATS = (
     tracks.FIT,
-    *google.FORMATS,
+    *google.GOOGLE_FORMATS,
     tracks.OVERLAND,
     google.IOS_TIMELINE,
     tracks.OWNTRACKS,
     tracks.GPX_TRACKS,
     tracks.KML,
 )
-HEAD = 65_536  # [bytes] of a file by which it is recognised
-LARGEST = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
+HEAD_BYTES = 65_536  # [bytes] of a file by which it is recognised
+LARGEST_UNPACKED = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
 MOST_FILES, DEEPEST_FOLDER = 100_000, 8  # a Takeout has other products beside the timeline
 # What a file is that comes with a timeline and is none
 OTHERS = (
@@ -51,7 +51,7 @@ OTHERS = (
         "an encrypted backup, which only the phone can read",
     ),
 )
-EXPECTED_TIMELINE = "a timeline: " + ", ".join(form.name for form in FORMATS)
+EXPECTED_TIMELINE = "a timeline: " + ", ".join(form.name for form in PAST_FORMATS)
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class PastFile:
 
 
 class _CountedStream:
-    """A stream that reports how much is read, and refuses more than LARGEST."""
+    """A stream that reports how much is read, and refuses more than LARGEST_UNPACKED."""
 
     def __init__(self, stream: IO[bytes], where: str, advance: Callable[[int], None]):
         self._stream, self._where, self._advance = stream, where, advance
-        self._left = LARGEST
+        self._left = LARGEST_UNPACKED
 
     def read(self, size: int) -> bytes:
         return self._counted(self._stream.read(size))
@@ -93,7 +93,7 @@ class _CountedStream:
     def _counted(self, content: bytes) -> bytes:
         self._left -= len(content)
         if self._left < 0:
-            raise InputError(self._where, "", f"more than {LARGEST // 10**9} GB", "fewer")
+            raise InputError(self._where, "", f"more than {LARGEST_UNPACKED // 10**9} GB", "fewer")
         self._advance(len(content))
         return content
 
@@ -105,7 +105,7 @@ def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], l
     found, skipped, notes, refused = list[PastFile](), 0, list[str](), list[str]()
     for path in dict.fromkeys(paths):
         try:
-            source = Source(path, "timeline", LARGEST, MOST_FILES, DEEPEST_FOLDER)
+            source = Source(path, "timeline", LARGEST_UNPACKED, MOST_FILES, DEEPEST_FOLDER)
             lines = list[str]()
             before = len(found)
             for name in source.names:
@@ -126,9 +126,9 @@ def find_files(paths: Sequence[Path]) -> tuple[list[PastFile], int, list[str], l
 
 def _recognized(source: Source, name: str) -> PastFile:
     """The file with its format. Raises InputError, which says what else it is."""
-    head = source.head(name, HEAD)
+    head = source.head(name, HEAD_BYTES)
     where = source.where(name)
-    known = next((form for form in FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
+    known = next((form for form in PAST_FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
     if known is not None:
         return PastFile(source, name, known, source.size(name))
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -165,7 +165,7 @@ def import_past(
 ) -> ImportResult:
     """Import timelines of a person into a lifelog, which is created if it does not exist.
 
-    files: of FORMATS, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
+    files: of PAST_FORMATS, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
     has deleted stays deleted. A file that is damaged from some place on is imported up to there.
 
     Raises InputError if the person's name or the lifelog cannot be used; OSError of the disk.

@@ -20,11 +20,11 @@ from pdr_graph.apps.lifelog.past.access_points import ScanPositions, Scans, scan
 from pdr_graph.apps.lifelog.past.past_rows import changes, day_of, merged_positions, merged_sightings
 from pdr_graph.apps.lifelog.store import Entry, Store
 from pdr_graph.io.delimited import MAXIMUM_LINE as LONGEST_LINE
-from pdr_graph.io.past_day import HEAD, MS, POSITION, SIGHTING, WIFI, Rows, from_text, to_text
+from pdr_graph.io.past_day import HEAD_LINE, HEARD, MS, POSITION, SIGHTING, Rows, from_text, to_text
+from pdr_graph.types import DAY_LENGTH
 
 FOLDER = "past"  # in STORE.d
 FIRST_DAY = date(1970, 1, 1)
-DAY = 86_400.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class PastDays:
         if np.array_equal(before, after) and np.array_equal(heard, scans):
             return Changes(existing=len(sought))
         new, better = changes(before, after)
-        self.write(day, np.concatenate([after, old[old["source"] == WIFI]]), scans)
+        self.write(day, np.concatenate([after, old[old["source"] == HEARD]]), scans)
         return Changes(new, better, max(len(sought) - new - better, 0), 1)
 
     def place_scans(self) -> int:
@@ -125,7 +125,7 @@ class PastDays:
     def counts(self, day: int) -> tuple[int, int]:
         """The numbers of positions and receptions of a day, from the first line of its file."""
         with self.file(day).open(encoding="utf-8") as file:
-            match = HEAD.match(file.readline(LONGEST_LINE))
+            match = HEAD_LINE.match(file.readline(LONGEST_LINE))
         return (int(match[1]), int(match[2])) if match else (0, 0)
 
 
@@ -162,7 +162,7 @@ def cut_past(store: Store, person: str, start: float, stop: float) -> int:
     deleted, touched = 0, list[int]()
     for day in past.days():
         first = datetime.combine(FIRST_DAY + timedelta(days=day), datetime.min.time(), UTC).timestamp()
-        if first - DAY > stop or first + 2 * DAY < start:
+        if first - DAY_LENGTH > stop or first + 2 * DAY_LENGTH < start:
             continue
         tables = past.read(day)
         kept = [rows[(rows["time"] < start * MS) | (rows["time"] > stop * MS)] for rows in tables]

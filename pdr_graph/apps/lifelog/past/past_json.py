@@ -179,7 +179,7 @@ def _key(text: bytes) -> str:
     return name[-100:].decode("utf-8", "replace")
 
 
-NOWHERE = (math.nan, math.nan)
+NO_POSITION = (math.nan, math.nan)
 # "50.0506312°, 14.3439906°", "48.8566, 2.3522" and "geo:27.72,-97.34"
 COORDINATES = re.compile(r"(?:geo:)?\s*(-?\d{1,3}(?:\.\d*)?)\s*°?\s*,\s*(-?\d{1,3}(?:\.\d*)?)\s*°?\s*", re.ASCII)
 DECODE = msgspec.json.Decoder(list[dict[str, Any]]).decode
@@ -216,7 +216,7 @@ def coordinates(value: Any) -> tuple[float, float]:
     if isinstance(value, dict):
         value = value.get("latLng") or value.get("LatLng")
     match = COORDINATES.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
-    return (float(match[1]), float(match[2])) if match else NOWHERE
+    return (float(match[1]), float(match[2])) if match else NO_POSITION
 
 
 def coordinates_e7(value: Any) -> tuple[float, float]:
@@ -225,4 +225,4 @@ def coordinates_e7(value: Any) -> tuple[float, float]:
         lat, lon = (float_of(at(value, name)) / E7 for name in names)
         if math.isfinite(lat) and math.isfinite(lon):
             return lat, lon
-    return NOWHERE
+    return NO_POSITION

@@ -27,7 +27,7 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
 from pdr_graph.errors import count
-from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, SIGHTING, WIFI, Rows
+from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, HEARD, MS, NO_ACCURACY, POSITION, SIGHTING, Rows
 from pdr_graph.io.validation import RECEIVER, float_of, iso_time
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
@@ -63,13 +63,13 @@ class Format:
 
 
 FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
-UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
+TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
 
 
 def in_seconds(time: Array) -> Array:
     """Unix times ``(n,)`` [s], whatever of s, ms, µs and ns each is in."""
     scale = np.ones(len(time))
-    for least, unit in UNITS:
+    for least, unit in TIME_UNITS:
         scale = np.where((np.abs(time) >= least) & (scale == 1), unit, scale)
     return time * scale
 
@@ -169,7 +169,7 @@ def merged_positions(rows: Rows) -> Rows:
 
     Positions that were computed from receptions are left out.
     """
-    rows = rows[rows["source"] != WIFI]
+    rows = rows[rows["source"] != HEARD]
     is_path = rows["source"] == GOOGLE_PATH
     path = rows[is_path]
     measured = _best_of_each_second(rows[~is_path])

@@ -15,14 +15,14 @@ import msgspec
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.apps.lifelog.facts import Guess
-from pdr_graph.apps.lifelog.past.past_json import NOWHERE, at, items, lists_format
+from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, at, items, lists_format
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess, with_guesses
 from pdr_graph.errors import InputError, install
 from pdr_graph.io.gpx import ACCURACY_TAGS, accuracy_of
-from pdr_graph.io.past_day import PHONE, TRACK
+from pdr_graph.io.past_day import PHONE, TRACKED
 from pdr_graph.io.validation import float_of
 
-AT_ONCE = 20_000  # points in a batch
+BATCH = 20_000  # points in a batch
 LONGEST_ELEMENT = 50_000_000  # [bytes] from one XML element to the next, whose tree takes 1 GB of memory
 NO_RADIUS = float("nan")  # accuracy in KML: the format has none
 
@@ -66,7 +66,7 @@ class _BoundedStream:
 def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Track points; a radius is that of an extension, else estimated from HDOP, else unknown."""
     points = (_track_point(element) for element in elements(stream, where, "{*}trkpt"))
-    while part := list(itertools.islice(points, AT_ONCE)):
+    while part := list(itertools.islice(points, BATCH)):
         yield batch_of(part)
 
 
@@ -80,7 +80,7 @@ def _track_point(element: etree._Element) -> Point:
         elif name in ACCURACY_TAGS:
             values.setdefault(name.lower(), inner.text or "")
     place = float_of(element.get("lat")), float_of(element.get("lon"))
-    return time, place, accuracy_of(values), TRACK
+    return time, place, accuracy_of(values), TRACKED
 
 
 def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
@@ -93,7 +93,7 @@ def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
         points += _placemark_points(element)
         guesses += _placemark_guesses(element)
         untimed += _untimed(element)
-        if len(points) > AT_ONCE:
+        if len(points) > BATCH:
             yield batch_of(points)
             points = []
     batch = with_guesses(batch_of(points), guesses)
@@ -107,11 +107,11 @@ def _placemark_points(element: etree._Element) -> Iterator[Point]:
         times = [when.text or "" for when in track.iterfind("{*}when")]
         places = [coord.text or "" for coord in track.iterfind("{*}coord")]
         for time, place in zip(times, places, strict=False):
-            yield _iso(time), _lat_lon(place.split()), NO_RADIUS, TRACK
+            yield _iso(time), _lat_lon(place.split()), NO_RADIUS, TRACKED
     time = element.findtext("{*}TimeStamp/{*}when")
     place = element.findtext(".//{*}Point/{*}coordinates")
     if time and place:
-        yield _iso(time), _lat_lon(place.split(",")), NO_RADIUS, TRACK
+        yield _iso(time), _lat_lon(place.split(",")), NO_RADIUS, TRACKED
 
 
 def _placemark_guesses(element: etree._Element) -> Iterator[Guess]:
@@ -120,7 +120,7 @@ def _placemark_guesses(element: etree._Element) -> Iterator[Guess]:
     place, line = (element.findtext(f".//{{*}}{name}/{{*}}coordinates") for name in ("Point", "LineString"))
     if begin and end and (place or line):
         first = (place or line or "").split()[:1]
-        where = _lat_lon(first[0].split(",")) if first else NOWHERE
+        where = _lat_lon(first[0].split(",")) if first else NO_POSITION
         times = _iso(begin), _iso(end)
         yield guess("KML", "visit" if place else "activity", times, element.findtext("{*}name"), where, None)
 
@@ -140,7 +140,7 @@ def _iso(text: str) -> str:
 
 def _lat_lon(parts: Sequence[str]) -> tuple[float, float]:
     """Latitude and longitude [deg] of longitude and latitude as texts; NaN if they are none."""
-    return (float_of(parts[1]), float_of(parts[0])) if len(parts) > 1 else NOWHERE
+    return (float_of(parts[1]), float_of(parts[0])) if len(parts) > 1 else NO_POSITION
 
 
 LARGEST_FIT = 20_000_000  # [bytes]; a day at 1 Hz has 5 MB
@@ -187,7 +187,7 @@ def _fit_point(record: Any) -> Point:
     # semicircles [deg]
     lat, lon = (float_of(record.get(name)) * (180 / 2**31) for name in ("position_lat", "position_long"))
     # fit epoch [s]: Unix time of 1989-12-31, where the format counts from
-    return 631_065_600.0 + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACK
+    return 631_065_600.0 + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACKED
 
 
 PART = 1_000_000  # [bytes] of lines that are read at once
@@ -237,7 +237,7 @@ def _feature_point(feature: Any) -> Point:
     """The point of a feature: longitude before latitude, and a negative accuracy if it is invalid."""
     lonlat = [float_of(value) for value in items(feature, "geometry", "coordinates")]
     accuracy = float_of(at(feature, "properties", "horizontal_accuracy"))
-    place = (lonlat[1], lonlat[0]) if len(lonlat) > 1 else NOWHERE
+    place = (lonlat[1], lonlat[0]) if len(lonlat) > 1 else NO_POSITION
     return at(feature, "properties", "timestamp"), place, accuracy, PHONE
 
 
