@@ -17,8 +17,8 @@ from pdr_graph.apps.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
 from pdr_graph.apps.lifelog.day import Day as OneDay
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.gait.walker import Profile
-from pdr_graph.io.geolife import DAY, EPOCH_1899
-from pdr_graph.types import Trajectory
+from pdr_graph.io.geolife import EPOCH_1899
+from pdr_graph.types import DAY_LENGTH, Trajectory
 
 FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
 
@@ -32,9 +32,9 @@ def recording(path, day=0.0, points=4, seed=0):
     random = np.random.default_rng(seed)
     rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
     for n in range(points):
-        seconds = FIRST + day * DAY + 10 * n
+        seconds = FIRST + day * DAY_LENGTH + 10 * n
         lat, lon = np.array(PLACE) + random.normal(0, 1e-4, 2)
-        time = f"{(seconds - EPOCH_1899) / DAY:.10f},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}"
+        time = f"{(seconds - EPOCH_1899) / DAY_LENGTH:.10f},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}"
         rows.append(f"{lat:.6f},{lon:.6f},0,492,{time}")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(rows) + "\n")

@@ -7,7 +7,8 @@ import numpy as np
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.frames import enu
-from pdr_graph.io.geolife import DAY, EPOCH_1899
+from pdr_graph.io.geolife import EPOCH_1899
+from pdr_graph.types import DAY_LENGTH
 
 MORNING = datetime(2024, 5, 1, 8, tzinfo=UTC).timestamp()  # [s] Unix time
 HOUR = 3600.0
@@ -44,14 +45,14 @@ def positions(day=0, seed=0):
     time = np.arange(8 * HOUR, 13 * HOUR, PERIOD)
     share = np.interp(time / HOUR, [9, 9 + 1 / 6, 12, 12 + 1 / 6], [0, 1, 1, 0])
     where = share[:, None] * np.array(OFFICE) + random.normal(0, 3.0, (len(time), 2))
-    return MORNING - 8 * HOUR + day * DAY + time, where
+    return MORNING - 8 * HOUR + day * DAY_LENGTH + time, where
 
 
 def write(path, time, where):
     """Write positions [m] at Unix times [s] as a GeoLife file."""
     rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
     for seconds, (lon, lat) in zip(time, FRAME.to_lonlat(where), strict=True):
-        days = f"{(seconds - EPOCH_1899) / DAY:.10f}"
+        days = f"{(seconds - EPOCH_1899) / DAY_LENGTH:.10f}"
         rows.append(f"{lat:.7f},{lon:.7f},0,492,{days},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(rows) + "\n")

@@ -3,9 +3,9 @@
 import numpy as np
 from made_past import LAT, LON, NOON, position, scan
 
-from pdr_graph.apps.lifelog.past.access_points import METRES
+from pdr_graph.frames import METRES_PER_DEGREE
 
-EAST = METRES * np.cos(np.radians(LAT))  # [m] per degree of longitude
+EAST = METRES_PER_DEGREE * np.cos(np.radians(LAT))  # [m] per degree of longitude
 DAY = 86_400
 
 
@@ -54,13 +54,15 @@ class Town:
                 if gps(day):
                     x, y = place + self.rng.normal(0, sigma, 2) + offsets[int(second // 3600)]
                     accuracy = 1.51 * float(np.hypot(sigma, bias))
-                    signals.append(position(time + 3, LAT + y / METRES, LON + x / EAST, accuracy))
+                    signals.append(position(time + 3, LAT + y / METRES_PER_DEGREE, LON + x / EAST, accuracy))
         return signals, truth
 
 
 def errors(rows, truth):
     """Error [m] and sigma per axis [m] of the rows with the source wifi."""
     found = [row for row in rows if row[4] == "wifi"]
-    place = np.array([[(int(lon) / 1e7 - LON) * EAST, (int(lat) / 1e7 - LAT) * METRES] for _, lat, lon, *_ in found])
+    place = np.array(
+        [[(int(lon) / 1e7 - LON) * EAST, (int(lat) / 1e7 - LAT) * METRES_PER_DEGREE] for _, lat, lon, *_ in found]
+    )
     true = np.array([truth[int(row[0])] for row in found])
     return np.hypot(*(place - true).T), np.array([int(row[3]) / 151 for row in found])
