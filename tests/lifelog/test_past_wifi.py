@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from made_past import LAT, LON, NOON, content, imported, position, scan, timeline
-from made_wifi import EAST, METRES, Town, errors
+from made_wifi import EAST, Town, errors
 
 from pdr_graph.apps.lifelog.past.access_points import access_points, day_sums, known_places, scan_positions, scans_of
 from pdr_graph.apps.lifelog.past.past_rows import valid_positions
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import GPS, SIGHTING
 
 
@@ -73,7 +74,9 @@ def test_a_scan_needs_three_access_points_that_agree():
     assert len(found(1, 2).scan) == 0
     assert len(found(1, 2, 4, 5).scan) == 0
     assert len(found(1, 2, 3, 99).scan) == 1
-    assert (found(1, 2, 3, 4).lon - LON) * METRES == pytest.approx([0], abs=0.5), "the one elsewhere has no weight"
+    assert (found(1, 2, 3, 4).lon - LON) * METRES_PER_DEGREE == pytest.approx([0], abs=0.5), (
+        "the one elsewhere has no weight"
+    )
 
 
 def test_a_scan_is_at_a_known_place_only_near_in_time_to_a_good_position():
