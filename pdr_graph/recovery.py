@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -20,13 +21,17 @@ from typing import Any
 from urllib.parse import quote
 
 from pdr_graph import storage
-from pdr_graph.errors import InputError, printable
+from pdr_graph.errors import InputError, count, printable
 from pdr_graph.storage import CHECKSUM, Kind
 
 Row = tuple[Any, ...]
 Rows = Mapping[str, Sequence[Sequence[Any]]]  # by the statement that inserts them
 Check = Callable[[sqlite3.Connection], str]  # what is damaged in the rows of a file, "" if nothing is
 Keep = Callable[[Callable[..., list[Row]]], tuple[Rows, str]]  # reader of a table -> rows to keep, what is lost
+# SQLite's file format. Of a log: the order of its words, page size, salts, sums; of a frame: size of the database if it
+# ends a change, else 0, and salts; of the index that all readers share: number of the frames they read, salts
+LOG_HEADER, FRAME_HEADER = struct.Struct(">I4xI4x8s2I"), struct.Struct(">4xI8s8x")
+INDEX_HEADER = struct.Struct("=16xI12x8s")
 UNREADABLE_ROW = (sqlite3.DatabaseError, UnicodeDecodeError)  # the latter for names and messages
 
 
@@ -49,6 +54,7 @@ def checked(
     if open_before and not (path.exists() and path.stat().st_size):
         raise InputError(path, "", f"no {kind.name} beside its {log.name}", f"both, or a backup: {log.name} is kept")
     if is_of(path, kind):
+        loss = lost_changes(path)
         damage = found_damage(path, check, pages or open_before or storage.is_cut(path))
         if damage:
             loss = f"{path}: {damage}; {_recover(path, kind, schema, keep, damage)}"
@@ -158,3 +164,52 @@ def _kept_aside(path: Path) -> Path:
             kept.touch(storage.OWNER_ONLY)  # before it has any content
             shutil.copy2(file, kept)
     return aside
+
+
+# ── the write-ahead log ─────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def lost_changes(path: Path) -> str:
+    """What SQLite will not read of a file's write-ahead log: changes that were made after damaged bytes. "" if nothing.
+
+    A process that is killed leaves a log without its last, unfinished change; that is no loss. How far the log is read,
+    SQLite says in its index of the log.
+    """
+    log = path.with_name(f"{path.name}-wal")
+    try:
+        content = log.read_bytes()
+        if not content:
+            return ""
+        if not _header_is_whole(content):
+            used = len(content) > LOG_HEADER.size + FRAME_HEADER.size or not any(content)
+            return f"{log}: its first bytes are damaged: all changes in it are lost" if used else ""
+        with _reading(path) as database:
+            database.execute("PRAGMA schema_version").fetchone()
+            whole, salts = INDEX_HEADER.unpack_from(path.with_name(f"{path.name}-shm").read_bytes())
+    except (OSError, struct.error, *UNREADABLE_ROW):
+        return ""  # there is no log; or the examination of the file says why
+    _, page, own, *_ = LOG_HEADER.unpack_from(content)
+    if whole and salts != own:
+        return ""  # another process has begun the log anew
+    frame = FRAME_HEADER.size + page
+    begin = LOG_HEADER.size + whole * frame
+    later = range(begin, len(content) - FRAME_HEADER.size + 1, frame)
+    lost = sum(size > 0 and salt == own for size, salt in (FRAME_HEADER.unpack_from(content, at) for at in later))
+    if lost:
+        return f"{log}: damaged at byte {begin}: {count(lost, 'change')} after that lost"
+    torn = (len(content) - LOG_HEADER.size) % frame not in (0, FRAME_HEADER.size)  # SQLite writes it in two pieces
+    if torn or any(not any(content[at : at + FRAME_HEADER.size]) for at in later):
+        return f"{log}: cut within a change, which is lost with all after it"
+    return ""
+
+
+def _header_is_whole(content: bytes) -> bool:
+    """True if the header of a log has its checksum: s0 += word + s1, s1 += the next + s0, modulo 2**32."""
+    if len(content) < LOG_HEADER.size:
+        return False
+    magic, _, _, *sums = LOG_HEADER.unpack_from(content)
+    words, found = struct.unpack_from(">6I" if magic & 1 else "<6I", content), [0, 0]
+    for word, after in zip(words[::2], words[1::2], strict=True):
+        found[0] = (found[0] + word + found[1]) % 2**32
+        found[1] = (found[1] + after + found[0]) % 2**32
+    return found == sums
