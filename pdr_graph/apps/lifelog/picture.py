@@ -33,6 +33,7 @@ from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
 from pdr_graph.apps.report.page import RADIO
 from pdr_graph.apps.report.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.notebook_html import BLUE, GREY, RED
@@ -179,10 +180,16 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], aspect: float, ser
     axes.text(0.012, 0.985, title, transform=axes.transAxes, va="top", **style)
 
 
+def floor_of(panel: Panel) -> FloorPlan:
+    """The floor plan of a map that has one. Raises InputError if its file cannot be read."""
+    floors = Building.load(panel.plan).floors
+    return next((floor for floor in floors if floor.label == panel.floor), floors[0])
+
+
 def _draw_floor(axes: Axes, panel: Panel) -> None:
     """Draw the plan with the names that fit; if it cannot be read, write why."""
     try:
-        floors = Building.load(panel.plan).floors
+        floor = floor_of(panel)
     except InputError as error:
         axes.set_xlabel(one_line(str(error)), fontsize=LABEL_SIZE)
         return
@@ -191,7 +198,7 @@ def _draw_floor(axes: Axes, panel: Panel) -> None:
     more = max(0.0, LONGEST_SIDE / inches - 1) / 2  # draw_plan assumes axes of that length
     x, y = more * (east - west), more * (north - south)
     axes.set(xlim=(west - x, east + x), ylim=(south - y, north + y))
-    draw_plan(axes, next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    draw_plan(axes, floor)
     axes.set(xlim=(west, east), ylim=(south, north))
     for name in axes.texts:
         name.set_clip_on(True)
