@@ -148,7 +148,7 @@ def is_inside(corners: Array, position: Array) -> bool:
 # Chosen by hand
 # [pt²] of the place with the most time, of any place, of a slow pass
 LARGEST_DOT_AREA, SMALLEST_DOT_AREA, PASSING_DOT_AREA = 1500.0, 14.0, 22.0
-LEAST_LARGEST = 7200.0  # [s] of the largest dot at least
+LARGEST_DOT_TIME = 7200.0  # [s] of the largest dot at least
 DAY_LINE, PERIOD_LINE = (2.0, 1.0), (0.8, 0.5)  # width [pt] and opacity of tracks
 START_DISTANCE = 3.5  # [pt] of a label from the mark of an outing's start
 
@@ -248,7 +248,7 @@ def _draw_frames(axes: Axes, larger: Sequence[tuple[str, Array]]) -> list[Label]
 def _draw_dots(axes: Axes, dots: Sequence[Dot], low: Array, high: Array) -> list[Label]:
     """Draw places and stays as dots by time; returns their labels, those with the most time first."""
     shown = sorted((dot for dot in dots if is_inside(np.stack([low, high]), dot.position)), key=_importance)
-    most = max([LEAST_LARGEST, *(dot.time for dot in shown)])
+    most = max([LARGEST_DOT_TIME, *(dot.time for dot in shown)])
     area = [
         PASSING_DOT_AREA if dot.kind == PASSING else max(LARGEST_DOT_AREA * dot.time / most, SMALLEST_DOT_AREA)
         for dot in shown

@@ -20,7 +20,7 @@ import numpy as np
 
 from pdr_graph.apps.lifelog.day import KINDS_WITHOUT_DATA
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at
-from pdr_graph.apps.lifelog.stays_and_legs import SURE, VISIT_RADIUS, lonlat_of, on_sphere
+from pdr_graph.apps.lifelog.stays_and_legs import HALT_SIGMA, VISIT_RADIUS, lonlat_of, on_sphere
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, place_label
 from pdr_graph.errors import count
 from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
@@ -172,7 +172,7 @@ def _sigma(visit: TimelineEntry) -> float:
 
 
 def _weight(visit: TimelineEntry) -> float:
-    return visit.duration / (SURE**2 + _sigma(visit) ** 2)
+    return visit.duration / (HALT_SIGMA**2 + _sigma(visit) ** 2)
 
 
 def _area_name(middle: Array, named: Sequence[NamedArea]) -> str:

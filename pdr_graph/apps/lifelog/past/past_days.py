@@ -20,7 +20,7 @@ from pdr_graph.apps.lifelog.past.access_points import ScanPositions, Scans, scan
 from pdr_graph.apps.lifelog.past.past_rows import changes, day_of, merged_positions, merged_sightings
 from pdr_graph.apps.lifelog.store import Entry, Store
 from pdr_graph.io.delimited import MAXIMUM_LINE
-from pdr_graph.io.past_day import HEAD_LINE, HEARD, MS, POSITION, SIGHTING, Rows, from_text, to_text
+from pdr_graph.io.past_day import HEAD_LINE, MS, POSITION, RECEPTIONS, SIGHTING, Rows, from_text, to_text
 from pdr_graph.types import DAY_LENGTH
 
 FOLDER = "past"  # in STORE.d
@@ -88,7 +88,7 @@ class PastDays:
         if np.array_equal(before, after) and np.array_equal(heard, scans):
             return Changes(existing=len(sought))
         new, better = changes(before, after)
-        self.write(day, np.concatenate([after, old[old["source"] == HEARD]]), scans)
+        self.write(day, np.concatenate([after, old[old["source"] == RECEPTIONS]]), scans)
         return Changes(new, better, max(len(sought) - new - better, 0), 1)
 
     def place_scans(self) -> int:
