@@ -204,7 +204,7 @@ def hall(size=40.0):
 
 
 def test_a_wall_has_two_hinges():
-    """r = max(0, margin − d)/σ + max(0, BODY − d)/(BODY_SIGMA σ) of every piece in which somebody moved, 0 of others.
+    """r = max(0, margin − d)/σ + max(0, body − d)/(body_sigma σ) of every piece in which somebody moved, 0 of others.
 
     Off the corners of a hall the distance is linear, so that the grid of the code is exact.
     """
@@ -408,7 +408,7 @@ def beside_beacons(seed=0):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_level_of_a_beacon_follows_the_path_loss(seed):
-    """rssi = P + a − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ, with LEVEL_SIGMA; and the priors of b and q."""
+    """rssi = P + a − 10 n log₁₀ √(d² + height²) + k cos φ, with level_sigma; and the priors of b and q."""
     graph = beside_beacons(seed)
     state, kind = any_state(graph, seed), graph.find(BeaconRssiFactor)
     heard, b = kind.listed, state["b"]
