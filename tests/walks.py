@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def fixes_at(time, position, sigma: float = 1.0) -> Fixes:
     return Fixes(time, np.reshape(position, (-1, 2)).astype(float), np.full(len(time), sigma), ("",) * len(time))
 
 
-def in_corridors(*corridors: str) -> WalkGraph:
+def in_corridors(*corridors: Literal["turns", "directions"]) -> WalkGraph:
     """Two laps of the ring, whose turns or straight runs are matched along the walk itself."""
     from plans import ring
 
