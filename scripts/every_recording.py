@@ -9,12 +9,11 @@ from lifelog_days import days, km, lengths, name, off
 from live_cases import campus, eight, mall, museum, on_campus
 from live_runs import followed
 from microsoft import HELP, graph_of
-from recorded import WAYPOINT_NOISE, gaps, helped, ipin21_landmarks, nju_walk, withheld
+from recorded import WAYPOINT_NOISE, errors_at, gaps, helped, ipin21_landmarks, nju_walk, withheld
 from steps import beside, oxford
 from tables import publish, table
 
 from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, kalman_filter, smooth
-from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
 
 PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
@@ -151,16 +150,8 @@ def offline(graph, estimate):
 
 def row(group, help_, recording, given, tracks, truth, noise):
     """Tracks scored at a truth."""
-    errors = {method: errors_of(track, truth) for method, track in tracks.items()}
+    errors = {method: errors_at(track, truth) for method, track in tracks.items()}
     return Row(group, help_, recording, given, errors, gaps(tracks[GRAPH], truth, noise)[1])
-
-
-def errors_of(track, truth):
-    """At each place of a truth [m], NaN where there is no estimate."""
-    pairs = pair(track, truth)
-    errors = np.full(len(truth), np.nan)
-    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
-    return errors
 
 
 def chains(data):

@@ -35,13 +35,14 @@ GUARD = 12_000_000_000  # [bytes] of address space of a child process: beyond, i
 MEMORY = 600, 27  # [MB] for any input, and more per MB of it (unpacked up to the stated limit of a recording)
 TIME = 60, 2.5  # [s] for any input, and more per MB of it, on one busy core
 REFUSED, DEGRADED = 2, 3  # exit codes
+# What commands import
 MODULES = [
-    "lifelog.build",
-    "lifelog.past.importing",
-    "report.plotting",
-    "report.content",
-    "simulation",
-]  # that commands import
+    "apps.lifelog.build",
+    "apps.lifelog.past.importing",
+    "apps.report.plotting",
+    "apps.report.content",
+    "lab.simulation",
+]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from recorded import gaps
+from recorded import errors_at, gaps
 
 from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
 
@@ -74,7 +74,7 @@ def errors_of(case, run, batch):
     """Errors by estimate where all have one ``(n,)`` [m], and whether the truth is in the pose's 90 % region."""
     truth, causal = case.walk.truth, run.causal
     errors = {
-        name: at_truth(track, truth) for name, track in (("pose", causal), ("lag", run.smoothed), ("batch", batch))
+        name: errors_at(track, truth) for name, track in (("pose", causal), ("lag", run.smoothed), ("batch", batch))
     }
     errors["filter"] = np.hypot(*(run.filtered(truth.time) - truth.position).T)
     inside = np.zeros(len(truth), dtype=bool)
@@ -82,14 +82,6 @@ def errors_of(case, run, batch):
         inside[~np.isnan(errors["pose"])] = gaps(causal, truth, case.noise)[1]
     known = np.isfinite(list(errors.values())).all(axis=0)
     return {name: values[known] for name, values in errors.items()}, inside[known]
-
-
-def at_truth(track, truth):
-    """Errors of a track at each place of the truth ``(n,)`` [m]; NaN where it has none."""
-    pairs = pair(track, truth)
-    errors = np.full(len(truth), np.nan)
-    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
-    return errors
 
 
 def time_to_near(causal, truth):

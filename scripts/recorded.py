@@ -37,6 +37,14 @@ def percentiles(errors):
     return " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95]))
 
 
+def errors_at(track, truth):
+    """Errors of a track at each place of the truth ``(n,)`` [m]; NaN where it has none."""
+    pairs = pair(track, truth)
+    errors = np.full(len(truth), np.nan)
+    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
+    return errors
+
+
 def gaps(track, truth, noise=0.0):
     """Of each place of the truth: distance from the estimate [m], whether it lies in the stated 90 % region, and how
     large that is [m], the radius of a circle of its area. noise: of the truth itself, per axis [m].

@@ -16,7 +16,6 @@ from synthetic_walks import held_by_walls
 
 from pdr_graph import FloorPlan
 from pdr_graph.estimation.fingerprinting import RadioMap
-from pdr_graph.gait.step_chunks import gap
 from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Event, Samples, Scan, events_of
@@ -414,32 +413,6 @@ def mixed_rates():
             yield event
 
     return Stream(events(), arcade())
-
-
-def silent_walk(seconds, at, plan=True):
-    """The arcade, with a silence of all sensors ``at`` [s] into the walk; fixes are as late as the samples."""
-
-    def events():
-        for event in events_of(recording()):
-            first = event.time[0] if not isinstance(event, Steps) else event.start
-            yield later(event, seconds) if first > at else event
-
-    return Stream(events(), arcade() if plan else {})
-
-
-def gap_of_steps(seconds, at, plan=True, fixes_too=True):
-    """Steps, with a gap of so long [s] after ``at`` [s]."""
-
-    def events():
-        told = False
-        for event in steps_and_fixes(0.2):
-            begin = event.start if isinstance(event, Steps) else event.time[0]
-            if isinstance(event, Steps) and begin >= at and not told:
-                told = True
-                yield gap(event.start, event.start + seconds)
-            yield later(event, seconds) if told and (fixes_too or isinstance(event, Steps)) else event
-
-    return Stream(events(), on_plan() if plan else {})
 
 
 ATTACKS: dict[str, Callable[[], Stream]] = {

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import shapely
+
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
@@ -13,6 +15,15 @@ MAPS = Path(__file__).resolve().parents[1] / "maps"
 def plan(*areas):
     """A floor of areas, each a kind, a name if it has one, and a shape [m]."""
     return FloorPlan("1", tuple(Area(kind, "".join(name), shape) for kind, *name, shape in areas), Frame())
+
+
+def ring():
+    """Corridors of 2.5 m round a block of 14 m, with the intersections at its corners."""
+    at, w = (-1.25, 12.75), 2.5
+    crossings = [shapely.box(x, y, x + w, y + w) for x in at for y in at]
+    ways = [shapely.box(1.25, y, 12.75, y + w) for y in at] + [shapely.box(x, 1.25, x + w, 12.75) for x in at]
+    areas = [("intersection", c) for c in crossings] + [("corridor", c) for c in ways]
+    return plan(*areas)
 
 
 def moved(source, path, lat, lon):

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from plans import MAPS
 
+from pdr_graph.frames import enu
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 RATE = 50.0  # [Hz]
 START = 1.7e9  # Unix time [s]
@@ -47,6 +49,15 @@ def walk_along(route, seed=0):
         heading=walk.body.heading[::every],
         landings=walk.body.landings,
     )
+
+
+def with_receiver(walk, every):
+    """A recording of accelerometer, gyroscope and a fix of 2 m every so many samples, where latitude is 48 degrees."""
+    places = enu(48.0, 11.0).to_lonlat(walk.position[::every])
+    sources = ("GNSS",) * len(places)
+    fixes = Fixes(walk.time[::every], places, np.full(len(places), 2.0), (), LONLAT, sources)
+    signals = {"accelerometer": Signal(walk.time, walk.acceleration), "gyroscope": Signal(walk.time, walk.angular_rate)}
+    return Recording("walk", 0.0, START, **signals, fixes=fixes)
 
 
 def indoor_location(folder, route, seed=0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
+    from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.types import Levels
 
 PERIOD = 0.55  # [s] per step
@@ -58,6 +59,20 @@ def fixes_at(time, position, sigma: float = 1.0) -> Fixes:
     """Fixes with one sigma."""
     time = np.asarray(time, dtype=float)
     return Fixes(time, np.reshape(position, (-1, 2)).astype(float), np.full(len(time), sigma), ("",) * len(time))
+
+
+def in_corridors(*corridors: Literal["turns", "directions"]) -> WalkGraph:
+    """Two laps of the ring, whose turns or straight runs are matched along the walk itself."""
+    from plans import ring
+
+    from pdr_graph.estimation.factors.start import Prior
+    from pdr_graph.estimation.graph import WalkGraph
+
+    steps = square_walk(20, laps=2)
+    track = dead_reckon(steps)
+    start = fixes_at(track.time[:1], track.position[:1])
+    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=corridors))
+    return graph.associated_at(graph.start)
 
 
 def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0) -> tuple[Steps, Fixes, Trajectory]:

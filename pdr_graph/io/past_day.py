@@ -26,7 +26,7 @@ POSITION = np.dtype([("time", "i8"), ("lat", "i4"), ("lon", "i4"), ("accuracy", 
 SIGHTING = np.dtype([("time", "i8"), ("mac", "i8"), ("rssi", "i1")])
 Rows = NDArray[np.void]  # of POSITION or SIGHTING
 
-GPS, PHONE, TRACKED, GOOGLE_WIFI, GOOGLE_CELL, GOOGLE_PATH, HEARD = range(7)
+GPS, PHONE, TRACKED, GOOGLE_WIFI, GOOGLE_CELL, GOOGLE_PATH, RECEPTIONS = range(7)
 # phone: its fused position; track: GPX, KML and FIT; google-path: processed by Google; wifi: computed from receptions
 SOURCES = ("gps", "phone", "track", "google-wifi", "google-cell", "google-path", "wifi")
 NO_ACCURACY = 2**31 - 1

@@ -136,7 +136,7 @@ def test_profiles_accumulate():
 
 
 def test_the_next_walk_has_at_least_the_variance_between_walks():
-    """A profile widens by BETWEEN_WALKS, up to the prior without any profile."""
+    """A profile widens by `WALKER.between_walks`, up to the prior without any profile."""
     exact = Profile(0.1, 0.0, 0.0, 1e-12 * np.eye(3), 0.1, 1.3)
     assert prior_of(exact).sigma == pytest.approx(WALKER.between_walks, rel=1e-3)
     vague = Profile(0.1, 0.0, 0.0, np.eye(3), 0.1, 1.3)

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
-from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
+from walks import dead_reckon, drawn_from_the_model, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.estimation.factors import base as losses
@@ -204,7 +204,7 @@ def hall(size=40.0):
 
 
 def test_a_wall_has_two_hinges():
-    """r = max(0, margin − d)/σ + max(0, BODY − d)/(BODY_SIGMA σ) of every piece in which somebody moved, 0 of others.
+    """r = max(0, margin − d)/σ + max(0, body − d)/(body_sigma σ) of every piece in which somebody moved, 0 of others.
 
     Off the corners of a hall the distance is linear, so that the grid of the code is exact.
     """
@@ -230,28 +230,10 @@ def test_a_wall_has_two_hinges():
     )
 
 
-def ring():
-    """Corridors of 2.5 m round a block of 14 m, with the intersections at its corners."""
-    at, w = (-1.25, 12.75), 2.5
-    crossings = [shapely.box(x, y, x + w, y + w) for x in at for y in at]
-    ways = [shapely.box(1.25, y, 12.75, y + w) for y in at] + [shapely.box(x, 1.25, x + w, 12.75) for x in at]
-    areas = [("intersection", c) for c in crossings] + [("corridor", c) for c in ways]
-    return FloorPlan("ring", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
-
-
-def in_the_ring(*corridors):
-    """Two laps of it, matched along the walk itself."""
-    steps = square_walk(20, laps=2)
-    track = dead_reckon(steps)
-    start = fixes_at(track.time[:1], track.position[:1])
-    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=corridors))
-    return graph.associated_at(graph.start)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_turn_is_free_within_its_range(seed):
     """r = [max(0, δ − β) − max(0, α − δ)]/σ; and max(0, n p − e)/σ of the piece that turns, on all four sides."""
-    graph = in_the_ring("turns")
+    graph = in_corridors("turns")
     state, turns = any_state(graph, seed), graph.find(TurnFactor)
     assert len(turns) == 7
     placed = graph.evaluate(state).poses.value
@@ -273,7 +255,7 @@ def test_a_turn_is_free_within_its_range(seed):
 
 def test_a_straight_run_leads_along_its_corridor():
     """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + spread²; the corridors of the ring are level or upright."""
-    graph = in_the_ring("directions")
+    graph = in_corridors("directions")
     state, corridors = any_state(graph, 2), graph.find(CorridorFactor)
     directions = corridors.direction
     assert len(directions) == 8
@@ -426,7 +408,7 @@ def beside_beacons(seed=0):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_level_of_a_beacon_follows_the_path_loss(seed):
-    """rssi = P + a − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ, with LEVEL_SIGMA; and the priors of b and q."""
+    """rssi = P + a − 10 n log₁₀ √(d² + height²) + k cos φ, with level_sigma; and the priors of b and q."""
     graph = beside_beacons(seed)
     state, kind = any_state(graph, seed), graph.find(BeaconRssiFactor)
     heard, b = kind.listed, state["b"]

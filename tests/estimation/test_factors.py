@@ -8,15 +8,13 @@ import pytest
 import shapely
 from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from gtsam.symbol_shorthand import C, X
-from plans import plan
-from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
+from walks import dead_reckon, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.factors.base import Stage
 from pdr_graph.estimation.factors.corridors import TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
-from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -33,24 +31,6 @@ def hall(margin=1.0):
 def walled_graph(seed=0, n=24):
     steps = wandering_walk(n, seed)
     return WalkGraph(steps, fixes_on(dead_reckon(steps), every=7), floor=hall())
-
-
-def ring():
-    """Corridors of 2.5 m round a block of 14 m, with the intersections at its corners."""
-    at, w = (-1.25, 12.75), 2.5
-    crossings = [shapely.box(x, y, x + w, y + w) for x in at for y in at]
-    ways = [shapely.box(1.25, y, 12.75, y + w) for y in at] + [shapely.box(x, 1.25, x + w, 12.75) for x in at]
-    areas = [("intersection", c) for c in crossings] + [("corridor", c) for c in ways]
-    return plan(*areas)
-
-
-def in_corridors(*corridors):
-    """Two laps of the ring, whose turns or straight runs are matched along the walk itself."""
-    steps = square_walk(20, laps=2)
-    track = dead_reckon(steps)
-    start = fixes_at(track.time[:1], track.position[:1])
-    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=corridors))
-    return graph.associated_at(graph.start)
 
 
 def outliers(graph):

@@ -94,11 +94,16 @@ def test_cost_and_gradient_are_ours_under_the_loss_of_ranges():
         perturbed(graph.start, "x", 4, 0, random.normal()),
         graph.start.rotated(0.1, np.ones(2)),
     ):
-        at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
-        assert at.cost == pytest.approx(exported.error(values))
-        ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
-        for key in state.keys("x").tolist():
-            assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+        assert_equal_export(graph, state)
+
+
+def assert_equal_export(graph, state):
+    """The exported factors have the cost and the gradient by the poses that the graph has at a state."""
+    at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
+    assert at.cost == pytest.approx(exported.error(values))
+    ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
+    for key in state.keys("x").tolist():
+        assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
 
 
 class Cubic(Loss):
@@ -121,12 +126,7 @@ def test_a_loss_of_several_rows_that_gtsam_does_not_have(monkeypatch):
     made = fixes_module.FactorBlock.uniform
     alone = classmethod(lambda cls, *args, native=None, **more: made(*args, **more))
     monkeypatch.setattr(fixes_module.FactorBlock, "uniform", alone)
-    state = perturbed(graph.start, "x", 3, 1, 2.0)
-    at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
-    assert at.cost == pytest.approx(exported.error(values))
-    ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
-    for key in state.keys("x").tolist():
-        assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+    assert_equal_export(graph, perturbed(graph.start, "x", 3, 1, 2.0))
 
 
 def test_only_an_estimate_has_an_optimum():

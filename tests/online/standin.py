@@ -16,7 +16,28 @@ class Status:
     unknown: tuple[str, ...] = ()
 
 
-class StandIn:
+class Rows:
+    """What both navigators have. rows: (time, x, y) of the poses that are not finalised."""
+
+    rows: list
+
+    def review(self):
+        """Nothing to do."""
+
+    @property
+    def pose(self):
+        return Pose(*self.rows[-1], 0.0, "", np.eye(3)) if self.rows else None
+
+    @property
+    def trajectory(self):
+        return track(self.rows)
+
+    def finalized(self):
+        older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
+        return track(older)
+
+
+class StandIn(Rows):
     """Turns a point by what an event says and shifts it, so that nothing is forgotten and the order tells."""
 
     status = Status()
@@ -34,40 +55,21 @@ class StandIn:
         self.count += 1
         self.rows.append((0.5 * self.count, self.place.real, self.place.imag))
 
-    def review(self):
-        """Nothing to do."""
-
-    @property
-    def pose(self):
-        return Pose(*self.rows[-1], 0.0, "", np.eye(3)) if self.rows else None
-
     @property
     def steps(self):
         return self.count
-
-    @property
-    def trajectory(self):
-        return track(self.rows)
-
-    def finalized(self):
-        older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
-        return track(older)
 
     def finish(self):
         return Estimate(self.trajectory, self.trajectory, None, {}, 0, 0.0, True)
 
 
-class Metronome:
+class Metronome(Rows):
     """A step of 0.7 m to the east each half a second of the accelerometer's samples; a fix tells where that was."""
 
     status = Status(("the compass is broken",))
 
     def __init__(self, floor=None, *, lag=60.0, **options):
         self.steps, self.lag, self.rows, self.fixes = 0, lag, [], []
-
-    def finalized(self):
-        older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
-        return track(older)
 
     def push(self, event):
         if isinstance(event, Samples) and event.sensor == "accelerometer":
@@ -81,17 +83,6 @@ class Metronome:
             x, y = event.position[-1].tolist()
             self.rows[-1] = (self.rows[-1][0], x, y)
             self.fixes.append(FixReport(float(event.time[-1]), x, y, 3.0, 0.0, 1.0, "it is so"))
-
-    def review(self):
-        """Nothing to do."""
-
-    @property
-    def pose(self):
-        return Pose(*self.rows[-1], 0.0, "", np.eye(3)) if self.rows else None
-
-    @property
-    def trajectory(self):
-        return track(self.rows)
 
     def finish(self):
         return Estimate(self.trajectory, self.trajectory, None, {"fixes": tuple(self.fixes)}, 0, 0.0, True)

@@ -1,6 +1,7 @@
 """One walker: order, repeats, gaps, damage, and the walk that goes on after the process ended at any moment."""
 
 import contextlib
+from dataclasses import replace
 from functools import partial
 
 import msgspec
@@ -14,27 +15,21 @@ from pdr_graph.apps.serve.finishing import finish
 from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, Queue, Session
 from pdr_graph.apps.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
 from pdr_graph.errors import InputError
-from pdr_graph.frames import enu
 from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 SECONDS = 20
-EPOCH = 1_700_000_000.0  # Unix time [s]
+EPOCH = simulated.START  # Unix time [s]
 
 
 @pytest.fixture(scope="module")
 def recording():
     """A walk of half a minute with a fix every five seconds; messages are those of SECONDS."""
     walk = simulated.walk_along(np.array([[0.0, 0.0], [25.0, 0.0], [25.0, 15.0]]), seed=3)
-    frame, every = enu(48.0, 11.0), slice(0, None, 500)
-    places = frame.to_lonlat(walk.position[every])
     time = np.where(walk.time == walk.time[0], 0.0, walk.time + 0.003)  # [s]: but the first none where packets meet
     time = (round(EPOCH * 1e9) + np.round(time * 1e9).astype(int)) * 1e-9 - EPOCH  # as messages have it
-    fixes = Fixes(time[every], places, np.full(len(places), 2.0), (), LONLAT, ("GNSS",) * len(places))
-    signals = {"accelerometer": Signal(time, walk.acceleration), "gyroscope": Signal(time, walk.angular_rate)}
-    return Recording("walk", 0.0, EPOCH, **signals, fixes=fixes)
+    return simulated.with_receiver(replace(walk, time=time), every=500)
 
 
 @pytest.fixture(scope="module")

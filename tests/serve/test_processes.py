@@ -16,9 +16,7 @@ import simulated
 from commands import run
 
 from pdr_graph.apps.serve.message_log import read_entries
-from pdr_graph.frames import enu
 from pdr_graph.lab.simulation.streaming import batches, message
-from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 PATIENCE = 30.0  # [s]
 SERVE = "from pdr_graph.apps.cli import main; main()"
@@ -100,12 +98,7 @@ def serving(tmp_path):
 @pytest.fixture(scope="module")
 def bodies():
     """A walk of half a minute with fixes."""
-    made = simulated.walk_along(np.array([[0.0, 0.0], [25.0, 0.0]]), seed=2)
-    every = slice(0, None, 250)
-    places = enu(48.0, 11.0).to_lonlat(made.position[every])
-    fixes = Fixes(made.time[every], places, np.full(len(places), 2.0), (), LONLAT, ("GNSS",) * len(places))
-    signals = {"accelerometer": Signal(made.time, made.acceleration), "gyroscope": Signal(made.time, made.angular_rate)}
-    walk = Recording("walk", 0.0, 1_700_000_000.0, **signals, fixes=fixes)
+    walk = simulated.with_receiver(simulated.walk_along(np.array([[0.0, 0.0], [25.0, 0.0]]), seed=2), every=250)
     return [message("walk-one", n, payload) for n, payload in enumerate(batches(walk))]
 
 

@@ -15,10 +15,8 @@ from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
 from pdr_graph.apps.serve.reception import Limits
 from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
-from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.streaming import batches, message
-from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 PATIENCE = 30.0  # [s]
 LOCAL = "http://127.0.0.1"
@@ -40,12 +38,7 @@ def client(tmp_path_factory):
 @pytest.fixture(scope="module")
 def walk():
     """Twenty seconds with a fix every four."""
-    made = simulated.walk_along(np.array([[0.0, 0.0], [16.0, 0.0]]), seed=2)
-    every = slice(0, None, 200)
-    places = enu(48.0, 11.0).to_lonlat(made.position[every])
-    fixes = Fixes(made.time[every], places, np.full(len(places), 2.0), (), LONLAT, ("GNSS",) * len(places))
-    signals = {"accelerometer": Signal(made.time, made.acceleration), "gyroscope": Signal(made.time, made.angular_rate)}
-    return Recording("walk", 0.0, 1_700_000_000.0, **signals, fixes=fixes)
+    return simulated.with_receiver(simulated.walk_along(np.array([[0.0, 0.0], [16.0, 0.0]]), seed=2), every=200)
 
 
 def bodies(walk, session):

@@ -25,14 +25,9 @@ def content_hash(path: Path) -> str:
     """SHA-256 of a file's content; for a folder, of the names and contents of the files that a reader sees in it."""
     if path.is_file():
         return _file_hash(path)
-    return _joint_hash({name: path / name for name in Source(path).names})
-
-
-def _joint_hash(files: dict[str, Path]) -> str:
-    """SHA-256 of the names and contents of files."""
     digest = hashlib.sha256()
-    for name, file in files.items():
-        digest.update(f"{name}\0{_file_hash(file)}\n".encode(errors="surrogateescape"))
+    for name in Source(path).names:
+        digest.update(f"{name}\0{_file_hash(path / name)}\n".encode(errors="surrogateescape"))
     return digest.hexdigest()
 
 

@@ -1,9 +1,9 @@
 """The diary of a person: places and the ways between them, parted by the midnights of where the person was.
 
 The timeline of an outing is fine: each stand, each silence of the receiver. A diary has the rows that a person would
-write: visits (`visits`), and between two visits a *leg* for each walk or ride, with its short stops and short silences;
-a longer silence is a leg of its own (`legs`). The finer entries are the `parts` of a row, so that a visit has its spots
-and a leg its stops. Outings on a floor plan, or without positions on Earth, keep their fine rows.
+write: visits, and between two visits a *leg* for each walk or ride, with its short stops and short silences; a longer
+silence is a leg of its own (`stays_and_legs`). The finer entries are the `parts` of a row, so that a visit has its
+spots and a leg its stops. Outings on a floor plan, or without positions on Earth, keep their fine rows.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ def check_template(template: str) -> None:
 def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) -> Iterator[Tile]:
     """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide.
 
-    Stops after MAX_FAILURES failures, or LONGEST seconds; raises OSError if not a single tile was fetched.
+    Stops after MAX_FAILURES failures, or TILES_TIME; raises OSError if not a single tile was fetched.
     """
     low, high = corners
     (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))

@@ -23,7 +23,7 @@ from pdr_graph.apps.lifelog.corrections import apply_to_observations
 from pdr_graph.apps.lifelog.day import Day, Outing, rows_of
 from pdr_graph.apps.lifelog.facts import Correction
 from pdr_graph.apps.lifelog.observation import Observation
-from pdr_graph.apps.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstruct_outings
+from pdr_graph.apps.lifelog.reconstruct import EstimatedWalk, as_outings, estimate_walk, reconstruct_outings
 from pdr_graph.apps.lifelog.store import TOGETHER, Store, StoredDay
 from pdr_graph.errors import count
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
@@ -135,10 +135,7 @@ def _pair_encounters(
     loudest = rows[np.argsort(-received.rssi[rows], kind="stable")]
     power, exponent, _ = BEACONS.path_loss
     for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
-        moment, distance = (
-            float(time[row]),
-            10 ** ((power - received.rssi[row]) / (10 * exponent)),
-        )
+        moment, distance = float(time[row]), 10 ** ((power - received.rssi[row]) / (10 * exponent))
         yield moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))
 
 
@@ -173,7 +170,7 @@ def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -
         for place, walk in bound_walks(walks, lambda day: made[day][0], people, phones):
             outings[place.day][place.outing] = walk
     return [
-        Day(day.person, day.date, _finished(own), profile)
+        Day(day.person, day.date, as_outings(own), profile)
         for day, own, (_, profile) in zip(days, outings, made, strict=True)
     ]
 
@@ -208,11 +205,6 @@ def walks_by_area(days: Iterable[Outings]) -> list[list[WalkPlace]]:
                     start, steps = one.joined.epoch, one.graph.steps
                     grounds[ground].append(WalkPlace(d, n, start + steps.start, start + steps.end, len(steps)))
     return [walks for walks in grounds.values() if len(walks) > 1]
-
-
-def _finished(own: Outings) -> tuple[Outing, ...]:
-    """The outings of a day."""
-    return tuple(one if isinstance(one, Outing) else one.outing for one in own)
 
 
 def _area_of(walk: EstimatedWalk, centres: list[np.ndarray]) -> int | None:
@@ -341,7 +333,7 @@ def _alone(days: _StoredDays, progress: Callable[[str, int, int], None]) -> Iter
     """The outings of each day, estimated by themselves and stored so."""
     for number, own in enumerate(days.keys):
         outings, profile = days.reconstructed(number)
-        days.put(Day(*own, _finished(outings), profile))
+        days.put(Day(*own, as_outings(outings), profile))
         progress("days alone", number + 1, len(days.keys))
         yield outings
 

@@ -14,7 +14,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from itertools import groupby
 from types import MappingProxyType
 from typing import Any
@@ -30,6 +30,7 @@ from pdr_graph.apps.lifelog.places import (
     UsualHours,
     is_place,
     joined_visits,
+    local_date,
     places_of_visits,
 )
 from pdr_graph.apps.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, csv_table, duration_text
@@ -549,10 +550,7 @@ def _visit_lines(visits: Sequence[TimelineEntry]) -> Iterator[str]:
 
 def visit_times(visit: TimelineEntry) -> tuple[str, str]:
     """Local start with its date and local end, with "?" where it was not observed, and "+1" for the next day."""
-    first, last = (
-        date.fromisoformat(str(np.datetime64(int(time), "s"))[:10])
-        for time in (visit.start + visit.offset, visit.end + visit.end_offset)
-    )
+    first, last = local_date(visit.start + visit.offset), local_date(visit.end + visit.end_offset)
     start, end = clock_text(visit.start, visit.offset), clock_text(visit.end, visit.end_offset)
     later = f" +{(last - first).days}" if last > first else ""
     return f"{first:%a} {first}  {start}{'' if visit.arrived else '?'}", f"{end}{'' if visit.left else '?'}{later}"

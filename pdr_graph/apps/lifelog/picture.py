@@ -33,6 +33,7 @@ from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
 from pdr_graph.apps.report.page import RADIO
 from pdr_graph.apps.report.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.notebook_html import BLUE, GREY, RED
@@ -147,7 +148,7 @@ def is_inside(corners: Array, position: Array) -> bool:
 # Chosen by hand
 # [pt²] of the place with the most time, of any place, of a slow pass
 LARGEST_DOT_AREA, SMALLEST_DOT_AREA, PASSING_DOT_AREA = 1500.0, 14.0, 22.0
-LEAST_LARGEST = 7200.0  # [s] of the largest dot at least
+LARGEST_DOT_TIME = 7200.0  # [s] of the largest dot at least
 DAY_LINE, PERIOD_LINE = (2.0, 1.0), (0.8, 0.5)  # width [pt] and opacity of tracks
 START_DISTANCE = 3.5  # [pt] of a label from the mark of an outing's start
 
@@ -179,10 +180,16 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], aspect: float, ser
     axes.text(0.012, 0.985, title, transform=axes.transAxes, va="top", **style)
 
 
+def floor_of(panel: Panel) -> FloorPlan:
+    """The floor plan of a map that has one. Raises InputError if its file cannot be read."""
+    floors = Building.load(panel.plan).floors
+    return next((floor for floor in floors if floor.label == panel.floor), floors[0])
+
+
 def _draw_floor(axes: Axes, panel: Panel) -> None:
     """Draw the plan with the names that fit; if it cannot be read, write why."""
     try:
-        floors = Building.load(panel.plan).floors
+        floor = floor_of(panel)
     except InputError as error:
         axes.set_xlabel(one_line(str(error)), fontsize=LABEL_SIZE)
         return
@@ -191,7 +198,7 @@ def _draw_floor(axes: Axes, panel: Panel) -> None:
     more = max(0.0, LONGEST_SIDE / inches - 1) / 2  # draw_plan assumes axes of that length
     x, y = more * (east - west), more * (north - south)
     axes.set(xlim=(west - x, east + x), ylim=(south - y, north + y))
-    draw_plan(axes, next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    draw_plan(axes, floor)
     axes.set(xlim=(west, east), ylim=(south, north))
     for name in axes.texts:
         name.set_clip_on(True)
@@ -241,7 +248,7 @@ def _draw_frames(axes: Axes, larger: Sequence[tuple[str, Array]]) -> list[Label]
 def _draw_dots(axes: Axes, dots: Sequence[Dot], low: Array, high: Array) -> list[Label]:
     """Draw places and stays as dots by time; returns their labels, those with the most time first."""
     shown = sorted((dot for dot in dots if is_inside(np.stack([low, high]), dot.position)), key=_importance)
-    most = max([LEAST_LARGEST, *(dot.time for dot in shown)])
+    most = max([LARGEST_DOT_TIME, *(dot.time for dot in shown)])
     area = [
         PASSING_DOT_AREA if dot.kind == PASSING else max(LARGEST_DOT_AREA * dot.time / most, SMALLEST_DOT_AREA)
         for dot in shown

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import cached_property
 from itertools import pairwise
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from pdr_graph.apps.lifelog.day import KINDS_WITHOUT_DATA
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at
-from pdr_graph.apps.lifelog.stays_and_legs import SURE, VISIT_RADIUS, lonlat_of, on_sphere
+from pdr_graph.apps.lifelog.stays_and_legs import HALT_SIGMA, VISIT_RADIUS, lonlat_of, on_sphere
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, place_label
 from pdr_graph.errors import count
 from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
@@ -76,12 +77,12 @@ class Place(OneLineRepr):
     @property
     def first(self) -> str:
         """Local date of the start of the first visit."""
-        return _local_date(self.visits[0].start + self.visits[0].offset)
+        return local_date(self.visits[0].start + self.visits[0].offset).isoformat()
 
     @property
     def last(self) -> str:
         """Local date of the end of the last visit."""
-        return _local_date(self.visits[-1].end + self.visits[-1].end_offset)
+        return local_date(self.visits[-1].end + self.visits[-1].end_offset).isoformat()
 
     @cached_property
     def hours(self) -> tuple[UsualHours, ...]:
@@ -171,7 +172,7 @@ def _sigma(visit: TimelineEntry) -> float:
 
 
 def _weight(visit: TimelineEntry) -> float:
-    return visit.duration / (SURE**2 + _sigma(visit) ** 2)
+    return visit.duration / (HALT_SIGMA**2 + _sigma(visit) ** 2)
 
 
 def _area_name(middle: Array, named: Sequence[NamedArea]) -> str:
@@ -273,8 +274,9 @@ def places_of_visits(visits: Sequence[TimelineEntry], known: Sequence[Place]) ->
     return tuple(sorted(found, key=lambda place: (-place.duration, place.number)))
 
 
-def _local_date(local: float) -> str:
-    return str(np.datetime64(int(local), "s"))[:10]
+def local_date(local: float) -> date:
+    """The date of a local time [s]."""
+    return date.fromisoformat(str(np.datetime64(int(local), "s"))[:10])
 
 
 def _weekday(local: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -161,7 +161,7 @@ def _read(plan: str, content: str) -> Building:
 def _with_start_after(last: EstimatedWalk | Outing | None, joined: Observation) -> Observation:
     """Add a fix at the start of a walk without any position: the end of the previous outing, if it was shortly before.
 
-    Its variance grows with the gap, in which the walker goes at GAP_SPEED.
+    Its variance grows with the gap, in which the walker goes at `MOTION.gap_speed`.
     """
     if last is None or is_located(joined):
         return joined
@@ -184,7 +184,12 @@ def reconstruct(person: str, date: str, observations: Mapping[str, Observation],
     Raises InputError where a plan cannot be used.
     """
     outings, profile = reconstruct_outings(observations, profile)
-    return Day(person, date, tuple(one if isinstance(one, Outing) else one.outing for one in outings), profile)
+    return Day(person, date, as_outings(outings), profile)
+
+
+def as_outings(outings: Sequence[EstimatedWalk | Outing]) -> tuple[Outing, ...]:
+    """The outings of a day; those that were estimated as walks, as outings."""
+    return tuple(one if isinstance(one, Outing) else one.outing for one in outings)
 
 
 def reconstruct_outings(

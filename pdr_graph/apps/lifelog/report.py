@@ -36,7 +36,7 @@ from pdr_graph.apps.lifelog.overview import (
     usual_texts,
     visit_times,
 )
-from pdr_graph.apps.lifelog.picture import COLOURS, picture
+from pdr_graph.apps.lifelog.picture import COLOURS, floor_of, picture
 from pdr_graph.apps.lifelog.places import Place
 from pdr_graph.apps.lifelog.timeline import (
     KIND_NAMES,
@@ -53,7 +53,6 @@ from pdr_graph.apps.report.page import CENTIMETRE, CENTISECOND, ON_NO_MAP, colum
 from pdr_graph.apps.report.page import page as interactive_page
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.errors import InputError, count, one_line
-from pdr_graph.floor.plan_files import Building
 from pdr_graph.geometry import confidence_band
 from pdr_graph.notebook_html import BLUE
 from pdr_graph.types import Array, Trajectory
@@ -245,10 +244,10 @@ def _plan(panel: Panel) -> dict[str, Any] | None:
     if not panel.plan:
         return None
     try:
-        floors = Building.load(panel.plan).floors
+        floor = floor_of(panel)
     except InputError:
         return None
-    return plan_drawing(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    return plan_drawing(floor)
 
 
 def _joined_track(panel: Panel) -> Trajectory:

@@ -19,7 +19,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pdr_graph.apps.lifelog import build, cache
-from pdr_graph.apps.lifelog.cache import OBSERVATIONS
 from pdr_graph.apps.lifelog.corrections import place_names
 from pdr_graph.apps.lifelog.diary import UnpartedDiary
 from pdr_graph.apps.lifelog.facts import (
@@ -52,12 +51,13 @@ from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past
 from pdr_graph.apps.lifelog.store import TOGETHER, Entry, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.errors import InputError, count, one_line
+from pdr_graph.types import DAY_LENGTH
 
 AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a point on a map, in a building
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
 LARGEST_RADIUS = 10_000.0  # [m]
 SNAP = 60.0  # [s] from the start or end of an entry, within which a time means that: people read minutes
-LONGEST_CORRECTION = 366 * 86400.0  # [s] of one correction
+LONGEST_CORRECTION = 366 * DAY_LENGTH  # [s] of one correction
 DIARY_MARGIN = timedelta(days=3)  # that determine the rows of a day: a visit may last over nights
 LATLON = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*,\s*([-+]?\d+(?:\.\d*)?)\s*", re.ASCII)
 LOCAL_TIME_FORM = 'a local time such as "2024-05-01 09:30"'
@@ -326,7 +326,7 @@ def _read_again(log: Store, correction: Correction) -> list[str]:
     own = [e for e in log.entries() if e.person == correction.person and e.overlaps(*correction.span)]
     there = [entry for entry in own if Path(entry.path).exists()]
     for entry in there:
-        (log.folder / OBSERVATIONS / entry.observation).unlink(missing_ok=True)
+        (log.folder / cache.OBSERVATIONS / entry.observation).unlink(missing_ok=True)
     again = f"{count(len(there), 'recording')} can be read again: pdr-graph lifelog build {log.path}"
     return ["what was deleted is not restored; recordings of that time may be added again", again]
 
@@ -394,7 +394,6 @@ def forget_person(store: Path, person: str) -> list[str]:
         log.delete_person(who)
         shutil.rmtree(PastDays(log, who).folder, ignore_errors=True)
         _clean(log)
-        log.compact()
         return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", *_still_there(log, found)]
 
 

@@ -24,7 +24,7 @@ VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
 EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
 LONGEST_BRIDGED = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
-SURE = 20.0  # [m] per axis: a halt this certain counts half as much as an exact one for the middle of a visit
+HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact one for the middle of a visit
 
 
 @dataclass(frozen=True)
@@ -156,12 +156,12 @@ def _silence(gap: TimelineEntry, track: Track) -> Iterator[_Halt]:
     # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
     # silent speed [m/s] between its ends at most: faster, and the person was on the way
     if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_BRIDGED:
-        yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, SURE), 0.0)
+        yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA), 0.0)
 
 
 def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
     """True if a halt is at the place of the visit before it, and the person did not leave that place between them."""
-    if np.linalg.norm(halt.middle - visit.middle) > VISIT_RADIUS + min(max(halt.sigma, visit.sigma), SURE):
+    if np.linalg.norm(halt.middle - visit.middle) > VISIT_RADIUS + min(max(halt.sigma, visit.sigma), HALT_SIGMA):
         return False
     between = track.between(visit.end, halt.start)
     if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_BRIDGED:
@@ -174,7 +174,7 @@ def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
 
 def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     """One visit of two, with the mean place by time and certainty."""
-    weight = [v.duration / (SURE**2 + v.sigma**2) for v in (visit, halt)]
+    weight = [v.duration / (HALT_SIGMA**2 + v.sigma**2) for v in (visit, halt)]
     share = weight[1] / (weight[0] + weight[1]) if weight[0] + weight[1] else 0.5
     middle = (1 - share) * visit.middle + share * halt.middle
     apart = np.linalg.norm(halt.middle - visit.middle) / 2

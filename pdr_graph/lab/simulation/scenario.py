@@ -184,8 +184,9 @@ def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
 def _plan_file(path: Path, name: str) -> Path:
     """The file of a scenario's plan: beside the scenario, else a plan of the package."""
     beside = path.parent / name
-    ready = next((folder / name for folder in MAPS if (folder / name).is_file()), beside)
-    return beside if beside.exists() else ready
+    if beside.exists():
+        return beside
+    return next((folder / name for folder in MAPS if (folder / name).is_file()), beside)
 
 
 def _section(path: Path, name: str, content: dict[str, Any], kind: type[Section]) -> Section:

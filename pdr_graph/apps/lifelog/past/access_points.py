@@ -15,20 +15,20 @@ import numpy as np
 
 from pdr_graph.apps.lifelog.past.past_rows import assumed_accuracy
 from pdr_graph.frames import METRES_PER_DEGREE
-from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, HEARD, MS, POSITION, Rows
+from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, POSITION, RECEPTIONS, Rows
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import Array, Index
 
 GOOD_RADIUS = 60.0  # [m] 68 % radius of a position from which the map is learnt
-BRACKET, BESIDE = 60.0, 20.0  # [s] to a position on both sides, and on one side, of a scan at a known place
-WALKING_SPEED, CURVED = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
+BOTH_SIDES_TIME, ONE_SIDE_TIME = 60.0, 20.0  # [s] from a scan at a known place to positions before and after, or one
+WALKING_SPEED, CURVATURE = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
 FEWEST_POINTS = 3  # access points in a scan that agree
 ACCESS_POINT_SIGMA = 15.0  # [m] error per axis of an access point's position as that of the scan
-UNCHECKED = 2.0  # factor of sigma where there are too few scans to measure it
-ENOUGH, MOST_DAYS = 10, 30  # places, and days at most, from which it is measured
+UNCHECKED_FACTOR = 2.0  # factor of sigma where there are too few scans to measure it
+FEWEST_PLACES, MOST_DAYS = 10, 30  # places, and days at most, from which it is measured
 PLACE_CELL = 50.0  # [m] size of a place there, all of which have the same weight: most scans are at home
 LARGEST_SIGMA = 200.0  # [m] per axis of a position that is used
-COVERED = np.array([0.683, 0.95]), np.array([2.30, 5.99])  # shares, and the χ² with 2 degrees of freedom they are below
+COVERAGE = np.array([0.683, 0.95]), np.array([2.30, 5.99])  # shares; the χ² of 2 degrees of freedom they are below
 
 # Sums over the receptions of an access point on a day. weight: sum; lat, lon: weighted mean [deg]; spread: weighted
 # variance [m²], mean of both axes; low, high: limits of its receptions [deg]
@@ -71,7 +71,8 @@ def scans_of(sightings: Rows) -> Scans:
 
 def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     """The scans near in time to good measured positions, and where they were."""
-    good = positions[(assumed_accuracy(positions) <= GOOD_RADIUS) & ~np.isin(positions["source"], (GOOGLE_PATH, HEARD))]
+    measured = ~np.isin(positions["source"], (GOOGLE_PATH, RECEPTIONS))
+    good = positions[measured & (assumed_accuracy(positions) <= GOOD_RADIUS)]
     if not len(good) or not len(scans):
         return ScanPositions(np.empty(0, int), *np.empty((3, 0)))
     time, at = good["time"] / MS, scans.time / MS
@@ -80,15 +81,15 @@ def known_places(scans: Scans, positions: Rows) -> ScanPositions:
     ages = at - time[before], time[after] - at
     share = np.clip(ages[0] / np.maximum(ages[0] + ages[1], 1e-9), 0, 1)
     lat, lon, sigma = good["lat"] / E7, good["lon"] / E7, assumed_accuracy(good) / RADIUS_68
-    between = (ages[0] >= 0) & (ages[1] >= 0) & (np.maximum(*ages) <= BRACKET)
+    between = (ages[0] >= 0) & (ages[1] >= 0) & (np.maximum(*ages) <= BOTH_SIDES_TIME)
     nearest = np.where(np.abs(ages[0]) <= np.abs(ages[1]), before, after)
     age = np.minimum(np.abs(ages[0]), np.abs(ages[1]))
     length = _distance(lat[before], lon[before], lat[after], lon[after])
     middle = [(1 - share) * x[before] + share * x[after] for x in (lat, lon)]
-    both = np.hypot(np.maximum(sigma[before], sigma[after]), CURVED * length)
+    both = np.hypot(np.maximum(sigma[before], sigma[after]), CURVATURE * length)
     one = np.hypot(sigma[nearest], WALKING_SPEED * age)
     error = np.where(between, both, one)
-    near = np.flatnonzero((between | (age <= BESIDE)) & (error <= GOOD_RADIUS / RADIUS_68))
+    near = np.flatnonzero((between | (age <= ONE_SIDE_TIME)) & (error <= GOOD_RADIUS / RADIUS_68))
     places = [np.where(between, x, y[nearest])[near] for x, y in zip(middle, (lat, lon), strict=True)]
     return ScanPositions(near, places[0], places[1], error[near])
 
@@ -162,17 +163,17 @@ def sigma_factor(days: Iterator[tuple[Scans, ScanPositions, int]], sums: Sequenc
     error, sigma, place = (np.concatenate(parts) for parts in (errors, sigmas, known))
     _, of, number = np.unique(np.concatenate(cells), axis=0, return_inverse=True, return_counts=True)
     if not len(number):
-        return UNCHECKED
+        return UNCHECKED_FACTOR
     weight = 1 / number[of] / len(number)
     factors = np.geomspace(1, 30, 69)[:, None]
     squares = error**2 / ((factors * sigma) ** 2 + place**2)
-    covers = np.all([(squares < limit) @ weight >= share for share, limit in zip(*COVERED, strict=True)], axis=0)
+    covers = np.all([(squares < limit) @ weight >= share for share, limit in zip(*COVERAGE, strict=True)], axis=0)
     factor = float(factors[np.argmax(covers) if covers.any() else -1, 0])
-    return factor if len(number) >= ENOUGH else max(factor, UNCHECKED)
+    return factor if len(number) >= FEWEST_PLACES else max(factor, UNCHECKED_FACTOR)
 
 
 def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Rows:
-    """The positions of scans that have no measured position near in time, as rows with the source HEARD."""
+    """The positions of scans that have no measured position near in time, as rows with the source RECEPTIONS."""
     found = scan_positions(scans, points)
     found = replace(found, sigma=factor * found.sigma)
     measured = positions[positions["source"] != GOOGLE_PATH]
@@ -184,7 +185,7 @@ def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Row
     lonely = np.minimum(time - padded[after], padded[after + 1] - time) > 60.0 * MS
     chosen = lonely & (found.sigma <= LARGEST_SIGMA)
     rows = np.zeros(int(chosen.sum()), POSITION)
-    rows["time"], rows["source"] = time[chosen], HEARD
+    rows["time"], rows["source"] = time[chosen], RECEPTIONS
     rows["lat"], rows["lon"] = np.rint(found.lat[chosen] * E7), np.rint(found.lon[chosen] * E7)
     rows["accuracy"] = np.rint(found.sigma[chosen] * RADIUS_68 * CM)
     return rows

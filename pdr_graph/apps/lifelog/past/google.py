@@ -195,11 +195,11 @@ RECORDS = Format(
 )
 # Timeline.json of Android, and location-history.json of iOS: a bare list of segments whose numbers are texts
 ANDROID = {"semanticSegments": _segments, "rawSignals": _raw_signals}
-IOS = rb'\A(?=\s*\[\s*\{.*"startTime").*"(?:visit|activity|timelinePath|timelineMemory)"'
+IOS_SIGN = rb'\A(?=\s*\[\s*\{.*"startTime").*"(?:visit|activity|timelinePath|timelineMemory)"'
 GOOGLE_FORMATS = (
     RECORDS,
     lists_format(SEMANTIC, rb'"timelineObjects"\s*:\s*\[', {"timelineObjects": _semantic}),
     lists_format(TIMELINE, rb'"(?:semanticSegments|rawSignals)"\s*:\s*\[', ANDROID),
     lists_format("Google Timeline Edits", rb'"timelineEdits"\s*:\s*\[', {"timelineEdits": _edits}),
 )
-IOS_TIMELINE = lists_format("Google Timeline of iOS", IOS, {"": _segments})
+IOS_TIMELINE = lists_format("Google Timeline of iOS", IOS_SIGN, {"": _segments})

@@ -41,7 +41,7 @@ HEAD_BYTES = 65_536  # [bytes] of a file by which it is recognised
 LARGEST_UNPACKED = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
 MOST_FILES, DEEPEST_FOLDER = 100_000, 8  # a Takeout has other products beside the timeline
 # What a file is that comes with a timeline and is none
-OTHERS = (
+OTHER_FILES = (
     (
         re.compile(rb'"(?:deviceSettings|hasReportedLocations|hasSetRetention)"'),
         "settings of Google's timeline",
@@ -133,7 +133,7 @@ def _recognized(source: Source, name: str) -> PastFile:
         return PastFile(source, name, known, source.size(name))
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(where, "", "UTF-16 text", "UTF-8: save it again with this encoding")
-    other = next((what for sign, what in OTHERS if sign.search(head)), "")
+    other = next((what for sign, what in OTHER_FILES if sign.search(head)), "")
     if other:
         raise InputError(where, "", other, "a timeline")
     raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)

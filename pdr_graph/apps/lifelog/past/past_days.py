@@ -19,8 +19,8 @@ from pdr_graph.apps.lifelog.past import access_points
 from pdr_graph.apps.lifelog.past.access_points import ScanPositions, Scans, scans_of
 from pdr_graph.apps.lifelog.past.past_rows import changes, day_of, merged_positions, merged_sightings
 from pdr_graph.apps.lifelog.store import Entry, Store
-from pdr_graph.io.delimited import MAXIMUM_LINE as LONGEST_LINE
-from pdr_graph.io.past_day import HEAD_LINE, HEARD, MS, POSITION, SIGHTING, Rows, from_text, to_text
+from pdr_graph.io.delimited import MAXIMUM_LINE
+from pdr_graph.io.past_day import HEAD_LINE, MS, POSITION, RECEPTIONS, SIGHTING, Rows, from_text, to_text
 from pdr_graph.types import DAY_LENGTH
 
 FOLDER = "past"  # in STORE.d
@@ -88,7 +88,7 @@ class PastDays:
         if np.array_equal(before, after) and np.array_equal(heard, scans):
             return Changes(existing=len(sought))
         new, better = changes(before, after)
-        self.write(day, np.concatenate([after, old[old["source"] == HEARD]]), scans)
+        self.write(day, np.concatenate([after, old[old["source"] == RECEPTIONS]]), scans)
         return Changes(new, better, max(len(sought) - new - better, 0), 1)
 
     def place_scans(self) -> int:
@@ -125,7 +125,7 @@ class PastDays:
     def counts(self, day: int) -> tuple[int, int]:
         """The numbers of positions and receptions of a day, from the first line of its file."""
         with self.file(day).open(encoding="utf-8") as file:
-            match = HEAD_LINE.match(file.readline(LONGEST_LINE))
+            match = HEAD_LINE.match(file.readline(MAXIMUM_LINE))
         return (int(match[1]), int(match[2])) if match else (0, 0)
 
 

@@ -27,7 +27,7 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
 from pdr_graph.errors import count
-from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, HEARD, MS, NO_ACCURACY, POSITION, SIGHTING, Rows
+from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.validation import RECEIVER, float_of, iso_time
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
@@ -169,7 +169,7 @@ def merged_positions(rows: Rows) -> Rows:
 
     Positions that were computed from receptions are left out.
     """
-    rows = rows[rows["source"] != HEARD]
+    rows = rows[rows["source"] != RECEPTIONS]
     is_path = rows["source"] == GOOGLE_PATH
     path = rows[is_path]
     measured = _best_of_each_second(rows[~is_path])
