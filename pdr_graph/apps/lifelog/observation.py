@@ -151,15 +151,8 @@ def read_inputs(recording: Path, options: RecordingOptions) -> Evidence:
     from pdr_graph.plausibility import FASTEST_RIDE  # imported here: most commands use what was observed long ago
     from pdr_graph.walk import Options, read
 
-    files = Options(
-        plan=options.plan,
-        fixes=options.fixes,
-        beacons=options.beacons,
-        ranges=options.ranges,
-        walker=options.walker,
-        floor=options.floor,
-    )
-    return read(recording, files, FASTEST_RIDE)
+    given = {name: value for name, value in options.given.items() if name != "begins"}
+    return read(recording, Options(**given), FASTEST_RIDE)
 
 
 def observe(recording: Path, options: RecordingOptions | None = None) -> Observation:
