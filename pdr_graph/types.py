@@ -127,18 +127,6 @@ def fill_labels(record: Any, *names: str) -> None:
         object.__setattr__(record, name, labels)
 
 
-def select_rows(table: Table, which: int | slice | Mask | Index) -> Table:
-    """Selected rows of all columns, which are arrays or tuples; a column that is None or empty is kept."""
-    index = np.atleast_1d(np.arange(len(table.time))[which])
-    selected: dict[str, Any] = {}
-    for name, column in vars(table).items():
-        if isinstance(column, np.ndarray):
-            selected[name] = column[index]
-        elif isinstance(column, tuple) and column:
-            selected[name] = tuple(map(column.__getitem__, index.tolist()))
-    return replace(table, **selected)
-
-
 class Sensor(StrEnum):
     """A sensor of a phone; each is equal to its name: ``Sensor.ACCELEROMETER == "accelerometer"``.
 
@@ -295,7 +283,7 @@ class Fixes(OneLineRepr, row="fix"):
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Fixes:
         """A selection of rows as ``Fixes``: ``fixes[0]``, ``fixes[2:5]``, ``fixes[mask]``."""
-        return select_rows(self, which)
+        return take(self, which)
 
 
 @dataclass(frozen=True)
@@ -372,7 +360,7 @@ class Trajectory(OneLineRepr):
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
         """A selection of rows as a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
-        return select_rows(self, which)
+        return take(self, which)
 
 
 @dataclass(frozen=True)
@@ -794,12 +782,14 @@ class Estimate(OneLineRepr):
         return [count(len(self.trajectory), "pose"), *time_span(self.trajectory), *counts, state]
 
 
-def take(data: Table, which: Index) -> Table:
-    """The rows `which` of a measurement table."""
-    selected = {}
+def take(data: Table, which: int | slice | Mask | Index) -> Table:
+    """The rows `which` of a table, as arrays and tuples; other fields are kept, as `row_columns` says."""
+    size = len(data)
+    index = np.arange(*which.indices(size)) if isinstance(which, slice) else np.atleast_1d(np.arange(size)[which])
+    selected: dict[str, Any] = {}
     for name in row_columns(data):
         column = getattr(data, name)
-        selected[name] = column[which] if isinstance(column, np.ndarray) else tuple(column[i] for i in which.tolist())
+        selected[name] = column[index] if isinstance(column, np.ndarray) else tuple(column[i] for i in index.tolist())
     return replace(data, **selected)
 
 

@@ -121,7 +121,7 @@ class EventChecks:
         """The receptions whose times and levels are possible."""
         least, most = Levels.limits["rssi"]
         within = (np.abs(received.time) < SENSOR_VALIDATION.latest) & (received.rssi >= least) & (received.rssi <= most)
-        return received if within.all() else some_of(received, self._note("scans", within, UNUSABLE))
+        return received if within.all() else take(received, self._note("scans", within, UNUSABLE))
 
     def in_order(self, steps: Steps, end: float) -> Steps | None:
         """The steps after ``end`` [s], NaN before the first, with a gap up to the first of them; None without any.
@@ -153,19 +153,11 @@ class EventChecks:
         if within.all():
             return data
         self._note(name, within, reason)
-        return take(data, np.flatnonzero(within)) if within.any() else None
+        return take(data, within) if within.any() else None
 
     def _note(self, name: str, within: Mask, reason: str) -> Mask:
         self.unused[name, reason] += int((~within).sum())
         return within
-
-
-def some_of(received: Sightings, which: Mask) -> Sightings:
-    """Some of the receptions."""
-    rows = np.flatnonzero(which).tolist()
-    names = tuple(received.transmitter[n] for n in rows)
-    minor = tuple(received.minor[n] for n in rows) if received.minor else ()
-    return Sightings(received.time[rows], names, received.rssi[rows], minor)
 
 
 def _within(data: Any, limits: Limits) -> Mask:

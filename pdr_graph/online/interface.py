@@ -107,7 +107,7 @@ def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
     for radio, heard in (("bluetooth", recording.bluetooth), ("wifi", recording.wifi)):
         if heard is not None:
             packets = _packets(heard.time, packet)
-            arriving += [(time, 1, Scan(radio, _some(heard, rows))) for time, rows in packets]
+            arriving += [(time, 1, Scan(radio, take(heard, rows))) for time, rows in packets]
     arriving += [(time, 2, recording.fixes[rows]) for time, rows in _packets(recording.fixes.time, packet)]
     for table in recording.measurements:
         complete = last_time(table)
@@ -124,10 +124,6 @@ def _packets(time: Array, packet: float) -> Iterator[tuple[float, slice]]:
     bounds = np.flatnonzero(np.diff(number, prepend=number[:1] - 1, append=number[-1:] + 1)).tolist()
     for begin, end in pairwise(bounds):
         yield float(number[begin] + 1) * packet, slice(begin, end)
-
-
-def _some(heard: Sightings, rows: slice) -> Sightings:
-    return Sightings(heard.time[rows], heard.transmitter[rows], heard.rssi[rows], heard.minor[rows])
 
 
 @dataclass(frozen=True)

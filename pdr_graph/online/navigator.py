@@ -359,7 +359,7 @@ class Navigator:
         """The rows that are not later than AHEAD from now, once there are steps."""
         early = last_time(data) > (self._now + AHEAD if self._window.keyframes else np.inf)
         self._early += int(early.sum())
-        return take(data, np.flatnonzero(~early)) if early.any() else data
+        return take(data, ~early) if early.any() else data
 
     def _use_radio_fixes(self, fixes: Fixes) -> None:
         """Use fixes of the radio map for the floor and the first position too."""

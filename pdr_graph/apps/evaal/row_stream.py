@@ -28,7 +28,7 @@ from pdr_graph.io.get_sensor_data import (
 )
 from pdr_graph.io.validation import IMPLAUSIBLE, unit_of
 from pdr_graph.online.interface import Event, events_of
-from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal
+from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal, take
 
 RADIOS = {"BLE4": "bluetooth", "WIFI": "wifi"}
 MAXIMUM_SPREAD = 60.0  # [s] of the times in a slot about their median; others are damaged
@@ -185,6 +185,4 @@ def _near(sightings: Sightings, middle: float) -> Sightings:
     """The receptions within MAXIMUM_SPREAD of the time `middle` [s], sorted by time."""
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(np.isfinite(sightings.rssi) & (np.abs(sightings.time - middle) < MAXIMUM_SPREAD))
-    rows = rows[np.argsort(sightings.time[rows], kind="stable")]
-    names, minors = (tuple(column[n] for n in rows) for column in (sightings.transmitter, sightings.minor))
-    return Sightings(sightings.time[rows], names, sightings.rssi[rows], minors)
+    return take(sightings, rows[np.argsort(sightings.time[rows], kind="stable")])

@@ -36,7 +36,6 @@ from pdr_graph.types import (
     Sightings,
     Signal,
     Steps,
-    select_rows,
     take,
     with_offset,
 )
@@ -152,15 +151,8 @@ def read_inputs(recording: Path, options: RecordingOptions) -> Evidence:
     from pdr_graph.plausibility import FASTEST_RIDE  # imported here: most commands use what was observed long ago
     from pdr_graph.walk import Options, read
 
-    files = Options(
-        plan=options.plan,
-        fixes=options.fixes,
-        beacons=options.beacons,
-        ranges=options.ranges,
-        walker=options.walker,
-        floor=options.floor,
-    )
-    return read(recording, files, FASTEST_RIDE)
+    given = {name: value for name, value in options.given.items() if name != "begins"}
+    return read(recording, Options(**given), FASTEST_RIDE)
 
 
 def observe(recording: Path, options: RecordingOptions | None = None) -> Observation:
@@ -441,7 +433,7 @@ def _without_rows(part: Observation, spans: Sequence[Span]) -> Observation:
     rows: dict[str, Any] = {}
     for name in TIMED_TABLES:
         table = getattr(part, name)
-        rows[name] = table if table is None else select_rows(table, _outside(table.time, spans))
+        rows[name] = table if table is None else take(table, _outside(table.time, spans))
     steps, looks = part.steps, part.looks
     for a, b in spans:
         if steps is not None:
@@ -459,7 +451,7 @@ def _without_rows(part: Observation, spans: Sequence[Span]) -> Observation:
 
 def _table_without(table: Any, spans: Sequence[Span]) -> Any:
     """The measurement table without the rows in the spans, and without the anchors that only these refer to."""
-    table = take(table, np.flatnonzero(_outside(table.time, spans)))
+    table = take(table, _outside(table.time, spans))
     tables = getattr(type(table), "tables", ())
     if not tables:
         return table

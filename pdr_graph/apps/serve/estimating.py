@@ -25,7 +25,7 @@ from pdr_graph.apps.serve.publishing import PATH_INTERVAL
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.walk import Options
 
-LATEST_POSE = 1.0  # [s] the same of a pose
+LATEST_POSE = 1.0  # [s] after which a pose is published even while messages wait
 MOST_ATTEMPTS = 3  # after which a walker is left alone until the next start
 SLOWEST_WAIT = 3600.0  # [s]
 STOP, PING = "stop", "ping"  # actions: ends the process; is answered

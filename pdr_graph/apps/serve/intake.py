@@ -29,14 +29,13 @@ class Intake:
     protocol; platform: "ios" or "android" if the user stated it; origin: Unix time of time 0 of the events [s], NaN
     before the first; latest: time of the last inertial sample [s]; held: rows that wait, by sensor, times in seconds
     since origin; held_fixes ``(n, 4)``: time, longitude, latitude, sigma; ignored: number of samples of other sensors;
-    unusable: number of rows by sensor that were no numbers, or years away; samples: number of all inertial ones.
+    unusable: number of rows by sensor that were no numbers, or years away.
     """
 
     protocol: str
     platform: str = ""
     origin: float = np.nan
     latest: float = -np.inf
-    samples: int = 0
     signs: Signs = field(default_factory=Signs)
     held: dict[str, Array] = field(default_factory=dict)
     held_fixes: Array = field(default_factory=lambda: np.empty((0, 4)))
@@ -118,7 +117,6 @@ class Intake:
             rows = rows[(np.abs(rows[:, 0]) < LATEST_TIME) & (rows[:, 0] >= -FIXES.longest_overhang)]
             self.held_fixes = np.concatenate([self.held_fixes, rows])
         if times:
-            self.samples += sum(len(time) for time in times)
             self.latest = float(max(time[-1] for time in times))
             return events + self._released(np.floor(self.latest / PACKET))
         return events + self._released(np.inf)

@@ -27,7 +27,6 @@ USED_COLUMNS = {  # name in a message: name of its columns here
     "barometer": ("pressure",),
     "location": ("latitude", "longitude", "horizontalAccuracy"),
 }
-OPTIONAL = ("horizontalAccuracy",)
 PLAIN_NAMES = {
     "gyroscope": ("gyroscope", "gyroscopeuncalibrated"),
     "magnetometer": ("magnetometer", "magnetometeruncalibrated"),
