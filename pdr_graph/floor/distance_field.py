@@ -74,14 +74,6 @@ class DistanceField:
         by_y = (d01 - d00) * (1 - fx) + (d11 - d10) * fx
         return distance, np.stack([by_x, by_y], axis=1) / NODE_SPACING
 
-    def walls_near(self, points: Array, within: float) -> tuple[Index, Array]:
-        """All pairs of a point in ``points (n, 2)`` and a wall within a distance of it [m].
-
-        Returns the index of the point ``(p,)`` and the ends of the wall ``(p, 2, 2)`` [m].
-        """
-        point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
-        return point, self._ends[wall]
-
     def exact(self, points: Array) -> Array:
         """Distance ``(n,)`` [m] at a few points ``(n, 2)`` [m], without the grid."""
         distance = np.empty(len(points))
