@@ -24,7 +24,7 @@ from pdr_graph.inertial.attitude import (
 )
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
 from pdr_graph.priors import REST, STEP
-from pdr_graph.types import Array, Recording, Steps
+from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 
 
 class StepStream:
@@ -204,7 +204,6 @@ class StreamSettings:
 
 STEP_STREAM = StreamSettings()
 EMPTY_RECORDING = Recording("live", 0.0, None)
-STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
 
 
 class SegmentStream:
