@@ -418,6 +418,9 @@ class Recording(OneLineRepr):
         return [*duration, *rates, *([count(len(self.fixes), "fix")] if len(self.fixes) else [])]
 
 
+STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+
+
 @dataclass(frozen=True)
 class Steps(OneLineRepr):
     """The steps of a walk: the output of the front end and the odometry input of the estimators.
@@ -449,8 +452,7 @@ class Steps(OneLineRepr):
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""
-        columns = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-        check_finite(self, *columns)
+        check_finite(self, *STEP_COLUMNS)
         if not (np.isfinite([self.start, self.end, self.final_turn]).all() and self.start < self.end):
             raise ValueError(f"Steps: found start {self.start} and end {self.end}, expected start < end")
         before = np.concatenate([[self.start], self.time[:-1]])

@@ -512,13 +512,11 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
 CACHED_MATRICES = 2000  # pieces whose matrices fit into a processor's cache
 
 
-def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
+def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> Array:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
     step given both ends. at, solution: the walk at the optimum, and its linear system there.
-
-    Also returns the covariances of c ``(s, 3, 3)``.
     """
     R_0, first = pose_rotation(at.pose_i[:1, 2]), np.zeros(1, dtype=np.intp)
     covariance = np.empty((1 + len(which), 3, 3))
@@ -528,7 +526,7 @@ def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tupl
         i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
         joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))
         covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint[of_piece], at, part)
-    return covariance, solution.joint(("c", np.arange(len(at.state.c))))
+    return covariance
 
 
 def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:

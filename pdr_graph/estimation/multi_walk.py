@@ -123,8 +123,9 @@ def _parted(
 ) -> Iterator[Estimate]:
     """The estimate of each walk from the joint optimum. begins: offset of each walk's time [s]."""
     times = [row_times(graph.steps) for graph in graphs]
-    poses, covariance, of_c = _rows(optimum, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
+    poses, covariance = _rows(optimum, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
     reports, c = iter(optimum.graph.positions.reports(optimum.at)), optimum.state.c
+    of_c = optimum.solution.joint(("c", np.arange(len(c))))
     cuts = np.cumsum([len(time) for time in times])[:-1]
     parts = zip(graphs, alone, begins, times, np.split(poses, cuts), np.split(covariance, cuts), strict=True)
     for graph, estimate, by, time, walk_poses, its_covariance in parts:
@@ -137,12 +138,12 @@ def _parted(
         )
 
 
-def _rows(optimum: Optimum, time: Array) -> tuple[Array, Array, Array]:
-    """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]; covariances of c."""
+def _rows(optimum: Optimum, time: Array) -> tuple[Array, Array]:
+    """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]."""
     pieces, at = optimum.graph.pieces, optimum.at
     which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
-    covariance, of_c = covariance_of_ends(at, optimum.solution, which)
-    return np.concatenate([at.pose_i[:1], at.ends[which]]), covariance, of_c
+    covariance = covariance_of_ends(at, optimum.solution, which)
+    return np.concatenate([at.pose_i[:1], at.ends[which]]), covariance
 
 
 def _calibration(joint: WalkGraph, graph: WalkGraph, by: float, c: Array, covariance: Array) -> Calibration:

@@ -129,4 +129,4 @@ def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:
 
 
 def _covariance_of_rows(optimum: Optimum) -> Array:
-    return covariance_of_ends(optimum.at, optimum.solution, optimum.at.pieces.row_end)[0]
+    return covariance_of_ends(optimum.at, optimum.solution, optimum.at.pieces.row_end)

@@ -82,6 +82,18 @@ class LiveHeading:
     sigma: float
 
 
+@dataclass(frozen=True)
+class _Known:
+    """The direction of the walk at a time [s].
+
+    variance: by all stretches up to it [rad²]; turn_variance: of all turns up to it [rad²].
+    """
+
+    time: float
+    variance: float
+    turn_variance: float
+
+
 class LiveCompass:
     """Headings while magnetometer samples are pushed and a `StepStream`, whose listener is `update`, advances.
 
@@ -104,8 +116,8 @@ class LiveCompass:
         self.durations = np.empty(0)  # of the stretch's steps [s]
         self.evaluated = 0.0  # time of walking in the stretch at its last evaluation [s]
         self.offsets = np.empty(0)  # of heading 0 from true east, by the last evaluations of the stretch [rad]
-        self.current = np.empty((0, 3))  # the stretch's heading, if any: time, variance, variance of turns up to it
-        self.previous = np.array([np.inf, 0.0])  # variance by the earlier stretches, and variance of turns up to them
+        self.current: _Known | None = None  # with the stretch's heading, if it has one
+        self.previous = _Known(-np.inf, np.inf, 0.0)  # by the earlier stretches
         self._earth: EarthField | None = None
         self._east = 0.0
         self._found: list[LiveHeading] = []
@@ -181,12 +193,11 @@ class LiveCompass:
 
     def _start_stretch(self) -> None:
         """Start a new stretch; the heading of the last one counts as earlier information from now on."""
-        if len(self.current):
-            (_, variance, turn_variance), self.stretch = self.current[0], self.stretch + 1
-            self.previous = np.array([variance, turn_variance])
+        if self.current is not None:
+            self.previous, self.current, self.stretch = self.current, None, self.stretch + 1
         self.samples, self.incomplete, self.field_count = self.samples[:0], self.incomplete[:0], 0
         self.durations, self.evaluated = self.durations[:0], 0.0
-        self.offsets, self.current = self.offsets[:0], self.current[:0]
+        self.offsets = self.offsets[:0]
 
     def _evaluate_if_due(self) -> None:
         """Evaluate the stretch if it has grown enough; end it if it is long or its heading is out of reach."""
@@ -198,7 +209,7 @@ class LiveCompass:
                 self._fill_field()
                 self._evaluate(self._earth, step, self.samples, self.begin, walked)
         long = len(self.samples) * self.spacing >= COMPASS.longest_stretch
-        if long or (len(self.current) and self.end - self.current[0, 0] > self.reach):
+        if long or (self.current is not None and self.end - self.current.time > self.reach):
             self._start_stretch()
 
     @property
@@ -274,25 +285,24 @@ class LiveCompass:
         offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, TURN_VARIANCE])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
-        earlier = 1 / (self.previous[0] + turn_variance - self.previous[1])
+        earlier = 1 / (self.previous.variance + turn_variance - self.previous.turn_variance)
         shared = 1 / max(1 / (ahead_sigma**2 + COMPASS.sigma**2) - earlier, 1e-9)
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
         if variance > LIVE_COMPASS.least_added**2:
             return self._retract()
         moment = min(moment, self.end)  # of certain steps
-        self.current = np.array([[moment, 1 / (earlier + 1 / variance), turn_variance]])
+        self.current = _Known(moment, 1 / (earlier + 1 / variance), turn_variance)
         direction = float(wrap_angle(offset + np.interp(moment, time, heading) + self._east))
         self._found.append(LiveHeading(self.stretch, moment, direction, float(np.sqrt(variance))))
 
     def _retract(self) -> None:
-        if len(self.current):
-            self._found.append(LiveHeading(self.stretch, float(self.current[0, 0]), 0.0, np.inf))
-            self.current = self.current[:0]
+        if self.current is not None:
+            self._found.append(LiveHeading(self.stretch, self.current.time, 0.0, np.inf))
+            self.current = None
 
     def _fill_field(self) -> None:
         """Fill in the magnetic field of the new samples."""
-        spacing = self.period * self.stride
         new = slice(self.field_count, len(self.samples))
-        time = self.begin + spacing * np.arange(new.start, new.stop, dtype=float)
+        time = self.begin + self.spacing * np.arange(new.start, new.stop, dtype=float)
         self.samples[new, FIELD] = self.field.at(time, Rotation.from_quat(self.samples[new, ATTITUDE]))
         self.field_count = len(self.samples)

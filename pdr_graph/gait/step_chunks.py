@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Steps
+from pdr_graph.types import STEP_COLUMNS, Steps
 
 
 def gap(
@@ -52,8 +52,7 @@ def append_steps(first: Steps, then: Steps) -> Steps:
 
 def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
     """Concatenate at least one chunk of a walk; each starts where the one before ends."""
-    names = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-    columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names}
+    columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in STEP_COLUMNS}
     row, turned = 0, 0.0  # [rad] since the last step
     for chunk in chunks:
         if len(chunk):

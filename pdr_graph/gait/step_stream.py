@@ -24,7 +24,7 @@ from pdr_graph.inertial.attitude import (
 )
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
 from pdr_graph.priors import REST, STEP
-from pdr_graph.types import Array, Recording, Steps
+from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 
 
 class StepStream:
@@ -158,10 +158,8 @@ class StepStream:
         period = float(np.median(np.diff(time[time <= time[0] + SHORTEST_WALK])))
         if not np.isnan(self._end):
             chunks.append(gap(self._end, origin))
-        self._segment = self._new_segment(origin, max(STEP_STREAM.fastest, period))
-
-    def _new_segment(self, origin: float, period: float) -> SegmentStream:
-        return SegmentStream(origin, period, self.walker, self._bias, self.listener)
+        period = max(STEP_STREAM.fastest, period)
+        self._segment = SegmentStream(origin, period, self.walker, self._bias, self.listener)
 
     def _corrected(self, steps: Steps | None) -> Steps | None:
         """The steps corrected by the walker's profile; ``unknown`` names gravity if the recorder removed it."""
@@ -206,7 +204,6 @@ class StreamSettings:
 
 STEP_STREAM = StreamSettings()
 EMPTY_RECORDING = Recording("live", 0.0, None)
-STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
 
 
 class SegmentStream:

@@ -234,15 +234,6 @@ class GravityRestorer:
         return values + STANDARD_GRAVITY * vertical_of(covariance)
 
 
-@dataclass(frozen=True)
-class AttitudeCheckpoint:
-    """The state of an `AttitudeStream`. filter_state: that of VQF."""
-
-    rest_bias: Array
-    recent: Array
-    filter_state: Array
-
-
 class AttitudeStream:
     """The phone's attitude as samples arrive.
 
@@ -254,7 +245,7 @@ class AttitudeStream:
         self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
         self._period, self._samples = period, max(3, round(REST.shortest / period))
         options: dict[str, Any] = REST.vqf
-        self._vqf: Any = vqf.VQF(period, **options)  # its stubs lack the setter of its state
+        self._vqf = vqf.VQF(period, **options)
         if bias is not None:
             self._vqf.setBiasEstimate(np.array(bias))
 
@@ -280,20 +271,6 @@ class AttitudeStream:
     def bias(self) -> Array:
         """Present bias of the gyroscope ``(3,)``. [rad/s]"""
         return self.rest_bias + np.array(self._vqf.state["bias"])
-
-    @property
-    def filter_state(self) -> Array:
-        """The state of VQF as one array."""
-        return np.concatenate([np.ravel(value) for value in self._vqf.state.values()]).astype(float)
-
-    @filter_state.setter
-    def filter_state(self, state: Array) -> None:
-        now = self._vqf.state
-        parts = np.split(state, np.cumsum([np.size(value) for value in now.values()])[:-1])
-        values = zip(now.items(), parts, strict=True)
-        self._vqf.state = {
-            name: part.tolist() if isinstance(value, list) else type(value)(part[0]) for (name, value), part in values
-        }
 
     def _learn_from_rest(self, acceleration: Array, angular_rate: Array) -> None:
         """Estimate the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s."""

@@ -236,13 +236,13 @@ class MagnetometerStream:
     """The magnetometer's samples of the last minute, and the phone's iron.
 
     calibration, up: ``(n, 3)`` samples in device axes for the fit of iron [µT], and the vertical in the device at
-    them; iron: ``(5, 3)`` rows of hard, soft and sigma, ``(0, 3)`` before the first fit.
+    them; iron: None before the first fit.
     """
 
     stream: SensorStream = field(default_factory=SensorStream)
     calibration: Array = field(default_factory=lambda: np.empty((0, 3)))
     up: Array = field(default_factory=lambda: np.empty((0, 3)))
-    iron: Array = field(default_factory=lambda: np.empty((0, 3)))
+    iron: Iron | None = None
 
     def push(self, time: Array, values: Array) -> None:
         """Add samples at times ``(n,)`` [s], as in `Signal`."""
@@ -281,7 +281,5 @@ class MagnetometerStream:
         """The field around the phone ``(n, 3)``; the measured one if the phone was not tilted enough. [µT]"""
         if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= MAGNETOMETER.tilted:
             return field
-        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else None
-        iron = fit_iron(self.calibration, magnitude, iron, LIVE_MAGNETOMETER.rounds)
-        self.iron = np.vstack([iron.hard, iron.soft, iron.sigma])
+        self.iron = iron = fit_iron(self.calibration, magnitude, self.iron, LIVE_MAGNETOMETER.rounds)
         return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.reliable else field

@@ -116,13 +116,10 @@ class SensorStream:
         if not good.all():
             self.dropped += int(np.sum(~good))
             time, values = time[good], values[good]
-        if not len(time):
-            return
-        if not len(self.suspect_time) and self._follows(time + self.offset):
-            self._accept(time + self.offset, values)
-        else:
-            for sample_time, value in zip(time.tolist(), values, strict=True):
-                self._add(sample_time, value, offset)
+        apart = np.diff(time)
+        jumps = np.flatnonzero((apart <= 0) | (apart > REST.longest_bridged)) + 1
+        for part, its_values in zip(np.split(time, jumps), np.split(values, jumps), strict=True):
+            self._add_uninterrupted(part, its_values, offset)
 
     def forget(self, before: float) -> None:
         """Drop samples more than a second before a time ``before`` [s]."""
@@ -172,8 +169,18 @@ class SensorStream:
         self.samples += len(time)
         self.time, self.values = np.concatenate([self.time, time]), np.concatenate([self.values, values])
 
+    def _add_uninterrupted(self, time: Array, values: Array, offset: float) -> None:
+        """Add samples whose times do not jump: together, from the first one on that follows those before."""
+        while len(time):
+            if self._follows(time + self.offset):
+                self._discard_suspects()
+                self._accept(time + self.offset, values)
+                return
+            self._add(float(time[0]), values[0], offset)
+            time, values = time[1:], values[1:]
+
     def _add(self, time: float, value: Array, offset: float) -> None:
-        """Add one sample of a packet whose times jump; it becomes valid when later samples confirm the jump."""
+        """Add one sample after a jump in time; it becomes valid when later samples confirm the jump."""
         if self._follows(np.array([time + self.offset])):
             self._discard_suspects()
             self._accept(np.array([time + self.offset]), value[None])

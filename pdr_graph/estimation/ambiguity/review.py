@@ -182,7 +182,7 @@ class History:
         """Drop what is from before a moment [s]; returns the steps that are left."""
         steps = later_steps(concatenate_steps(self._chunks), before)
         self._chunks = [steps]
-        self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
+        self.log.forget(steps.start - self.log.longest_overhang)
         return steps
 
 

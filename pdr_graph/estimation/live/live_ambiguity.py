@@ -196,9 +196,9 @@ class LiveAmbiguity:
 
     graph: of the walk, which answers change; output: has the modes that remain, and whether the walk is certain.
     solved: the batch has solved it; batch_reviewed: it has done so once more since the walk is certain; restarts: how
-    often measurements contradicted the estimate; alternatives_tried, alternatives_accepted: numbers of other paths;
-    next_batch, next_search, next_comparison: times [s] before which a question is not asked again; findings: what the
-    sources get wrong; history: the recent past in which they are compared.
+    often measurements contradicted the estimate; next_batch, next_search, next_comparison: times [s] before which a
+    question is not asked again; findings: what the sources get wrong; history: the recent past in which they are
+    compared.
     """
 
     def __init__(self, graph: LiveGraph, output: LiveOutput, executor: Executor | None = None):
@@ -210,7 +210,7 @@ class LiveAmbiguity:
         self.solved, self.batch_reviewed = False, False
         self._restarting = self._carried = False  # the past is dropped at the next solution; but for its calibration
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
-        self.restarts, self.alternatives_tried, self.alternatives_accepted = 0, 0, 0
+        self.restarts = 0
         self.history, self.findings = History(), Findings()
         graph.log.longer = self.history.log
 
@@ -455,11 +455,7 @@ class LiveAmbiguity:
         """Move the window to an alternative that was accepted."""
         graph = self.graph
         trial = self.trial.collect(graph.window.times[-1])
-        if trial is None:
-            return
-        self.alternatives_tried += 1
-        if trial.accepted and len(trial.path.within(graph.window.times)):
-            self.alternatives_accepted += 1
+        if trial is not None and trial.accepted and len(trial.path.within(graph.window.times)):
             graph.decide(graph.decisions | trial.decisions)
             graph.move_to(trial.path)
 

@@ -102,7 +102,7 @@ class LiveGraph:
         """Set the first keyframe, at the start of the steps."""
         self.window.begin()
         self.finalized.edge = self.window.times[0], self.finalized.edge[1]
-        self.log.forget(self.window.times[0] - max(self.log.overhangs.values(), default=0.0))
+        self.log.forget(self.window.times[0] - self.log.longest_overhang)
 
     def append(self, data: Any, number: Index | None = None) -> None:
         """Append measurements; those from before the window are dropped and counted as late."""

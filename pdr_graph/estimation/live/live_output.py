@@ -387,7 +387,7 @@ class LiveOutput:
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
         time = np.concatenate([interval.row_time for interval in window.intervals])
-        covariance = covariance_of_ends(at, graph.solution, which)[0][1:] + graph.excess.at(time)
+        covariance = covariance_of_ends(at, graph.solution, which)[1:] + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
         if window.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):

@@ -76,9 +76,9 @@ class MeasurementLog:
         self._tables[type(data)] = Table(take(data, order), number[order], count)
 
     @property
-    def overhangs(self) -> dict[str, float]:
-        """Time [s] by which measurements may lie outside the steps, by kind."""
-        return {kind_of(table.data).name: self.overhang(table.data) for table in self._tables.values()}
+    def longest_overhang(self) -> float:
+        """Time [s] by which stored measurements may lie outside the steps."""
+        return max((self.overhang(table.data) for table in self._tables.values()), default=0.0)
 
     @staticmethod
     def overhang(data: Any) -> float:
@@ -146,7 +146,7 @@ class MeasurementLog:
             table = self._tables.get(kind)
             if table is None:
                 continue
-            time, slack = last_time(table.data), kind_of(table.data).overhang + INSTANT
+            time, slack = last_time(table.data), self.overhang(table.data)
             which = np.flatnonzero((time >= begin - slack) & (time <= end + INSTANT))
             if len(which):
                 rows, number = take(table.data, which), table.number[which]

@@ -27,7 +27,7 @@ from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import FIXES, MOTION
-from pdr_graph.types import INSTANT, Array, Index, Steps
+from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
 END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
@@ -205,8 +205,7 @@ def later_steps(steps: Steps, before: float) -> Steps:
     count = int(np.searchsorted(steps.time, before))
     if not count:
         return steps
-    columns = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-    later = {name: getattr(steps, name)[count:] for name in columns}
+    later = {name: getattr(steps, name)[count:] for name in STEP_COLUMNS}
     return Steps(start=float(steps.time[count - 1]), end=steps.end, final_turn=steps.final_turn, **later)
 
 

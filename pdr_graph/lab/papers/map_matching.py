@@ -18,7 +18,7 @@ from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import courses, row_times, turn_between, unit, wrap_angle
 from pdr_graph.priors import TURNS
-from pdr_graph.types import Array, Index, Mask, OneLineRepr, Steps, Trajectory
+from pdr_graph.types import STEP_COLUMNS, Array, Index, Mask, OneLineRepr, Steps, Trajectory
 
 TURNING = np.radians(10)  # heading change of a step above which the walker is turning: gait sways by up to 7°
 AROUND = 8  # [steps] before and after a turn that determine its links: the length of a zigzag; chosen by hand
@@ -367,9 +367,8 @@ def evidence_end(turn: Turn, steps: Steps) -> int:
 
 def steps_between(steps: Steps, first: int, last: int) -> Steps:
     """The steps [first, last)."""
-    columns = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
     start = steps.start if first == 0 else float(steps.time[first - 1])
-    return replace(steps, start=start, **{name: getattr(steps, name)[first:last] for name in columns})
+    return replace(steps, start=start, **{name: getattr(steps, name)[first:last] for name in STEP_COLUMNS})
 
 
 @dataclass(frozen=True)
