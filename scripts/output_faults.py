@@ -1,6 +1,6 @@
 """Disturb every command in the middle of its work. Its outputs must be the earlier ones or the new ones, never half.
 
-python scripts/output_faults.py [COUNT] [disk-full | small-disk | read-only | interrupted | second] [COMMAND ...]
+python scripts/output_faults.py [COUNT] [disk-full | small-disk | read-only | interrupted | killed | second] [COMMAND ...]
 
 COUNT: moments at which each command is interrupted (20). After each fault: one line of text and no traceback; the files
 that were there are unchanged, or all new ones are in place; nothing unfinished lies about. A lifelog or journal is then
@@ -33,7 +33,8 @@ LONGEST = 600  # [s] of one command, on a busy machine
 WALK = ["walk", "--map", "walk/plan.geojson", "--fixes", "walk/fixes.csv"]
 ROUTE = str(ROOT / "maps/figure_eight.geojson")
 ADD, BUILD = ["lifelog", "add", "days.db", "walk"], ["lifelog", "build", "days.db"]
-EXPORT = ["lifelog", "export", "days.db"]
+EXPORT, CORRECT = ["lifelog", "export", "days.db"], ["lifelog", "correct"]
+HOUR = ["2026-05-01 10:00:30", "2026-05-01 10:01:00"]  # within the simulated walk
 # Name -> commands that come before; the command; what it writes, () for a lifelog
 COMMANDS = {
     "simulate": ([], ["simulate", "arcade", "--out", "out"], ["out"]),
@@ -48,6 +49,8 @@ COMMANDS = {
     "lifelog add": ([], ADD, []),
     "lifelog build": ([ADD], BUILD, []),
     "lifelog build --workers": ([ADD], [*BUILD, "--workers", "2"], []),
+    "lifelog correct": ([ADD, BUILD], [*CORRECT, "not-me", "days.db", *HOUR], []),
+    "lifelog forget": ([ADD, BUILD], [*CORRECT, "forget", "days.db", *HOUR], []),
     "lifelog show": ([ADD, BUILD], ["lifelog", "show", "days.db", "--out", "out"], ["out"]),
     "lifelog export": ([ADD, BUILD], [*EXPORT, "--format", "csv", "--out", "out"], ["out"]),
 }
@@ -104,10 +107,11 @@ def run_well(arguments, folder):
         sys.exit(f"{arguments}: {end.errors}")
 
 
-def start(arguments, folder):
+def start(arguments, folder, **options):
     """Start a command as a program of its own."""
     command = [sys.executable, "-m", "pdr_graph", *arguments]
-    return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=folder, **pipes, **options)
 
 
 def ended(process):
@@ -219,6 +223,32 @@ def interrupted(case, count):
         yield f"{number.name} after {at:.2f} s", end, case.faults(end)
 
 
+def killed(case, count):
+    """SIGKILL of the command and all its processes, at random moments; then the same command again."""
+    random.seed(str(case.command))
+    for _ in range(count):
+        process = start(case.command, case.again(), start_new_session=True)
+        at = random.uniform(0.0, 1.0) * case.seconds
+        time.sleep(at)
+        os.killpg(process.pid, signal.SIGKILL)
+        end = ended(process)
+        faults = [] if case.resumes else [*_half(case)]
+        if not case.resumes:
+            again = run(case.command, case.folder)
+            faults += faults_of(again, case.folder, case.outputs, {})
+        else:
+            faults += case.faults(again := run(case.command, case.folder))
+        yield f"SIGKILL after {at:.2f} s", End(end.code, again.errors), faults
+
+
+def _half(case):
+    """Yield what is neither of before nor of after a command that was killed."""
+    now = contents(case.folder, case.outputs)
+    lost = case.before.keys() - now.keys()
+    if case.before and lost:
+        yield f"lost: {sorted(lost)}"
+
+
 def _handles_signals(process):
     with open(f"/proc/{process}/status") as status:
         [caught] = [int(line.split()[1], 16) for line in status if line.startswith("SigCgt")] or [-1]
@@ -275,6 +305,7 @@ KINDS = {
     "small-disk": small_disk,
     "read-only": read_only,
     "interrupted": interrupted,
+    "killed": killed,
     "second": second,
 }
 
