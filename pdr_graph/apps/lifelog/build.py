@@ -24,7 +24,7 @@ from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_t
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
 from pdr_graph.apps.lifelog.store import ZONE, Entry, Store, StoredDay
-from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, knowing_kinds, pack
+from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, pack
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
@@ -215,10 +215,8 @@ def build(
     with Store(store, thorough=True) as log, fleet(workers, scheduler, time_limit) as crew:
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
-        observe_work, reconstruct_work = (
-            knowing_kinds(partial(observe_all, observe=observe)),
-            knowing_kinds(partial(reconstruct_days, reconstruct=reconstruct)),
-        )
+        observe_work = partial(observe_all, observe=observe)
+        reconstruct_work = partial(reconstruct_days, reconstruct=reconstruct)
         unobserved = _observe(log, crew, observe_work, _outdated_observations(log), progress)
         days = recordings_by_day(log)
         log.begin_build(
