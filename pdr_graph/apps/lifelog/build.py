@@ -179,7 +179,7 @@ def build(
     scheduler: str = "",
     time_limit: float = ITEM_LIMIT,
     progress: Progress = lambda stage, done, total: None,
-    observe: Observe | None = None,
+    observe: Observe = observation.observe,
     reconstruct: Reconstruct | None = None,
 ) -> BuildResult:
     """Bring a lifelog up to date: observe recordings and reconstruct days where an input changed.
@@ -285,10 +285,9 @@ def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTa
                 continue
             [seen] = work((seen.item,))  # reads the file
         elif isinstance(seen, CrashedItem):
-            seen = ObservationResult(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.reason}")
-        found = {name: value for name, value in vars(seen).items() if name not in ("hash", "key")}
-        found = {"refusal": seen.refusal} if seen.refusal else found | {"observation": seen.key}
-        log.put(replace(entries[seen.hash], **found))
+            seen = ObservationResult(seen.item.hash, "", {}, f"{seen.item.path}: {seen.reason}")
+        entry = replace(entries[seen.hash], refusal=seen.refusal, **seen.columns)
+        log.put(entry if seen.refusal else replace(entry, observation=seen.key))
         done += 1
         progress("recordings", done, len(sought))
     return left

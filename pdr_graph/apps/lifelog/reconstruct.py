@@ -16,8 +16,6 @@ from pdr_graph.apps.lifelog.sessions import (
     Session,
     is_located,
     join,
-    join_fixes,
-    join_stated,
     restart_closures,
     sessions_of,
 )
@@ -129,7 +127,7 @@ def estimate_walk(
 
     # The steps of this walker, without rides, on their floors
     steps = profile.corrected(joined.walked) if profile else joined.walked
-    rides = with_stated_rides(detect_rides(steps, fixes), steps, join_stated(session.observations))
+    rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.activities)
     evidence = Evidence(
         walk,
         Walker(profile=profile),
@@ -214,15 +212,15 @@ def reconstruct_outings(
 def _outing_of_positions(session: Session) -> Outing:
     """The outing of a session of positions alone."""
     first = session.parts[0][1]
-    frame, fixes = join_fixes(session.observations)
-    trajectory, segments = follow_positions(fixes, join_stated(session.observations))
+    joined = join(session.observations)
+    trajectory, segments = follow_positions(joined.fixes, joined.activities)
     building = building_of(first.plan) if first.plan else None
     notes = (line for observation in session.observations for line in observation.notes)
     return Outing(
         recordings=session.hashes,
         source=first.source,
         epoch=session.epoch,
-        frame=frame,
+        frame=joined.frame,
         plan=first.plan,
         trajectory=trajectory,
         segments=segments,

@@ -38,12 +38,11 @@ from pdr_graph.apps.lifelog.facts import (
 from pdr_graph.apps.lifelog.local_time import LocalClock
 from pdr_graph.apps.lifelog.observation import (
     DELETED,
+    entry_columns,
     is_usable,
     read_observation,
-    step_count,
     to_bytes,
     without_times,
-    zone_at_start,
 )
 from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
@@ -409,8 +408,7 @@ def _cut(log: Store, entry: Entry, spans: Sequence[tuple[float, float]]) -> bool
         return False
     if cut is not observation:
         cache.write(file, to_bytes(cut))
-        zone = zone_at_start(cut)
-        log.put(replace(entry, epoch=cut.epoch, duration=cut.duration, steps=step_count(cut), zone=zone))
+        log.put(replace(entry, **entry_columns(cut)))
         _delete_copy(log, entry)
     return True
 

@@ -94,25 +94,13 @@ def lonlat_of(point: Array) -> tuple[float, float]:
 @dataclass(frozen=True)
 class _Halt:
     """A time at one place. start, end: Unix times [s]; middle ``(3,)`` on the sphere [m]; sigma: standard deviation per
-    axis of the place [m]; observed: share of the time with data.
+    axis of the place [m].
     """
 
     start: float
     end: float
     middle: Array
     sigma: float
-    observed: float = 1.0
-
-    @property
-    def duration(self) -> float:
-        """Its duration [s]."""
-        return self.end - self.start
-
-    @property
-    def visit(self) -> TimelineEntry:
-        """The stay at the place."""
-        longitude, latitude = lonlat_of(self.middle)
-        return TimelineEntry(STAY, self.start, self.end, latitude=latitude, longitude=longitude, sigma=self.sigma)
 
 
 def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
@@ -127,8 +115,16 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
         else:
             found.append(halt)
     limits = [-np.inf, *(visit.end for visit in found)], [*(visit.start for visit in found), np.inf]
-    found = [_with_edges(visit, track, limits[0][n], limits[1][n + 1]) for n, visit in enumerate(found)]
-    return [halt.visit for halt in _without_overlap(found) if halt.duration >= SHORTEST_VISIT]
+    visits, before = list[TimelineEntry](), -np.inf
+    for n, visit in enumerate(found):
+        start, end = _edges(visit, track, limits[0][n], limits[1][n + 1])
+        start = max(start, before)
+        before = max(end, before)
+        if end - start >= SHORTEST_VISIT:
+            longitude, latitude = lonlat_of(visit.middle)
+            at = {"latitude": latitude, "longitude": longitude, "sigma": visit.sigma}
+            visits.append(TimelineEntry(STAY, start, end, **at))
+    return visits
 
 
 def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
@@ -141,22 +137,17 @@ def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
             sigma = float(np.hypot(np.nan_to_num(entry.sigma), spread))
             yield _Halt(entry.start, entry.end, np.median(points, axis=0), sigma)
         elif entry.kind == GAP:
-            yield from _silence(entry, track)
-
-
-def _silence(gap: TimelineEntry, track: Track) -> Iterator[_Halt]:
-    """The visit of a silence, if its ends are near each other and nobody was on the way between them."""
-    before, after = track.between(-np.inf, gap.start).stop - 1, track.between(gap.end, np.inf).start
-    if before < 0 or after >= len(track.time) or track.plan[[before, after]].any():
-        return
-    ends, lasted = track.sphere[[before, after]], gap.end - gap.start
-    if max(gap.start - track.time[before], track.time[after] - gap.end) > SHORTEST_VISIT:
-        return  # something without positions was between
-    apart = float(np.linalg.norm(ends[1] - ends[0]))
-    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
-    # silent speed [m/s] between its ends at most: faster, and the person was on the way
-    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_BRIDGED:
-        yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA), 0.0)
+            before, after = track.between(-np.inf, entry.start).stop - 1, track.between(entry.end, np.inf).start
+            if before < 0 or after >= len(track.time) or track.plan[[before, after]].any():
+                continue
+            if max(entry.start - track.time[before], track.time[after] - entry.end) > SHORTEST_VISIT:
+                continue  # something without positions was between
+            ends = track.sphere[[before, after]]
+            apart = float(np.linalg.norm(ends[1] - ends[0]))
+            # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+            # silent speed [m/s] between its ends at most: faster, and the person was on the way
+            if apart <= min(300.0, 0.25 * entry.duration) and entry.duration <= LONGEST_BRIDGED:
+                yield _Halt(entry.start, entry.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA))
 
 
 def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
@@ -166,50 +157,31 @@ def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
     between = track.between(visit.end, halt.start)
     if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_BRIDGED:
         return False
-    off = np.linalg.norm(track.sphere[between] - visit.middle, axis=1)
-    farthest = off.max(initial=0.0)
+    farthest = np.linalg.norm(track.sphere[between] - visit.middle, axis=1).max(initial=0.0)
     # longest excursion [s] beyond VISIT_RADIUS that is still part of a visit: mostly an error of the receiver
     return bool(farthest <= VISIT_RADIUS or (farthest <= 2 * VISIT_RADIUS and halt.start - visit.end <= 180.0))
 
 
 def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     """One visit of two, with the mean place by time and certainty."""
-    weight = [v.duration / (HALT_SIGMA**2 + v.sigma**2) for v in (visit, halt)]
+    weight = [(v.end - v.start) / (HALT_SIGMA**2 + v.sigma**2) for v in (visit, halt)]
     share = weight[1] / (weight[0] + weight[1]) if weight[0] + weight[1] else 0.5
     middle = (1 - share) * visit.middle + share * halt.middle
     apart = np.linalg.norm(halt.middle - visit.middle) / 2
     variance = (1 - share) * visit.sigma**2 + share * halt.sigma**2 + share * (1 - share) * apart**2
-    silent = sum((1 - v.observed) * v.duration for v in (visit, halt))
-    observed = 1 - silent / max(halt.end - visit.start, 1e-9)
-    return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)), float(observed))
+    return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)))
 
 
-def _with_edges(visit: _Halt, track: Track, earliest: float, latest: float) -> _Halt:
-    """The visit with the walking within EDGE_RADIUS just before and after it; earliest, latest: limits [s]."""
-    first, last = track.between(visit.start, visit.end).start, track.between(visit.start, visit.end).stop - 1
-    start, end = visit.start, visit.end
-    while first > 0 and _is_at(visit, track, first - 1) and track.time[first - 1] > earliest:
-        first -= 1
-        start = float(track.time[first])
-    while last + 1 < len(track.time) and _is_at(visit, track, last + 1) and track.time[last + 1] < latest:
-        last += 1
-        end = float(track.time[last])
-    silent = (1 - visit.observed) * visit.duration
-    return replace(visit, start=start, end=end, observed=1 - silent / max(end - start, 1e-9))
-
-
-def _is_at(visit: _Halt, track: Track, row: int) -> bool:
-    off = track.sphere[row] - visit.middle
-    return not track.plan[row] and bool(off @ off <= EDGE_RADIUS**2)
-
-
-def _without_overlap(visits: Sequence[_Halt]) -> list[_Halt]:
-    """The visits; one that begins before the end of the last begins there."""
-    found: list[_Halt] = []
-    for visit in visits:
-        start = max(visit.start, found[-1].end) if found else visit.start
-        found += [replace(visit, start=start)] if visit.end > start else []
-    return found
+def _edges(visit: _Halt, track: Track, earliest: float, latest: float) -> tuple[float, float]:
+    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits."""
+    rows = track.between(visit.start, visit.end)
+    low = min(int(np.searchsorted(track.time, earliest, side="right")), rows.start)
+    high = max(int(np.searchsorted(track.time, latest)), rows.stop)
+    away = track.plan[low:high] | (((track.sphere[low:high] - visit.middle) ** 2).sum(axis=1) > EDGE_RADIUS**2)
+    first = low + int(np.flatnonzero(np.append(True, away[: rows.start - low]))[-1])
+    last = rows.stop - 1 + int(np.flatnonzero(np.append(away[rows.stop - low :], True))[0])
+    start = float(track.time[first]) if first < rows.start else visit.start
+    return start, float(track.time[last]) if last >= rows.stop else visit.end
 
 
 # Chosen by hand
