@@ -1,6 +1,6 @@
 """Places: what was visited, with visits, a name, and the hours at which somebody usually comes and leaves.
 
-Visits within PLACE_RADIUS of one another are at one place: leader clustering, the most certain visits first, each place
+Visits within VISIT_RADIUS of one another are at one place: leader clustering, the most certain visits first, each place
 at the weighted mean of its visits. A name is what the person or a floor plan says; nothing is guessed.
 
 A stay that continues after midnight is one visit. The start of a stay counts as an arrival only if it was observed: not
@@ -24,7 +24,6 @@ from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, 
 from pdr_graph.errors import count
 from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
 
-PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
 WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 EVERY_DAY = "every day"  # instead of a weekday
@@ -142,7 +141,7 @@ class _Cluster:
         if name or self.name:
             # widest place [m] between visits of one name on a plan
             return float(np.nan_to_num(far)) if self.name == name and not far > 500.0 else None
-        return far if far <= PLACE_RADIUS + min(sigma, PLACE_RADIUS) else None
+        return far if far <= VISIT_RADIUS + min(sigma, VISIT_RADIUS) else None
 
     def place(self, number: int, named: Sequence[NamedArea]) -> Place:
         """The place of the visits, with the name of the nearest area that it is in; the last name given counts."""

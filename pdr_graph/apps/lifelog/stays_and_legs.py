@@ -45,21 +45,23 @@ class Track:
     def of(cls, outings: Sequence[Outing]) -> Track:
         """Construct from outings; those that are not georeferenced are left out."""
         parts = [(outing, without_gap_rows(outing)) for outing in outings if outing.frame.georeferenced]
-        parts = [(outing, rows) for outing, rows in parts if len(rows)]
-        time = np.concatenate([np.empty(0), *(rows.time + outing.epoch for outing, rows in parts)])
-        lonlat = np.concatenate([np.empty((0, 2)), *(o.frame.to_lonlat(rows.position) for o, rows in parts)])
-        plan = np.repeat([bool(o.plan) for o, _ in parts], [len(rows) for _, rows in parts]).astype(bool)
-        return cls._of_columns(time, lonlat, plan)
+        columns = [
+            (rows.time + outing.epoch, outing.frame.to_lonlat(rows.position), np.full(len(rows), bool(outing.plan)))
+            for outing, rows in parts
+            if len(rows)
+        ]
+        return cls._of_columns(columns)
 
     @classmethod
     def concatenate(cls, tracks: Sequence[Track]) -> Track:
         """One track of several."""
-        time = np.concatenate([np.empty(0), *(track.time for track in tracks)])
-        lonlat = np.concatenate([np.empty((0, 2)), *(track.lonlat for track in tracks)])
-        return cls._of_columns(time, lonlat, np.concatenate([np.empty(0, bool), *(track.plan for track in tracks)]))
+        return cls._of_columns([(track.time, track.lonlat, track.plan) for track in tracks])
 
     @classmethod
-    def _of_columns(cls, time: Array, lonlat: Array, plan: Mask) -> Track:
+    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask]]) -> Track:
+        """The track of parts with columns time, lonlat and plan, in any order."""
+        nothing = np.empty(0), np.empty((0, 2)), np.empty(0, bool)
+        time, lonlat, plan = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
         moved = np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1)
@@ -197,33 +199,28 @@ def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], trac
     """
     begins = [visit.start for visit in visits]
     bounds = sorted({time for visit in visits for time in (visit.start, visit.end)})
-    pieces = [piece for entry in fine for piece in cut(entry, bounds, track)]
+    on_plan, on_the_way = -2, -1
+
+    def group_of(piece: TimelineEntry) -> int:
+        """Number of the visit of a piece; on_plan for one that remains as it is, on_the_way between visits."""
+        middle = (piece.start + piece.end) / 2
+        n = bisect_right(begins, middle) - 1
+        if n >= 0 and middle < visits[n].end:
+            return n
+        seen = track.plan[track.between(piece.start, piece.end)]
+        return on_plan if piece.kind != GAP and (not len(seen) or seen.any()) else on_the_way
+
     rows: list[TimelineEntry] = []
-    for group, own in groupby(pieces, key=lambda piece: _group(piece, visits, begins, track)):
-        if group == _ON_PLAN:
-            rows += own
-        elif group >= 0:
-            rows.append(_with_parts(visits[group], tuple(own)))
+    for group, own in groupby((piece for entry in fine for piece in cut(entry, bounds, track)), key=group_of):
+        parts = tuple(own)
+        if group == on_plan:
+            rows += parts
+        elif group == on_the_way:
+            rows += _legs(parts, track)
         else:
-            rows += _legs(list(own), track)
+            floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
+            rows.append(replace(visits[group], floor=floor, observed=_observed(parts), parts=parts))
     return rows
-
-
-_ON_PLAN, _ON_THE_WAY = -2, -1
-
-
-def _group(piece: TimelineEntry, visits: Sequence[TimelineEntry], begins: Sequence[float], track: Track) -> int:
-    """Number of the visit of a piece; _ON_PLAN for one that remains as it is, _ON_THE_WAY between visits.
-
-    begins: starts of the visits [s].
-    """
-    middle = (piece.start + piece.end) / 2
-    n = bisect_right(begins, middle) - 1
-    if n >= 0 and middle < visits[n].end:
-        return n
-    rows = track.between(piece.start, piece.end)
-    seen = track.plan[rows]
-    return _ON_PLAN if piece.kind != GAP and (not len(seen) or seen.any()) else _ON_THE_WAY
 
 
 def cut(entry: TimelineEntry, times: Sequence[float], track: Track) -> list[TimelineEntry]:
@@ -243,41 +240,41 @@ def cut(entry: TimelineEntry, times: Sequence[float], track: Track) -> list[Time
         own = tuple(part for part in parts if start <= part.start and part.end <= end)
         piece = replace(entry, start=start, end=end, distance=of * entry.distance, parts=own)
         if own:
-            piece = replace(piece, distance=_distance(own) if entry.distance else 0.0, observed=_observed(own))
+            distance = float(sum(part.distance for part in own)) if entry.distance else 0.0
+            piece = replace(piece, distance=distance, observed=_observed(own))
         found.append(piece)
     return found
 
 
-def _with_parts(visit: TimelineEntry, parts: tuple[TimelineEntry, ...]) -> TimelineEntry:
-    """The row of a visit."""
-    floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
-    return replace(visit, floor=floor, observed=_observed(parts), parts=parts)
-
-
 def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEntry]:
-    """The walks, rides and long silences between two visits."""
+    """The walks, rides and long silences between two visits, as a row each.
+
+    A piece that makes no leg by itself belongs to the leg before it if that is a walk or a ride, else to the one after.
+    """
     longest = max((p.duration for p in pieces if p.kind in MOVING), default=0.0)
     kinds = [_leg_kind(piece, longest, track) for piece in pieces]
-    if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # nobody saw how the person went
-        kinds = [_kind_at_speed(pieces, track)] * len(pieces)
-    kinds = [
-        kind or _kind_beside(kinds, n) or piece.kind for n, (kind, piece) in enumerate(zip(kinds, pieces, strict=True))
-    ]
-    for kind, own in groupby(zip(kinds, pieces, strict=True), key=lambda pair: pair[0]):
-        yield _leg(kind, [piece for _, piece in own], track)
-
-
-def _kind_beside(kinds: Sequence[str], n: int) -> str:
-    """Kind of the leg before the nth piece if it is a walk or a ride, else of the one after it; "" without any leg."""
-    before = next((kind for kind in reversed(kinds[:n]) if kind), "")
-    after = next((kind for kind in kinds[n + 1 :] if kind), "")
-    return next((kind for kind in (before, after) if kind in MOVING), before or after)
-
-
-def _kind_at_speed(gaps: Sequence[TimelineEntry], track: Track) -> str:
-    """Kind of a way without data, by the straight line between its ends."""
-    start, end = gaps[0].start, gaps[-1].end
-    return VEHICLE if track.length(start, end) > FASTEST_WALKING_LEG * (end - start) else WALKING
+    if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # by speed: nobody saw how the person went
+        start, end = pieces[0].start, pieces[-1].end
+        fast = track.length(start, end) > FASTEST_WALKING_LEG * (end - start)
+        kinds = [VEHICLE if fast else WALKING] * len(pieces)
+    named = list[tuple[str, TimelineEntry]]()
+    for n, piece in enumerate(pieces):
+        beside = [next(filter(None, side), "") for side in (reversed(kinds[:n]), kinds[n + 1 :])]
+        moving = [kind for kind in beside if kind in MOVING]
+        named.append((next(filter(None, (kinds[n], *moving, *beside)), piece.kind), piece))
+    for kind, own in groupby(named, key=lambda pair: pair[0]):
+        parts = [piece for _, piece in own]
+        if len(parts) == 1 and parts[0].kind == kind:
+            yield parts[0]
+            continue
+        start, end, distance, observed = parts[0].start, parts[-1].end, 0.0, 1.0
+        if kind != GAP:  # a short silence counts with the straight line between its ends
+            for n, part in enumerate(parts):
+                if part.kind == GAP:
+                    length = track.length(part.start, part.end)
+                    parts[n] = replace(part, kind=kind, distance=length, observed=0.0)
+            distance, observed = float(sum(part.distance for part in parts)), _observed(parts)
+        yield TimelineEntry(kind, start, end, distance, observed=observed, parts=tuple(parts))
 
 
 def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
@@ -290,26 +287,6 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
         return piece.kind if lasted >= min(120.0, longest) else ""
     return GAP if piece.kind == GAP and lasted >= SHORTEST_SILENCE else ""
-
-
-def _leg(kind: str, pieces: Sequence[TimelineEntry], track: Track) -> TimelineEntry:
-    """One row of consecutive pieces; a short silence counts with the straight line between its ends."""
-    if len(pieces) == 1 and pieces[0].kind == kind:
-        return pieces[0]
-    parts = tuple(_bridged(piece, kind, track) if piece.kind == GAP and kind != GAP else piece for piece in pieces)
-    distance = 0.0 if kind == GAP else _distance(parts)
-    return TimelineEntry(
-        kind, pieces[0].start, pieces[-1].end, distance, observed=_observed(parts) if kind != GAP else 1.0, parts=parts
-    )
-
-
-def _bridged(gap: TimelineEntry, kind: str, track: Track) -> TimelineEntry:
-    """A short silence as a part of a leg, without data."""
-    return replace(gap, kind=kind, distance=track.length(gap.start, gap.end), observed=0.0)
-
-
-def _distance(parts: Sequence[TimelineEntry]) -> float:
-    return float(sum(part.distance for part in parts))
 
 
 def _observed(parts: Sequence[TimelineEntry]) -> float:
