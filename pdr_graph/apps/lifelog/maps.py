@@ -394,8 +394,10 @@ def _panel(
     for before, after in pairwise(tracks):  # a gap has the last row of one track and the first row of the other
         ends, labels = (before[-1], after[0]), (before.floor[-1], after.floor[0])
         shared = labels[0] if labels[0] == labels[1] else ""
-        columns = (np.concatenate([getattr(e, name) for e in ends]) for name in ("time", "position", "heading"))
-        drawn += [DrawnPart(GAP, shared, Trajectory(*columns, labels))] if floor in ("", shared) else []
+        time, position, heading = (
+            np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading")
+        )
+        drawn += [DrawnPart(GAP, shared, Trajectory(time, position, heading, labels))] if floor in ("", shared) else []
     points = [d.track.position for d in drawn if tails == 0.0 or d.kind != GAP]
     ends = [np.quantile(np.concatenate(points), [tails, 1 - tails], axis=0)] if points else []
     content = np.concatenate([np.array([dot.position for dot in dots]).reshape(-1, 2), *ends])

@@ -427,7 +427,8 @@ def without_times(observation: Observation, spans: Sequence[Span], note: str) ->
         return None
     if cut.frame.kind == "enu" and len(cut.fixes) < len(observation.fixes):
         # A frame about the first position that is left, since the old one is about the first of all
-        placed = [table.position for table in (cut.fixes, cut.beacons, *cut.measurements) if hasattr(table, "position")]
+        tables: tuple[Any, ...] = (cut.fixes, cut.beacons, *cut.measurements)
+        placed = [table.position for table in tables if hasattr(table, "position")]
         first = next((p[finite][:1] for p in placed if (finite := np.isfinite(p).all(axis=1)).any()), None)
         if first is None:
             cut = replace(cut, frame=Frame())

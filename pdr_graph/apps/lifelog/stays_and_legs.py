@@ -124,8 +124,8 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
         before = max(end, before)
         if end - start >= SHORTEST_VISIT:
             longitude, latitude = lonlat_of(visit.middle)
-            at = {"latitude": latitude, "longitude": longitude, "sigma": visit.sigma}
-            visits.append(TimelineEntry(STAY, start, end, **at))
+            place = TimelineEntry(STAY, start, end, latitude=latitude, longitude=longitude, sigma=visit.sigma)
+            visits.append(place)
     return visits
 
 
