@@ -106,8 +106,8 @@ def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: f
         return part
     free = steps.is_gap & (steps.time > correction.start - part.epoch)
     free &= steps.time - steps.duration < correction.end - part.epoch
-    sigma = np.where(free, np.maximum(steps.sigma_length, away), steps.sigma_length)
-    return replace(part, steps=replace(steps, sigma_length=sigma), looks=looks)
+    sigma_length = np.where(free, np.maximum(steps.sigma_length, away), steps.sigma_length)
+    return replace(part, steps=replace(steps, sigma_length=sigma_length), looks=looks)
 
 
 def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Correction]) -> tuple[TimelineEntry, ...]:
