@@ -8,7 +8,6 @@ import time as clock
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from threading import get_ident
 
 import numpy as np
 
@@ -108,8 +107,7 @@ def dying_or_hanging(person, date, observations, profile):
     if (person, date) == ("person1", "2024-05-02"):
         os._exit(11)
     if (person, date) == ("person2", "2024-05-02"):
-        workers._deadlines[get_ident()] -= LIMIT - 0.5
-        workers._set_timer()
+        workers._set_deadline(0.5)
         clock.sleep(3600)
     return reconstruct(person, date, observations, profile)
 

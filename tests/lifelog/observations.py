@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 from walks import drawn_from_the_model
 
+from pdr_graph.apps.lifelog import multi_day
+from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.observation import Ends, Observation
+from pdr_graph.apps.lifelog.reconstruct import as_outings, reconstruct_outings
 from pdr_graph.frames import Frame, enu
 from pdr_graph.types import Fixes, Headings, Steps
 
@@ -66,3 +69,14 @@ def moved_to(fixes, truth, place, heading):
         replace(fixes, position=(fixes.position - centre) @ R + place),
         replace(truth, position=(truth.position - centre) @ R + place, heading=truth.heading + turn),
     )
+
+
+def estimated_together(people, phones) -> list[Day]:
+    """Days of one recording each, by (person, observation): walks that closures connect are in one graph."""
+    made = [reconstruct_outings({person: one}, None) for person, one in people]
+    outings = [list(own) for own, _ in made]
+    for walks in multi_day.walks_by_area(own for own, _ in made):
+        for at, walk in multi_day.bound_walks(walks, lambda day: made[day][0], [who for who, _ in people], phones):
+            outings[at.day][at.outing] = walk
+    ends = zip(people, outings, made, strict=True)
+    return [Day(person, "2023-11-14", as_outings(own), profile) for (person, _), own, (_, profile) in ends]

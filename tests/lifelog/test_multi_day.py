@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observations import NOON, observation, walk
+from observations import NOON, estimated_together, observation, walk
 
-from pdr_graph.apps.lifelog.multi_day import PersonDay, reconstruct_together
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.types import Sightings
 
@@ -27,10 +26,6 @@ def side_by_side(seed=3, n=240):
     return anna, ben, truth
 
 
-def days(*people):
-    return [PersonDay(name, "2023-11-14", {name: one}, None) for name, one in people]
-
-
 def error(day, truth):
     track = day.outings[0].trajectory
     return np.median(np.hypot(*(track.position - truth.position).T))
@@ -40,7 +35,7 @@ def test_encounters_locate_a_walk():
     """Ben has a fix at his start and no compass; each encounter is good to a few metres."""
     anna, ben, truth = side_by_side()
     alone = reconstruct("ben", "2023-11-14", {"ben": ben}, None)
-    of_anna, of_ben = reconstruct_together(days(("anna", anna), ("ben", ben)), PHONES)
+    of_anna, of_ben = estimated_together([("anna", anna), ("ben", ben)], PHONES)
     assert error(of_ben, truth) < 0.3 * error(alone, truth)
     assert error(of_ben, truth) < 3.0
     assert error(of_anna, truth) < 2.0
@@ -48,7 +43,7 @@ def test_encounters_locate_a_walk():
 
 def test_a_day_without_encounters_is_unchanged():
     anna, ben, _ = side_by_side()
-    made = reconstruct_together(days(("anna", anna), ("ben", ben)), {})
+    made = estimated_together([("anna", anna), ("ben", ben)], {})
     for day, (name, one) in zip(made, (("anna", anna), ("ben", ben)), strict=True):
         alone = reconstruct(name, "2023-11-14", {name: one}, None)
         assert np.array_equal(day.outings[0].trajectory.position, alone.outings[0].trajectory.position)
@@ -58,7 +53,7 @@ def test_a_day_without_encounters_is_unchanged():
 def test_receptions_on_another_day_are_no_encounter():
     anna, ben, _ = side_by_side()
     later = replace(ben, epoch=NOON + 86400)
-    made = reconstruct_together(days(("anna", anna), ("ben", later)), PHONES)
+    made = estimated_together([("anna", anna), ("ben", later)], PHONES)
     alone = reconstruct("ben", "2023-11-14", {"ben": later}, None)
     assert np.array_equal(made[1].outings[0].trajectory.position, alone.outings[0].trajectory.position)
 
@@ -66,7 +61,7 @@ def test_receptions_on_another_day_are_no_encounter():
 def test_the_order_of_people_does_not_matter():
     """To 30 cm: the segments of calibration begin elsewhere."""
     anna, ben, _ = side_by_side()
-    forth = reconstruct_together(days(("anna", anna), ("ben", ben)), PHONES)
-    back = reconstruct_together(days(("ben", ben), ("anna", anna)), PHONES)[::-1]
+    forth = estimated_together([("anna", anna), ("ben", ben)], PHONES)
+    back = estimated_together([("ben", ben), ("anna", anna)], PHONES)[::-1]
     for one, other in zip(forth, back, strict=True):
         assert one.outings[0].trajectory.position == pytest.approx(other.outings[0].trajectory.position, abs=0.3)

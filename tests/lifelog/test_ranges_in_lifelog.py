@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from observations import HERE, NOON, observation, positions, walk
+from observations import HERE, NOON, estimated_together, observation, positions, walk
 
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.ingest import add
-from pdr_graph.apps.lifelog.multi_day import PersonDay, reconstruct_together
 from pdr_graph.apps.lifelog.observation import read_observation
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.apps.lifelog.sessions import join
@@ -189,7 +188,6 @@ def test_ranges_are_used_when_walks_are_estimated_together():
     anna, truth = with_ranges(240, 3)
     anna = replace(anna, bluetooth=heard(np.arange(5.0, anna.duration, 20.0)))
     ben = observation(anna.steps, Fixes(np.zeros(1), truth.position[:1], np.array([3.0])))
-    days = [PersonDay(name, "2023-11-14", {name: one}, None) for name, one in (("anna", anna), ("ben", ben))]
-    of_anna, of_ben = reconstruct_together(days, PHONES)
+    of_anna, of_ben = estimated_together([("anna", anna), ("ben", ben)], PHONES)
     assert error(of_anna.outings[0].trajectory, truth) < 0.3
     assert error(of_ben.outings[0].trajectory, truth) < 3.0

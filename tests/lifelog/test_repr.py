@@ -8,7 +8,6 @@ from made_days import MIDNIGHT, overview_of
 
 from pdr_graph.apps.lifelog.day import Day, Outing, Segment, Stay
 from pdr_graph.apps.lifelog.maps import panels
-from pdr_graph.apps.lifelog.multi_day import PersonDay
 from pdr_graph.apps.lifelog.observation import Ends, Observation
 from pdr_graph.apps.lifelog.privacy import HiddenRows, private_places
 from pdr_graph.apps.lifelog.sessions import Session
@@ -47,7 +46,6 @@ def test_the_data_types_of_a_lifelog_have_a_repr_of_one_line():
     assert repr(session) == "Session(1 recording, 9.0 s)"
     assert repr(entry) == "Entry('me', walk.txt, floor, 9.0 s)"
     assert repr(StoredDay("a" * 64, ("b" * 64,), None)) == "StoredDay(aaaaaaaa, 1 recording)"
-    assert repr(PersonDay("me", day.date, {"a": observation}, None)) == "PersonDay('me', 2024-05-01, 1 recording)"
     [entry] = timeline(day)[:1]
     [place] = private_places(["48.1,11.6,50"], [], b"secret")
     assert repr(place) == "PrivatePlace('48.1,11.6,50', radius 50 m)"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from observations import NOON, walk
+from observations import NOON, estimated_together, walk
 
 from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.apps.lifelog.multi_day import (
@@ -13,10 +13,8 @@ from pdr_graph.apps.lifelog.multi_day import (
     MAX_CONTEXT_STEPS,
     MAX_STEPS,
     MAX_WALKS,
-    PersonDay,
     WalkPlace,
     blocks,
-    reconstruct_together,
 )
 from pdr_graph.estimation.fingerprinting import _alike
 from pdr_graph.priors import SCANS
@@ -101,11 +99,11 @@ def errors(made, truths):
 def test_walks_in_blocks_are_bound_to_the_blocks_before(monkeypatch):
     """Blocks this small cost accuracy: 4.6 m in one graph, 9 m in blocks of four, 31 m each by itself."""
     walks = [scanned(seed) for seed in range(12)]
-    days = [PersonDay("me", f"2023-11-{14 + n}", {str(n): one}, None) for n, (one, _) in enumerate(walks)]
+    days = [("me", one) for one, _ in walks]
     truths = [truth for _, truth in walks]
     monkeypatch.setattr(multi_day, "MAX_WALKS", 4)
     monkeypatch.setattr(multi_day, "CONTEXT", 3)
-    parted = errors(reconstruct_together(days, {}), truths)
+    parted = errors(estimated_together(days, {}), truths)
     monkeypatch.setattr(multi_day, "bound_walks", lambda *_: ())
-    alone = errors(reconstruct_together(days, {}), truths)
+    alone = errors(estimated_together(days, {}), truths)
     assert np.mean(parted) < 0.5 * np.mean(alone)

@@ -200,7 +200,7 @@ def hurry(monkeypatch):
         return now + 99 * (now - began[0]) if began else now
 
     monkeypatch.setattr(workers, "monotonic", clock)
-    monkeypatch.setattr(workers.StallWatch, "PERIOD", 0.05)
+    monkeypatch.setattr(workers, "LOOK_PERIOD", 0.05)
     return lambda: began.append(monotonic())
 
 
@@ -244,7 +244,6 @@ def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
     def progress(stage, done, of):
         if stage == "days" and done >= 2 and not waiting.over():
             os.kill(processes[which].pid, ending)
-            monkeypatch.setattr(workers, "ASK_PERIOD", 0.1)
             monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.5)
             hurry()
             waiting.end()

@@ -16,7 +16,7 @@ from datetime import datetime
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pdr_graph.apps.lifelog import cache, observation
 from pdr_graph.apps.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
@@ -24,7 +24,7 @@ from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_t
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
 from pdr_graph.apps.lifelog.store import ZONE, Entry, Store, StoredDay
-from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, knowing_kinds, pack
+from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, pack
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
@@ -99,7 +99,7 @@ def reconstruct_days(chains: Sequence[DayChain], reconstruct: Reconstruct | None
     """
     for chain in chains:
         while chain.days:
-            day, chain = _existing_result(chain) or _reconstruct_first(chain, reconstruct)
+            day, chain = _existing_day(chain) or _reconstructed_day(chain, reconstruct)
             yield day
 
 
@@ -110,47 +110,34 @@ def outdated_part(chain: DayChain) -> DayChain:
     return chain
 
 
-def finished_days(chain: DayChain) -> tuple[list[DayResult], DayChain]:
-    """Results of the first days of a chain that are up to date or in files; and the chain after them."""
-    days: list[DayResult] = []
-    while chain.days and (ready := _existing_result(chain)) is not None:
-        day, chain = ready
-        days.append(day)
-    return days, chain
-
-
-def skip_crashed(chain: DayChain, reason: str) -> tuple[list[DayResult], DayChain]:
-    """Results of a chain whose process crashed, up to the day that crashed it; and the chain after that day."""
-    days, chain = finished_days(chain)
-    if chain.days:
-        days.append(DayResult(chain.person, chain.days[0].date, failure=reason))
-        chain = chain.after(chain.profile)
-    return days, chain
-
-
-def read_rows(file: Path) -> Rows | None:
-    """Read the rows of a day from its file; None if it is missing or damaged."""
-    return cache.read(file, lambda blob: decode(blob, DayRows).tables)
-
-
-def _existing_result(chain: DayChain) -> tuple[DayResult, DayChain] | None:
-    """Result of the first day and the chain after it, if the day is up to date; else None."""
-    rest = outdated_part(replace(chain, days=chain.days[:1]))
+def _existing_day(chain: DayChain) -> tuple[DayResult, DayChain] | None:
+    """Result of the first day and the chain after it, if the day is up to date in the store or in its file."""
+    first = chain.days[0]
+    rest = outdated_part(replace(chain, days=(first,)))
     if not rest.days:
-        return DayResult(chain.person, chain.days[0].date), chain.after(rest.profile)
-    rows = read_rows(chain.file)
+        return DayResult(chain.person, first.date), chain.after(rest.profile)
+    rows = _read_rows(chain.file)
     return None if rows is None else _result(chain, rows)
 
 
-def _reconstruct_first(chain: DayChain, reconstruct: Reconstruct | None) -> tuple[DayResult, DayChain]:
+def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> tuple[DayResult, DayChain]:
     """Reconstruct the first day and write its rows; returns its result and the chain after it."""
-    recordings = [name for name, _ in chain.days[0].recordings]
+    first = chain.days[0]
     try:
-        rows = rows_of(_reconstructed_day(chain, reconstruct), chain.key, recordings)
+        cache.check_version(chain.version)
+        if reconstruct is None:
+            from pdr_graph.apps.lifelog.reconstruct import reconstruct  # imports all of estimation, which is slow
+        observations = observation.read_observations(Path(chain.folder), first.recordings)
+        if first.corrections:
+            from pdr_graph.apps.lifelog.corrections import apply_to_observations
+
+            observations = apply_to_observations(observations, first.corrections)
+        day = reconstruct(chain.person, first.date, observations, chain.profile)
+        rows = rows_of(day, chain.key, [name for name, _ in first.recordings])
         blob = encode(DayRows(rows))
     except Exception as error:  # a failure of one day must not stop the others
         failure = observation.error_text(error)
-        return DayResult(chain.person, chain.days[0].date, failure=failure), chain.after(chain.profile)
+        return DayResult(chain.person, first.date, failure=failure), chain.after(chain.profile)
     cache.write(chain.file, blob)
     return _result(chain, rows)
 
@@ -161,17 +148,9 @@ def _result(chain: DayChain, rows: Rows) -> tuple[DayResult, DayChain]:
     return DayResult(chain.person, chain.days[0].date, str(chain.file)), chain.after(profile)
 
 
-def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> Day:
-    """Reconstruct the first day. Raises InputError if an observation is missing or the worker has another version."""
-    cache.check_version(chain.version)
-    if reconstruct is None:
-        from pdr_graph.apps.lifelog.reconstruct import reconstruct  # imports all of estimation, which is slow
-    observations = observation.read_observations(Path(chain.folder), chain.days[0].recordings)
-    if chain.days[0].corrections:
-        from pdr_graph.apps.lifelog.corrections import apply_to_observations
-
-        observations = apply_to_observations(observations, chain.days[0].corrections)
-    return reconstruct(chain.person, chain.days[0].date, observations, chain.profile)
+def _read_rows(file: Path) -> Rows | None:
+    """Read the rows of a day from its file; None if it is missing or damaged."""
+    return cache.read(file, lambda blob: decode(blob, DayRows).tables)
 
 
 PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # whose versions are stored with a build
@@ -200,7 +179,7 @@ def build(
     scheduler: str = "",
     time_limit: float = ITEM_LIMIT,
     progress: Progress = lambda stage, done, total: None,
-    observe: Observe | None = None,
+    observe: Observe = observation.observe,
     reconstruct: Reconstruct | None = None,
 ) -> BuildResult:
     """Bring a lifelog up to date: observe recordings and reconstruct days where an input changed.
@@ -215,90 +194,82 @@ def build(
     with Store(store, thorough=True) as log, fleet(workers, scheduler, time_limit) as crew:
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
-        observe_work, reconstruct_work = (
-            knowing_kinds(partial(observe_all, observe=observe)),
-            knowing_kinds(partial(reconstruct_days, reconstruct=reconstruct)),
-        )
-        unobserved = _observe(log, crew, observe_work, _outdated_observations(log), progress)
+        observe_work = partial(observe_all, observe=observe)
+        reconstruct_work = partial(reconstruct_days, reconstruct=reconstruct)
+
+        # Recordings whose observation is missing or out of date
+        sought = list[ObservationTask]()
+        for entry, found in _tasks_of(log, log.entries()):
+            if isinstance(found, ObservationTask) and found.key != entry.observation:
+                sought.append(found)
+            elif entry.refusal != (refusal := found if isinstance(found, str) else ""):
+                log.put(replace(entry, refusal=refusal))
+        unobserved = _observe(log, crew, observe_work, sought, progress)
+
+        # Days that are out of date, for which observations may be needed again whose files are missing
         days = recordings_by_day(log)
         log.begin_build(
             [own for own, built in log.days().items() if not set(built.recordings) <= set(days.get(own, ()))]
         )
         chains = [chain for whole in day_chains(log, days) if (chain := outdated_part(whole)).days]
-        unobserved += _observe(log, crew, observe_work, _missing_observations(log, chains), progress)
+        keys = {key for chain in chains for day in chain.days for _, key in day.recordings}
+        gone = {key for key in keys if not (log.folder / cache.OBSERVATIONS / key).exists()}
+        entries = [entry for entry in log.entries() if entry.observation in gone]
+        again = [task for _, task in _tasks_of(log, entries) if isinstance(task, ObservationTask) and task.key in gone]
+        unobserved += _observe(log, crew, observe_work, again, progress)
         built, unbuilt = _reconstruct(log, crew, reconstruct_work, chains, progress)
         if built:
             log.put_versions({name: version(name) for name in PACKAGES} | {"python": platform.python_version()})
-        _remove_unused_files(log)
+
+        # Files that nothing refers to, and temporary files of processes that were killed
+        cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
+        cache.remove_all_but(log.folder / cache.DAYS, set())
+        cache.remove_partial_copies(log.folder / cache.COPIES)
         failures = tuple(f"{person}, {date}: {reason}" for person, date, reason in log.failures())
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)
     up_to_date = len(days) - built - len(failures) - len(unbuilt)
     return BuildResult(built, up_to_date, failures, refusals, unfinished_lines(crew.lost, unobserved, unbuilt))
 
 
-def _outdated_observations(log: Store) -> list[ObservationTask]:
-    """Tasks for recordings whose observation is missing or out of date; refusals are stored."""
-    sought: list[ObservationTask] = []
-    for entry, found in _tasks_of(log, log.entries()):
-        if isinstance(found, str):
-            log.put(replace(entry, refusal=found))
-        elif found.key != entry.observation:
-            sought.append(found)
-        elif entry.refusal:
-            log.put(replace(entry, refusal=""))
-    return sought
-
-
-def _missing_observations(log: Store, chains: Sequence[DayChain]) -> list[ObservationTask]:
-    """Tasks for recordings of out-of-date days whose observation files are missing."""
-    keys = {key for chain in chains for day in chain.days for _, key in day.recordings}
-    gone = {key for key in keys if not (log.folder / cache.OBSERVATIONS / key).exists()}
-    entries = [entry for entry in log.entries() if entry.observation in gone]
-    return [found for _, found in _tasks_of(log, entries) if isinstance(found, ObservationTask) and found.key in gone]
-
-
 def _tasks_of(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
-    """Each recording with its task, or with the reason why it has none."""
+    """Each recording with its task, or with the reason why it has none.
+
+    The key of a task covers the content of every file that is read.
+    """
     hashes = {"plan": lru_cache(None)(observation.plan_hash), "": lru_cache(None)(fingerprint)}  # each file once
     for entry in entries:
+        options, read, content = entry.options, dict(entry.options.files), list[tuple[str, str]]()
+        listed = Path(entry.path).with_name(BEACON_LIST)
+        if "beacons" not in read and listed.is_file():
+            read["list of beacons"] = listed
         try:
-            yield entry, _task(log, entry, hashes)
+            for name, path in read.items():
+                try:
+                    content.append((name, hashes.get(name, hashes[""])(path)))
+                except OSError as error:
+                    expected = f"the {name} of {entry.path}"
+                    raise InputError(path, "", error.strerror or str(error), expected) from None
         except InputError as error:
             yield entry, str(error)
-
-
-def _task(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
-    """The task of a recording; its key covers the content of every file that is read."""
-    options, read = entry.options, dict(entry.options.files)
-    listed = Path(entry.path).with_name(BEACON_LIST)
-    if "beacons" not in read and listed.is_file():
-        read["list of beacons"] = listed
-    content = [(name, _hash(hashes, name, path, entry)) for name, path in read.items()]
-    key = cache.key_of(entry.hash, options.floor or "", options.begins, str(options.plan or ""), content)
-    file = str(log.folder / cache.OBSERVATIONS / key)
-    forgotten = forgotten_times(log.corrections(entry.person))
-    return ObservationTask(entry.hash, key, file, entry.path, options, cache.RESULT_VERSION, forgotten)
-
-
-def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, path: Path, entry: Entry) -> str:
-    """Content hash of a file that is read with a recording; plans have a hash of their own."""
-    try:
-        return hashes.get(name, hashes[""])(path)
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
+            continue
+        key = cache.key_of(entry.hash, options.floor or "", options.begins, str(options.plan or ""), content)
+        file = str(log.folder / cache.OBSERVATIONS / key)
+        forgotten = forgotten_times(log.corrections(entry.person))
+        yield entry, ObservationTask(entry.hash, key, file, entry.path, options, cache.RESULT_VERSION, forgotten)
 
 
 def observe_new(log: Store, person: str) -> None:
     """Observe recordings of a person that have no observation yet, in this process, and store each result."""
     new = [entry for entry in log.entries() if entry.person == person and not entry.observation]
     tasks = [found for _, found in _tasks_of(log, new) if isinstance(found, ObservationTask)]
-    entries = {entry.hash: entry for entry in new}
-    for seen in observe_all(tasks):
-        log.put(_updated(entries[seen.hash], seen))
+    _observe(log, Fleet(), observe_all, tasks, lambda stage, done, total: None)
 
 
 def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], progress: Progress) -> list[str]:
-    """Let workers observe recordings, and store each result; returns the recordings left by a lost fleet."""
+    """Let workers observe recordings, and store each result; returns the recordings left by a lost fleet.
+
+    A recording that is refused keeps its earlier observation.
+    """
     entries = {entry.hash: entry for entry in log.entries()}
     keys, done, left = {task.key for task in sought}, 0, list[str]()
 
@@ -314,19 +285,12 @@ def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTa
                 continue
             [seen] = work((seen.item,))  # reads the file
         elif isinstance(seen, CrashedItem):
-            seen = ObservationResult(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.reason}")
-        log.put(_updated(entries[seen.hash], seen))
+            seen = ObservationResult(seen.item.hash, "", {}, f"{seen.item.path}: {seen.reason}")
+        entry = replace(entries[seen.hash], refusal=seen.refusal, **seen.columns)
+        log.put(entry if seen.refusal else replace(entry, observation=seen.key))
         done += 1
         progress("recordings", done, len(sought))
     return left
-
-
-def _updated(entry: Entry, seen: ObservationResult) -> Entry:
-    """The entry with the result of an observation; a refusal keeps the earlier observation."""
-    if seen.refusal:
-        return replace(entry, refusal=seen.refusal)
-    found = {"epoch": seen.epoch, "duration": seen.duration, "steps": seen.steps, "zone": seen.zone}
-    return replace(entry, observation=seen.key, refusal="", **found)
 
 
 def recordings_by_day(log: Store) -> dict[tuple[str, str], dict[str, str]]:
@@ -350,16 +314,17 @@ def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) ->
     built, planned = log.days(), defaultdict[str, list[PlannedDay]](list)
     corrections, entries = log.corrections(), {entry.hash: entry for entry in log.entries()}
     for (person, date), recordings in days.items():
-        stated = tuple(c for c in corrections if any(_is_changed_by(entries[name], c) for name in recordings))
+        stated = tuple(
+            c
+            for c in corrections
+            if c.person == person
+            and c.kind in ESTIMATE_KINDS
+            and any(entries[name].overlaps(*c.span) for name in recordings)
+        )
         planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date)), stated))
     return [
         DayChain(person, tuple(its), None, str(log.folder), cache.RESULT_VERSION) for person, its in planned.items()
     ]
-
-
-def _is_changed_by(entry: Entry, correction: Correction) -> bool:
-    """True if a correction changes the estimate of a recording."""
-    return correction.kind in ESTIMATE_KINDS and correction.person == entry.person and entry.overlaps(*correction.span)
 
 
 def touched_dates(log: Store, person: str, start: float, end: float) -> list[str]:
@@ -380,7 +345,7 @@ def rebuild_dates(log: Store, person: str, dates: Collection[str]) -> tuple[list
         for day in chain.days:
             one = replace(chain, days=(day,), profile=profile)
             if day.date in dates and outdated_part(one).days:
-                result, one = _existing_result(one) or _reconstruct_first(one, None)
+                result, one = _existing_day(one) or _reconstructed_day(one, None)
                 store_day(log, result)
                 results.append(result)
                 profile = one.profile
@@ -404,8 +369,16 @@ def _reconstruct(
     while chains and not crew.lost:
         left: list[DayChain] = []
         for made in crew.run(work, pack(chains, [len(chain.days) for chain in chains], crew.workers), written):
-            days, rest = _results_and_rest(made)
-            left += [rest] if rest is not None and rest.days else []
+            days = [made]
+            if isinstance(made, CrashedItem | LostItem):
+                days, rest = list[DayResult](), made.item
+                while rest.days and (ready := _existing_day(rest)) is not None:
+                    day, rest = ready
+                    days.append(day)
+                if rest.days and isinstance(made, CrashedItem):
+                    days.append(DayResult(rest.person, rest.days[0].date, failure=made.reason))
+                    rest = rest.after(rest.profile)
+                left += [rest] if rest.days else []
             for day in days:
                 built, seen = built + store_day(log, day), seen + 1
                 progress("days", seen, total)
@@ -413,16 +386,9 @@ def _reconstruct(
     return built, [(chain.person, day.date) for chain in chains for day in chain.days]
 
 
-def _results_and_rest(made: Any) -> tuple[list[DayResult], DayChain | None]:
-    """Results of days, and the chain that is left after them; made: a `DayResult`, or a `CrashedItem` or `LostItem`."""
-    if isinstance(made, CrashedItem):
-        return skip_crashed(made.item, made.reason)
-    return finished_days(made.item) if isinstance(made, LostItem) else ([made], None)
-
-
 def store_day(log: Store, day: DayResult) -> bool:
     """Store a day or the reason of its failure; True if a day was stored."""
-    rows = read_rows(Path(day.file)) if day.file else None
+    rows = _read_rows(Path(day.file)) if day.file else None
     if rows is not None:
         log.put_day(rows)
         Path(day.file).unlink()
@@ -431,35 +397,20 @@ def store_day(log: Store, day: DayResult) -> bool:
     return rows is not None
 
 
-def _remove_unused_files(log: Store) -> None:
-    """Remove unused files, and temporary files of processes that were killed."""
-    cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
-    cache.remove_all_but(log.folder / cache.DAYS, set())
-    cache.remove_partial_copies(log.folder / cache.COPIES)
-
-
-MAX_NAMES = 5  # recordings named in a message
-
-
 def unfinished_lines(reason: str, recordings: Sequence[str], days: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """A line for the recordings that were not observed, and one for the days (person, date) that were not built."""
-    lines: list[str] = []
+    lines, most = list[str](), 5  # recordings named
     if recordings:
-        more = [f"and {len(recordings) - MAX_NAMES} more"] if len(recordings) > MAX_NAMES else []
-        names = ", ".join([*recordings[:MAX_NAMES], *more])
+        more = [f"and {len(recordings) - most} more"] if len(recordings) > most else []
+        names = ", ".join([*recordings[:most], *more])
         lines.append(f"{reason}: {count(len(recordings), 'recording')} not observed, left to the next build: {names}")
     if days:
-        names = ", ".join(_spans(days))
+        dates = defaultdict[str, list[str]](list)
+        for person, date in sorted(days):
+            dates[person].append(date)
+        names = ", ".join(
+            f"{one_line(person)} {own[0]}" + (f" to {own[-1]} ({len(own)})" if len(own) > 1 else "")
+            for person, own in dates.items()
+        )
         lines.append(f"{reason}: {count(len(days), 'person-day')} not built, left to the next build: {names}")
     return tuple(lines)
-
-
-def _spans(days: Sequence[tuple[str, str]]) -> list[str]:
-    """Each person with the first and last date and the number of days."""
-    dates = defaultdict[str, list[str]](list)
-    for person, date in sorted(days):
-        dates[person].append(date)
-    return [
-        f"{one_line(person)} {own[0]}" + (f" to {own[-1]} ({len(own)})" if len(own) > 1 else "")
-        for person, own in dates.items()
-    ]

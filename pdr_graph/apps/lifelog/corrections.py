@@ -33,7 +33,7 @@ NOT_MINE = "part of this recording is masked: not this person's"
 # Fixes of a stated place: often enough that the smoother sees no gap (`TRACK.longest`), and enough of them that it
 # accepts a jump to them (`TRACK.jump`)
 FIX_INTERVAL, FEWEST_FIXES = 45.0, 22  # [s]
-SLIVER = 60.0  # [s] shortest piece of an entry that a correction leaves beside it; chosen by hand
+SLIVER = 60.0  # [s] from the start or end of an entry, within which a time means that: people read minutes
 CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions, from which a note says the distance
 # [s] at either end of a stated stay in which a walk with steps may go to the place and back, and [m/s] how fast: slower
 # than `FIXES.driven`; chosen by hand
@@ -50,40 +50,23 @@ def apply_to_observations(
         cut = {name: without_times(part, spans, note) for name, part in found.items()} if spans else found
         found = {name: part for name, part in cut.items() if part is not None and is_usable(part)}
     for correction in corrections:
+        start, end = correction.span
+        covered = {n: part for n, part in found.items() if correction.touches(part.epoch, part.epoch + part.duration)}
+        kind = STANDING
         if correction.kind == AT:
-            found = _with_place(found, correction, masked)
-        if correction.kind in (AT, MODE):
-            kind = STANDING if correction.kind == AT else MODE_ACTIVITIES[correction.text("mode")]
-            activity = correction.start, correction.end, kind
-            found = {
-                name: replace(part, stated=(*part.stated, activity)) if _covers(part, correction) else part
-                for name, part in found.items()
-            }
-    return found
-
-
-def _covers(part: Observation, correction: Correction) -> bool:
-    """True if a correction touches the time of an observation."""
-    return correction.touches(part.epoch, part.epoch + part.duration)
-
-
-def _with_place(
-    observations: Mapping[str, Observation], correction: Correction, masked: Sequence[tuple[float, float]]
-) -> dict[str, Observation]:
-    """The observations with fixes at the stated place instead of all positions recorded in that time.
-
-    masked: times without any data. Together the fixes state the place once, with its sigma: they share one error.
-    """
-    number = max(FEWEST_FIXES, int((correction.end - correction.start) / FIX_INTERVAL) + 1)
-    time, sigma = np.linspace(correction.start, correction.end, number), correction.radius * np.sqrt(number)
-    time = time[~np.any([(time > start) & (time < end) for start, end in masked], axis=0)] if masked else time
-    found = dict(observations)
-    for name, part in sorted(found.items(), key=lambda item: (item[1].steps is None, item[1].epoch, item[0])):
-        if not _covers(part, correction):
+            # Fixes state the place once together, with its sigma: they share one error
+            number = max(FEWEST_FIXES, int((end - start) / FIX_INTERVAL) + 1)
+            time, sigma = np.linspace(start, end, number), correction.radius * np.sqrt(number)
+            time = time[~np.any([np.zeros(number, bool), *((time > a) & (time < b) for a, b in masked)], axis=0)]
+            for name, part in sorted(covered.items(), key=lambda item: (item[1].steps is None, item[1].epoch, item[0])):
+                inside = (time >= part.epoch) & (time <= part.epoch + part.duration)
+                covered[name] = _with_fixes(part, correction, time[inside], sigma)
+                time = time[~inside]
+        elif correction.kind == MODE:
+            kind = MODE_ACTIVITIES[correction.text("mode")]
+        else:
             continue
-        inside = (time >= part.epoch) & (time <= part.epoch + part.duration)
-        found[name] = _with_fixes(part, correction, time[inside], sigma)
-        time = time[~inside]
+        found |= {name: replace(part, stated=(*part.stated, (start, end, kind))) for name, part in covered.items()}
     return found
 
 
@@ -101,16 +84,19 @@ def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: f
     stated = Fixes(time - part.epoch, np.repeat(place, len(time), axis=0), np.full(len(time), sigma))
     recorded = part.fixes[replaced]
     away = float(np.hypot(*(np.median(recorded.position, axis=0) - place[0]))) if len(recorded) else 0.0
-    notes = (*part.notes, *_contradiction(recorded, away, correction.radius))
+    notes = part.notes
+    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
+    spread = np.hypot(correction.radius, max(20.0, float(np.median(recorded.sigma)))) if len(recorded) else 0.0
+    if away > CONTRADICTION * spread:
+        far = f"{away / 1000:.1f} km" if away >= 1000 else f"{away:.0f} m"
+        against = f"{len(recorded)} recorded positions: their median is {far} away"
+        notes = (*notes, f"corrected by the person, against {against}")
     fixes = Fixes.concatenate([part.fixes[~replaced], stated])
     part = replace(part, frame=frame, fixes=fixes, notes=notes)
-    return _freed(part, correction, away) if away > correction.radius else part
+    if away <= correction.radius:
+        return part
 
-
-def _freed(part: Observation, correction: Correction, away: float) -> Observation:
-    """The observation without the steps just after the start and before the end of a stay that was stated `away` [m]
-    from the positions: else the steps would drag the walk before and after to the place.
-    """
+    # Without the steps just after the start and before the end, which would drag the walk before and after to the place
     steps, looks = part.steps, part.looks
     long = min(max(FREE_TIME, away / FREE_SPEED), (correction.end - correction.start) / 3)
     for start in (correction.start - part.epoch, correction.end - part.epoch - long):
@@ -120,24 +106,8 @@ def _freed(part: Observation, correction: Correction, away: float) -> Observatio
         return part
     free = steps.is_gap & (steps.time > correction.start - part.epoch)
     free &= steps.time - steps.duration < correction.end - part.epoch
-    sigma = np.where(free, np.maximum(steps.sigma_length, away), steps.sigma_length)
-    return replace(part, steps=replace(steps, sigma_length=sigma), looks=looks)
-
-
-def _contradiction(recorded: Fixes, away: float, radius: float) -> list[str]:
-    """A note if the positions recorded during a stated stay are far `away` [m] from the stated place."""
-    if not len(recorded):
-        return []
-    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
-    sigma = np.hypot(radius, max(20.0, float(np.median(recorded.sigma))))
-    if away <= CONTRADICTION * sigma:
-        return []
-    number = len(recorded)
-    return [f"corrected by the person, against {number} recorded positions: their median is {_far(away)} away"]
-
-
-def _far(metres: float) -> str:
-    return f"{metres / 1000:.1f} km" if metres >= 1000 else f"{metres:.0f} m"
+    sigma_length = np.where(free, np.maximum(steps.sigma_length, away), steps.sigma_length)
+    return replace(part, steps=replace(steps, sigma_length=sigma_length), looks=looks)
 
 
 def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Correction]) -> tuple[TimelineEntry, ...]:
@@ -198,10 +168,14 @@ def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> Timeline
         return replace(blank, corrected=correction.kind == NOT_ME)
     observed = sum(e.observed * (e.end - e.start) for e in inside) / max(end - start, 1e-9)
     blank = replace(blank, corrected=True, observed=observed)
-    if correction.kind == AT:
-        return _stay_at(blank, inside, correction)
     if correction.kind == MERGE:
         return _merged_stay(blank, inside)
+    if correction.kind == AT:  # the estimate of the place where that agrees, else the place as it was stated
+        (latitude, longitude), stay = correction.place, _merged_stay(blank, inside)
+        if distance(latitude, longitude, stay.latitude, stay.longitude) <= CONTRADICTION * correction.radius:
+            return replace(stay, place=correction.text("name") or stay.place)
+        at = {"latitude": latitude, "longitude": longitude, "sigma": correction.radius}
+        return replace(blank, kind=STAY, **at, place=correction.text("name"))
     mode, kind = correction.text("mode"), MODE_ACTIVITIES[correction.text("mode")]
     if kind == STANDING:
         return replace(_merged_stay(blank, inside), mode=mode)
@@ -224,16 +198,6 @@ def _merged_stay(blank: TimelineEntry, inside: Sequence[TimelineEntry]) -> Timel
         mean["x"] = mean["y"] = np.nan  # outings may have different frames
     others = {"floor": longest.floor, "facing": longest.facing, "place": longest.place}
     return replace(blank, kind=STAY, **mean, **others, place_number=longest.place_number)
-
-
-def _stay_at(blank: TimelineEntry, inside: Sequence[TimelineEntry], correction: Correction) -> TimelineEntry:
-    """A stay at the stated place: the estimate of it where that agrees, else the place as it was stated."""
-    latitude, longitude = correction.place
-    stay = _merged_stay(blank, inside)
-    if distance(latitude, longitude, stay.latitude, stay.longitude) <= CONTRADICTION * correction.radius:
-        return replace(stay, place=correction.text("name") or stay.place)
-    at = {"latitude": latitude, "longitude": longitude, "sigma": correction.radius}
-    return replace(blank, kind=STAY, **at, place=correction.text("name"))
 
 
 def distance(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -65,19 +66,26 @@ def add(
     with Store(store, new=True) as log:
         if phone is not None:
             log.put_phone(person or DEFAULT_PERSON, phone)
-        known = {entry.hash: entry for entry in log.entries()}
-        result = AddResult(skipped=skipped, refused=tuple(refused))
+        known, counts = {entry.hash: entry for entry in log.entries()}, Counter[str]()
+        copies = log.folder / cache.COPIES
         for done, path in enumerate(found):
             progress(done, len(found))
             try:
                 entry = _entry(path.resolve(), person, options, known)
             except InputError as error:
-                result = replace(result, refused=(*result.refused, str(error)))
+                refused.append(str(error))
                 continue
-            result = _counted(result, known.get(entry.hash), entry)
-            known[entry.hash] = _with_path(entry, known.get(entry.hash), log.folder / cache.COPIES, copy)
-            log.put(known[entry.hash])
+            before = known.get(entry.hash)
+            counts["added" if before is None else "existing"] += 1
+            counts["changed"] += before is not None and _is_changed(before, entry)
+            if before is not None and Path(before.path).is_relative_to(copies):
+                entry = replace(entry, path=before.path)
+            elif copy:
+                entry = replace(entry, path=str(_copied(Path(entry.path), copies / entry.hash)))
+            known[entry.hash] = entry
+            log.put(entry)
         progress(len(found), len(found))
+    result = AddResult(**counts, skipped=skipped, refused=tuple(refused))
     if is_new and phone is None and not result.added:
         store.unlink(missing_ok=True)  # all were refused: nothing is written
     return result
@@ -105,24 +113,9 @@ def _is_changed(before: Entry, now: Entry) -> bool:
     return (before.person, before.options) != (now.person, now.options)
 
 
-def _counted(result: AddResult, before: Entry | None, entry: Entry) -> AddResult:
-    """The counts after one more recording; before: its entry if it was in the lifelog already."""
-    if before is None:
-        return replace(result, added=result.added + 1)
-    return replace(result, existing=result.existing + 1, changed=result.changed + _is_changed(before, entry))
-
-
-def _with_path(entry: Entry, before: Entry | None, copies: Path, copy: bool) -> Entry:
-    """The entry with its final path: that of the copy, if one is requested or exists."""
-    if before is not None and Path(before.path).is_relative_to(copies):
-        return replace(entry, path=before.path)
-    return replace(entry, path=str(_copied(Path(entry.path), copies / entry.hash))) if copy else entry
-
-
 def find_recordings(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
     """Find recordings in files and folders; returns them, the number of other files, and a line per refusal."""
-    found: dict[Path, None] = {}
-    skipped, refused = 0, list[str]()
+    found, skipped, refused = dict[Path, None](), 0, list[str]()
     for path in paths:
         try:
             within, other = _find_in_folder(path) if path.is_dir() else ([path], 0)
@@ -132,9 +125,8 @@ def find_recordings(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
         found |= dict.fromkeys(within)
         skipped += other
         if not within:
-            refused.append(
-                str(InputError(path, "", f"{other} files, no recording", "a recording, or a folder of recordings"))
-            )
+            expected = "a recording, or a folder of recordings"
+            refused.append(str(InputError(path, "", f"{other} files, no recording", expected)))
     return list(found), skipped, refused
 
 

@@ -128,44 +128,27 @@ def period_of(day: str = "", week: str = "", month: str = "", year: str = "") ->
 
     Raises InputError for a text of another form, and for more than one text.
     """
-    options = {"--date": day, "--week": week, "--month": month, "--year": year}
-    texts = {option: text for option, text in options.items() if text}
-    if len(texts) > 1:
-        raise InputError(" and ".join(texts), "", f"{len(texts)} periods", "one of them")
-    for option, text in texts.items():
-        kind, read, example = _FORMS[option]
+    forms = (
+        ("--date", day, DAY, "{}", "2024-05-01"),
+        ("--week", week, WEEK, "{}-1", "2024-W18"),
+        ("--month", month, MONTH, "{}-01", "2024-05"),
+        ("--year", year, YEAR, "{}-01-01", "2024"),
+    )
+    given = [form for form in forms if form[1]]
+    if len(given) > 1:
+        raise InputError(" and ".join(form[0] for form in given), "", f"{len(given)} periods", "one of them")
+    for option, text, kind, form, example in given:
         try:
-            first, last = read(text)
-        except (ValueError, OverflowError):
-            raise InputError(option, "", repr(text), f"a {kind} such as {example}") from None
+            first = date.fromisoformat(form.format(text.upper()))
+            last = {
+                DAY: first,
+                WEEK: min(first, LAST_DATE) + timedelta(days=6),
+                MONTH: first.replace(day=calendar.monthrange(first.year, first.month)[1]),
+                YEAR: first.replace(month=12, day=31),
+            }[kind]
+        except ValueError:
+            first = last = date.max
         if last > LAST_DATE:
             raise InputError(option, "", repr(text), f"a {kind} such as {example}")
         return Period(kind, text, first, last)
     return None
-
-
-def _day(text: str) -> tuple[date, date]:
-    return date.fromisoformat(text), date.fromisoformat(text)
-
-
-def _week(text: str) -> tuple[date, date]:
-    year, week = text.upper().split("-W")
-    monday = date.fromisocalendar(int(year), int(week), 1)
-    return monday, monday + timedelta(days=6)
-
-
-def _month(text: str) -> tuple[date, date]:
-    first = date.fromisoformat(f"{text}-01")
-    return first, first.replace(day=calendar.monthrange(first.year, first.month)[1])
-
-
-def _year(text: str) -> tuple[date, date]:
-    return date(int(text), 1, 1), date(int(text), 12, 31)
-
-
-_FORMS = {
-    "--date": (DAY, _day, "2024-05-01"),
-    "--week": (WEEK, _week, "2024-W18"),
-    "--month": (MONTH, _month, "2024-05"),
-    "--year": (YEAR, _year, "2024"),
-}

@@ -115,11 +115,14 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
     """
     low, high = corners
     (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))
-    zoom = _zoom(west, north, east, south, pixels)
+    # The zoom at which a tile of 256 pixels is drawn about as large as it is, with at most MAX_TILES tiles
+    zoom = int(np.clip(np.round(np.log2(max(pixels, 1) / 256 / max(east - west, 1e-9))), 0, 19))  # highest zoom
+    while zoom > 0 and ((east - west) * 2**zoom + 1) * ((south - north) * 2**zoom + 1) > MAX_TILES:
+        zoom -= 1
     number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + TILES_TIME
     for y in range(max(int(north * number), 0), min(int(south * number), number - 1) + 1):
         for x in range(int(np.floor(west * number)), int(np.floor(east * number)) + 1):
-            address = _filled_in(template, zoom, x % number, y)
+            address = template.replace("{z}", str(zoom)).replace("{x}", str(x % number)).replace("{y}", str(y))
             try:
                 picture = _fetched(address)
             except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
@@ -135,35 +138,18 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
                 return
 
 
-def _filled_in(template: str, zoom: int, x: int, y: int) -> str:
-    """The address of a tile."""
-    return template.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
-
-
-def _zoom(west: float, north: float, east: float, south: float, pixels: float) -> int:
-    """The zoom at which a tile is drawn about as large as it is, with at most MAX_TILES tiles."""
-    wanted = np.log2(max(pixels, 1) / 256 / max(east - west, 1e-9))  # tile pixels
-    zoom = int(np.clip(np.round(wanted), 0, 19))  # highest zoom
-    while zoom > 0 and ((east - west) * 2**zoom + 1) * ((south - north) * 2**zoom + 1) > MAX_TILES:
-        zoom -= 1
-    return zoom
-
-
 def _fetched(address: str) -> Array:
     """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
-    most = 2_000_000  # bytes of a tile
-    answer = ask(
-        address, TIMEOUT, TIMEOUT, most, same_host(address), headers={"User-Agent": f"pdr_graph/{__version__}"}
-    )
+    agent, most = {"User-Agent": f"pdr_graph/{__version__}"}, 2_000_000  # bytes of a tile
+    answer = ask(address, TIMEOUT, TIMEOUT, most, same_host(address), headers=agent)
     if answer.status != 200:
         raise OSError(f"status {answer.status}")
-    content = answer.body
-    if len(content) < PNG_HEAD.size:
+    if len(answer.body) < PNG_HEAD.size:
         raise ValueError("no picture")
-    _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte
+    _, width, height = PNG_HEAD.unpack_from(answer.body)  # before it is unpacked: a thousandth may be a gigabyte
     if max(width, height) > 1024:  # most side [pixels] of a tile
         raise ValueError(f"no PNG, or one of {width} × {height} pixels")
-    picture = imread(io.BytesIO(content))
+    picture = imread(io.BytesIO(answer.body))
     return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
 
 
@@ -264,7 +250,11 @@ def panels(shown: Overview) -> tuple[Panel, ...]:
     if shown.place:
         found = [_outdoors(dots[:1], outdoors, False, PLACE_SIZE)] if dots else []
     elif shown.period.kind == DAY:
-        groups = [(own, tracks) for own, tracks in _groups(dots, outdoors) if not tracks or _leave_plans(tracks)]
+        groups = [
+            (own, tracks)
+            for own, tracks in _groups(dots, outdoors)
+            if not tracks or any(not way.outing.plan for way in tracks)  # some leave the floor plans
+        ]
         whole = [_outdoors(*own, True) for own in groups[:MOST_MAPS]]
         found = [*whole, *(place for panel in whole for place in _enlarged_places(panel)), *_indoors(ways)]
     else:
@@ -273,28 +263,22 @@ def panels(shown: Overview) -> tuple[Panel, ...]:
     return tuple(replace(panel, letter=letter) for panel, letter in zip(found, letters, strict=False))
 
 
-def _leave_plans(ways: Sequence[_Way]) -> bool:
-    """True if not all ways are on floor plans."""
-    return any(not way.outing.plan for way in ways)
-
-
 def _ways_of(outing: Outing, day: DiaryDay) -> Iterator[_Way]:
-    """The parts of an outing without gaps that lie in a day."""
+    """The parts of an outing without gaps that lie in a day, drawn by kind and floor."""
     for n, (track, segments) in enumerate(split_at_gaps(outing)):
         line = clipped(replace(track, time=track.time + outing.epoch), day.start, day.end)
+        drawn = list[DrawnPart]()
+        for segment in segments if len(line) else ():
+            part = clipped(line, segment.start + outing.epoch, segment.end + outing.epoch)
+            changes = [n for n, (one, other) in enumerate(pairwise(part.floor), 1) if one != other]
+            for first, last in pairwise([0, *changes, len(part)]):
+                if last > first:  # the parts on two floors share the row of the change
+                    own = part[max(first - 1, 0) : last]
+                    drawn.append(DrawnPart(segment.kind, own.floor[-1], own))
         if len(line):
-            spans = [(s.kind, clipped(line, s.start + outing.epoch, s.end + outing.epoch)) for s in segments]
-            drawn = tuple(DrawnPart(kind, own.floor[-1], own) for kind, part in spans for own in _by_floor(part))
             starts_here = n == 0 and outing.epoch >= day.start
-            yield _Way(outing, line, drawn, clock_text(float(line.time[0]), day.offset) if starts_here else "")
-
-
-def _by_floor(track: Trajectory) -> Iterator[Trajectory]:
-    """The parts of a track on one floor each; both parts share the row of a change."""
-    changes = [n for n, (one, other) in enumerate(pairwise(track.floor), 1) if one != other]
-    for first, last in pairwise([0, *changes, len(track)]):
-        if last > first:
-            yield track[max(first - 1, 0) : last]
+            start = clock_text(float(line.time[0]), day.offset) if starts_here else ""
+            yield _Way(outing, line, tuple(drawn), start)
 
 
 def _places(shown: Overview) -> list[Dot]:
@@ -407,28 +391,24 @@ def _panel(
     ordered = sorted(ways, key=lambda way: float(way.track.time[0]))
     tracks = [placed(way, way.track) for way in ordered]
     drawn = [replace(d, track=placed(way, d.track)) for way in ordered for d in way.drawn if floor in ("", d.floor)]
-    drawn += [gap for pair in pairwise(tracks) if floor in ("", (gap := _gap(*pair)).floor)]
+    for before, after in pairwise(tracks):  # a gap has the last row of one track and the first row of the other
+        ends, labels = (before[-1], after[0]), (before.floor[-1], after.floor[0])
+        shared = labels[0] if labels[0] == labels[1] else ""
+        time, position, heading = (
+            np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading")
+        )
+        drawn += [DrawnPart(GAP, shared, Trajectory(time, position, heading, labels))] if floor in ("", shared) else []
     points = [d.track.position for d in drawn if tails == 0.0 or d.kind != GAP]
     ends = [np.quantile(np.concatenate(points), [tails, 1 - tails], axis=0)] if points else []
     content = np.concatenate([np.array([dot.position for dot in dots]).reshape(-1, 2), *ends])
     content = content[np.isfinite(content).all(axis=1)]
     corners = _corners_around(content, MIN_SIZE_INDOORS if plan else MIN_SIZE_OUTDOORS)
-    by_outing: dict[int, list[Trajectory]] = {}
+    by_outing: dict[int, tuple[Trajectory, ...]] = {}
+    starts = list[tuple[Array, str]]()
     for way, track in zip(ordered, tracks, strict=True):
-        by_outing.setdefault(id(way.outing), []).append(track)
-    begun = [(way.start, track) for way, track in zip(ordered, tracks, strict=True) if way.start]
-    starts = [(track.position[0], start) for start, track in begun if floor in ("", track.floor[0])]
-    return Panel(
-        frame, plan, floor, corners, tuple(map(tuple, by_outing.values())), tuple(starts), tuple(drawn), tuple(dots)
-    )
-
-
-def _gap(before: Trajectory, after: Trajectory) -> DrawnPart:
-    """The gap between two tracks: the last row of one and the first row of the other."""
-    ends = before[-1], after[0]
-    time, position, heading = (np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading"))
-    (one,), (other,) = (end.floor for end in ends)
-    return DrawnPart(GAP, one if one == other else "", Trajectory(time, position, heading, (one, other)))
+        by_outing[id(way.outing)] = (*by_outing.get(id(way.outing), ()), track)
+        starts += [(track.position[0], way.start)] if way.start and floor in ("", track.floor[0]) else []
+    return Panel(frame, plan, floor, corners, tuple(by_outing.values()), tuple(starts), tuple(drawn), tuple(dots))
 
 
 def _enlarged_places(whole: Panel) -> list[Panel]:

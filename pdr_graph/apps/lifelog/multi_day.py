@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import permutations
 from pathlib import Path
 
@@ -18,19 +19,17 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.apps.lifelog import cache, observation
+from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.corrections import apply_to_observations
 from pdr_graph.apps.lifelog.day import Day, Outing, rows_of
-from pdr_graph.apps.lifelog.facts import Correction
-from pdr_graph.apps.lifelog.observation import Observation
+from pdr_graph.apps.lifelog.observation import read_observations
 from pdr_graph.apps.lifelog.reconstruct import EstimatedWalk, as_outings, estimate_walk, reconstruct_outings
-from pdr_graph.apps.lifelog.store import TOGETHER, Store, StoredDay
-from pdr_graph.errors import count
+from pdr_graph.apps.lifelog.store import TOGETHER, Store
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.walker import Profile
 from pdr_graph.priors import BEACONS
-from pdr_graph.types import Closures, Index, OneLineRepr, Recording, Sightings
+from pdr_graph.types import Array, Closures, Recording, Sightings, Trajectory
 
 # Chosen by hand: a block takes seconds and less than a gigabyte
 MAX_WALKS = 30
@@ -65,29 +64,16 @@ def blocks(walks: Sequence[WalkPlace]) -> Iterator[WalkBlock]:
     """
     block, context = list[WalkPlace](), list[WalkPlace]()
     for walk in sorted(walks, key=lambda walk: (walk.start, walk)):
-        if block and _is_full([*block, walk], all(other.end < walk.start for other in block)):
+        limit = 1 if all(other.end < walk.start for other in block) else 2
+        steps = sum(other.steps for other in block) + walk.steps
+        if block and (len(block) >= limit * MAX_WALKS or steps > limit * MAX_STEPS):
             yield WalkBlock(tuple(sorted([*context, *block])), frozenset(context))
-            block, context = [], _last(block)
+            last = block[-CONTEXT:][::-1]
+            number = np.searchsorted(np.cumsum([other.steps for other in last]), MAX_CONTEXT_STEPS, side="right")
+            block, context = [], last[: max(int(number), 1)]
         block.append(walk)
     if len(block) + len(context) > 1:
         yield WalkBlock(tuple(sorted([*context, *block])), frozenset(context))
-
-
-def _is_full(block: Sequence[WalkPlace], may_part: bool) -> bool:
-    """True if a block is too large. may_part: nobody in it walked at the time of its last walk."""
-    allowed = 1 if may_part else 2
-    return len(block) > allowed * MAX_WALKS or sum(walk.steps for walk in block) > allowed * MAX_STEPS
-
-
-def _last(block: Sequence[WalkPlace]) -> list[WalkPlace]:
-    """The last walks of a block, as context of the next."""
-    steps, found = 0, list[WalkPlace]()
-    for walk in reversed(block[-CONTEXT:]):
-        steps += walk.steps
-        if found and steps > MAX_CONTEXT_STEPS:
-            break
-        found.append(walk)
-    return found
 
 
 # Chosen by hand
@@ -116,63 +102,26 @@ def encounters(walks: Sequence[CarriedPhone], phones: Mapping[str, str]) -> Clos
     from the path loss of a typical phone.
     """
     rows, which = list[tuple[float, float, float]](), list[tuple[int, int]]()
-    for (n, one), (m, other) in permutations(enumerate(walks), 2):
-        if one.person != other.person and one.received is not None:
-            met = list(_pair_encounters(one, one.received, other, phones))
-            rows += met
-            which += [(n, m)] * len(met)
-    return Closures.of(rows, which)
-
-
-def _pair_encounters(
-    one: CarriedPhone, received: Sightings, other: CarriedPhone, phones: Mapping[str, str]
-) -> Iterator[tuple[float, float, float]]:
-    """Both times and a sigma [m] of the strongest reception of the other's phone in each ENCOUNTER_PERIOD."""
-    theirs = np.array([phones.get(name) == other.person for name in received.transmitter], dtype=bool)
-    later, time = one.epoch - other.epoch, received.time
-    during = (time + later >= other.start) & (time + later <= other.end) & (time >= one.start) & (time <= one.end)
-    rows = np.flatnonzero(theirs & during & (received.rssi >= MIN_RSSI))
-    loudest = rows[np.argsort(-received.rssi[rows], kind="stable")]
     power, exponent, _ = BEACONS.path_loss
-    for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
-        moment, distance = float(time[row]), 10 ** ((power - received.rssi[row]) / (10 * exponent))
-        yield moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))
+    for (n, one), (m, other) in permutations(enumerate(walks), 2):
+        if one.person == other.person or one.received is None:
+            continue
+        time, rssi, later = one.received.time, one.received.rssi, one.epoch - other.epoch
+        theirs = np.array([phones.get(name) == other.person for name in one.received.transmitter], dtype=bool)
+        during = (time >= max(one.start, other.start - later)) & (time <= min(one.end, other.end - later))
+        near = np.flatnonzero(theirs & during & (rssi >= MIN_RSSI))
+        loudest = near[np.argsort(-rssi[near], kind="stable")]
+        for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
+            moment, distance = float(time[row]), 10 ** ((power - rssi[row]) / (10 * exponent))
+            rows.append((moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))))
+            which.append((n, m))
+    return Closures.of(rows, which)
 
 
 AREA_RADIUS = 10_000.0  # [m] from an area's centre within which walks without a plan share a frame; chosen by hand
 
 
-@dataclass(frozen=True)
-class PersonDay(OneLineRepr):
-    """The inputs of a day, as of `reconstruct.reconstruct`."""
-
-    person: str
-    date: str
-    observations: Mapping[str, Observation]
-    profile: Profile | None
-
-    def _summary(self) -> list[str]:
-        return [repr(self.person), self.date, count(len(self.observations), "recording")]
-
-
 Outings = Sequence[EstimatedWalk | Outing]
-
-
-def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -> list[Day]:
-    """Reconstruct days of any people: walks that closures connect in one graph, all others by themselves.
-
-    phones: owner of each Bluetooth transmitter. Raises InputError as `reconstruct.reconstruct` does.
-    """
-    made = [reconstruct_outings(day.observations, day.profile) for day in days]
-    outings: list[list[EstimatedWalk | Outing]] = [list(own) for own, _ in made]
-    people = [day.person for day in days]
-    for walks in walks_by_area(own for own, _ in made):
-        for place, walk in bound_walks(walks, lambda day: made[day][0], people, phones):
-            outings[place.day][place.outing] = walk
-    return [
-        Day(day.person, day.date, as_outings(own), profile)
-        for day, own, (_, profile) in zip(days, outings, made, strict=True)
-    ]
 
 
 def bound_walks(
@@ -180,128 +129,63 @@ def bound_walks(
 ) -> Iterator[tuple[WalkPlace, EstimatedWalk]]:
     """Estimate the walks of an area, block by block; yields each walk that closures connect, with its new estimate.
 
-    outings_of: returns the outings of a day, each estimated by itself; people: who walked on each day.
+    outings_of: returns the outings of a day, each estimated by itself; people: who walked on each day; phones: owner of
+    each Bluetooth transmitter.
     """
     for block in blocks(walks):
-        found = [outings_of(place.day)[place.outing] for place in block.walks]
-        alone = _in_one_frame([walk for walk in found if isinstance(walk, EstimatedWalk)])
-        for number, walk in _estimate_bound(alone, [people[place.day] for place in block.walks], phones):
-            if block.walks[number] not in block.context:
-                yield block.walks[number], walk
+        # All walks in the frame of the first
+        alone = [walk for at in block.walks if isinstance(walk := outings_of(at.day)[at.outing], EstimatedWalk)]
+        frame = alone[0].joined.frame
+        alone = [
+            walk if walk.joined.frame == frame else estimate_walk(walk.session, None, walk.profile, frame)
+            for walk in alone
+        ]
+
+        # Closures by radio scans and encounters
+        carried, tracks = list[CarriedPhone](), list[tuple[Trajectory, Scans]]()
+        for at, walk in zip(block.walks, alone, strict=True):
+            own, steps = walk.joined, walk.graph.steps
+            carried.append(CarriedPhone(people[at.day], own.epoch, steps.start, steps.end, own.bluetooth))
+            source = walk.session.parts[0][1].source
+            scans = scans_of(Recording(source, 0.0, own.epoch, bluetooth=own.bluetooth, wifi=own.wifi))
+            tracks.append((walk.estimate.trajectory, scans))
+        closures = Closures.concatenate([revisits(tracks), encounters(carried, phones)])
+
+        # A graph for each group of connected walks
+        pairs = coo_array((np.ones(len(closures)), closures.walk.T), shape=(len(alone), len(alone)))
+        _, group_of = connected_components(pairs, directed=False)
+        for group in np.unique(group_of[closures.walk[:, 0]]):
+            numbers, rows = np.flatnonzero(group_of == group), group_of[closures.walk[:, 0]] == group
+            bound = Closures(closures.time[rows], closures.sigma[rows], np.searchsorted(numbers, closures.walk[rows]))
+            chosen = [alone[n] for n in numbers]
+            found = smooth_together([walk.graph for walk in chosen], [walk.estimate for walk in chosen], bound)
+            for n, walk, estimate in zip(numbers.tolist(), chosen, found, strict=True):
+                if block.walks[n] not in block.context:
+                    yield block.walks[n], replace(walk, estimate=estimate)
 
 
 def walks_by_area(days: Iterable[Outings]) -> list[list[WalkPlace]]:
     """The walks on each plan, and walks without a plan whose starts are within AREA_RADIUS; groups of two or more.
 
-    Walks whose sources contradict each other are left out: the radio scans on them are at wrong places.
+    Walks without an absolute position or plan are left out, and walks whose sources contradict each other: the radio
+    scans on them are at wrong places.
     """
-    grounds: defaultdict[object, list[WalkPlace]] = defaultdict(list)
-    centres: list[np.ndarray] = []
-    for d, own in enumerate(days):
-        for n, one in enumerate(own):
-            if isinstance(one, EstimatedWalk) and one.may_bind:
-                ground: object = one.session.parts[0][1].plan or _area_of(one, centres)
-                if ground is not None:
-                    start, steps = one.joined.epoch, one.graph.steps
-                    grounds[ground].append(WalkPlace(d, n, start + steps.start, start + steps.end, len(steps)))
-    return [walks for walks in grounds.values() if len(walks) > 1]
-
-
-def _area_of(walk: EstimatedWalk, centres: list[np.ndarray]) -> int | None:
-    """Number of the area in which a walk begins; None without an absolute position.
-
-    centres: longitude and latitude of each area [deg], to which a new area is appended.
-    """
-    frame = walk.joined.frame
-    if not frame.georeferenced:
-        return None
-    begin = walk.estimate.trajectory.position[:1]
-    for number, centre in enumerate(centres):
-        if np.hypot(*(frame.from_lonlat(centre[None]) - begin)[0]) < AREA_RADIUS:
-            return number
-    centres.append(frame.to_lonlat(begin)[0])
-    return len(centres) - 1
-
-
-def _in_one_frame(walks: Sequence[EstimatedWalk]) -> list[EstimatedWalk]:
-    """The walks in the frame of the first; those in another frame are estimated again."""
-    frame = walks[0].joined.frame
-    return [
-        walk if walk.joined.frame == frame else estimate_walk(walk.session, None, walk.profile, frame) for walk in walks
-    ]
-
-
-def _estimate_bound(
-    walks: Sequence[EstimatedWalk], people: Sequence[str], phones: Mapping[str, str]
-) -> Iterator[tuple[int, EstimatedWalk]]:
-    """Estimate connected walks together; yields the number and the new estimate of each walk that closures connect."""
-    carried = [
-        CarriedPhone(person, walk.joined.epoch, walk.graph.steps.start, walk.graph.steps.end, walk.joined.bluetooth)
-        for person, walk in zip(people, walks, strict=True)
-    ]
-    seen_again = revisits([(walk.estimate.trajectory, _scans(walk)) for walk in walks])
-    closures = Closures.concatenate([seen_again, encounters(carried, phones)])
-    for group in _connected_walks(closures, len(walks)):
-        own = np.isin(closures.walk[:, 0], group)
-        number = np.searchsorted(group, closures.walk[own])
-        bound = Closures(closures.time[own], closures.sigma[own], number)
-        chosen = [walks[n] for n in group]
-        found = smooth_together([walk.graph for walk in chosen], [walk.estimate for walk in chosen], bound)
-        for n, walk, estimate in zip(group.tolist(), chosen, found, strict=True):
-            yield n, replace(walk, estimate=estimate)
-
-
-def _connected_walks(closures: Closures, walks: int) -> Iterator[Index]:
-    """The numbers of the walks in each connected component of two or more walks, in increasing order."""
-    one, other = closures.walk.T
-    _, group = connected_components(
-        coo_array((np.ones(len(closures)), (one, other)), shape=(walks, walks)), directed=False
-    )
-    bound = np.unique(group[one])
-    yield from (np.flatnonzero(group == number) for number in bound)
-
-
-def _scans(walk: EstimatedWalk) -> Scans:
-    """The radio scans of a walk."""
-    own = walk.joined
-    return scans_of(Recording(walk.session.parts[0][1].source, 0.0, own.epoch, bluetooth=own.bluetooth, wifi=own.wifi))
-
-
-class _StoredDays:
-    """The days of a lifelog, each reconstructed by itself when it is asked for; the last ones are kept in memory."""
-
-    KEPT_STEPS = MAX_STEPS
-
-    def __init__(self, log: Store):
-        self.built, self._log = log.days(), log
-        self.keys = list(self.built)
-        self._observations = {entry.hash: entry.observation for entry in log.entries()}
-        self._kept: dict[int, tuple[Outings, Profile | None]] = {}
-
-    def outings(self, number: int) -> Outings:
-        """The outings of a day, each estimated by itself."""
-        return self.reconstructed(number)[0]
-
-    def reconstructed(self, number: int) -> tuple[Outings, Profile | None]:
-        """The outings of a day, each estimated by itself, and the profile after it."""
-        if number not in self._kept:
-            own = self.keys[number]
-            corrections = self._log.corrections(own[0])
-            day = _inputs_of_day(self._log.folder, self.built, self._observations, *own, corrections)
-            self._kept[number] = reconstruct_outings(day.observations, day.profile)
-            while len(self._kept) > 1 and sum(map(_steps, self._kept.values())) > self.KEPT_STEPS:
-                del self._kept[next(iter(self._kept))]
-        return self._kept[number]
-
-    def put(self, day: Day) -> None:
-        """Store a day."""
-        own = self.built[day.person, day.date]
-        self._log.put_day(rows_of(day, own.key, own.recordings))
-
-
-def _steps(reconstructed: tuple[Outings, Profile | None]) -> int:
-    """Number of steps of a day."""
-    return sum(len(one.graph.steps) for one in reconstructed[0] if isinstance(one, EstimatedWalk))
+    areas: defaultdict[object, list[WalkPlace]] = defaultdict(list)
+    centres: list[Array] = []  # longitude and latitude [deg]
+    for d, outings in enumerate(days):
+        for n, walk in enumerate(outings):
+            if not isinstance(walk, EstimatedWalk) or not walk.may_bind:
+                continue
+            area: object = walk.session.parts[0][1].plan
+            frame, begin = walk.joined.frame, walk.estimate.trajectory.position[:1]
+            if not area and frame.georeferenced:
+                far = [np.hypot(*(frame.from_lonlat(centre) - begin)[0]) for centre in centres]
+                area = next((number for number, distance in enumerate(far) if distance < AREA_RADIUS), len(centres))
+                centres += [frame.to_lonlat(begin)] if area == len(centres) else []
+            if area != "":
+                start, steps = walk.joined.epoch, walk.graph.steps
+                areas[area].append(WalkPlace(d, n, start + steps.start, start + steps.end, len(steps)))
+    return [walks for walks in areas.values() if len(walks) > 1]
 
 
 def estimate_together(store: Path, progress: Callable[[str, int, int], None] = lambda stage, done, total: None) -> int:
@@ -311,44 +195,43 @@ def estimate_together(store: Path, progress: Callable[[str, int, int], None] = l
     the last time. Raises InputError if the lifelog cannot be used, or an observation is missing.
     """
     with Store(store.resolve()) as log:
-        days, phones = _StoredDays(log), log.phones()
-        key = cache.key_of([[*own, day.key] for own, day in days.built.items()], sorted(phones.items()))
+        built, phones = log.days(), log.phones()
+        key = cache.key_of([[*own, day.key] for own, day in built.items()], sorted(phones.items()))
         if log.setting(TOGETHER) == key:
             return 0
         log.put_setting(TOGETHER, "")
-        areas = walks_by_area(_alone(days, progress))
-        done, total, people = 0, sum(map(len, areas)), [person for person, _ in days.keys]
+        owners, hashes = list(built), {entry.hash: entry.observation for entry in log.entries()}
+
+        @lru_cache(maxsize=CONTEXT)  # days of the context of the next block
+        def estimated(number: int) -> tuple[Outings, Profile | None]:
+            """The outings of a day, each estimated by itself, and the profile after it."""
+            person, date = owners[number]
+            recordings = [(name, hashes[name]) for name in built[person, date].recordings]
+            observations = apply_to_observations(read_observations(log.folder, recordings), log.corrections(person))
+            before = [
+                day.profile for (who, when), day in built.items() if who == person and when < date and day.profile
+            ]
+            return reconstruct_outings(observations, before[-1] if before else None)
+
+        def put(day: Day) -> None:
+            own = built[day.person, day.date]
+            log.put_day(rows_of(day, own.key, own.recordings))
+
+        def days_alone() -> Iterator[Outings]:
+            """The outings of each day, estimated by themselves and stored so."""
+            for number, own in enumerate(owners):
+                outings, profile = estimated(number)
+                put(Day(*own, as_outings(outings), profile))
+                progress("days alone", number + 1, len(owners))
+                yield outings
+
+        areas = walks_by_area(days_alone())
+        done, total, people = 0, sum(map(len, areas)), [person for person, _ in owners]
         for walks in areas:
-            for place, walk in bound_walks(walks, days.outings, people, phones):
-                day = log.day(*days.keys[place.day])
+            for at, walk in bound_walks(walks, lambda number: estimated(number)[0], people, phones):
+                day = log.day(*owners[at.day])
                 assert day is not None, "it was stored before"
-                outings = [*day.outings[: place.outing], walk.outing, *day.outings[place.outing + 1 :]]
-                days.put(replace(day, outings=tuple(outings)))
+                put(replace(day, outings=(*day.outings[: at.outing], walk.outing, *day.outings[at.outing + 1 :])))
                 progress("walks together", done := done + 1, total)
         log.put_setting(TOGETHER, key)
-    return len(days.keys)
-
-
-def _alone(days: _StoredDays, progress: Callable[[str, int, int], None]) -> Iterator[Outings]:
-    """The outings of each day, estimated by themselves and stored so."""
-    for number, own in enumerate(days.keys):
-        outings, profile = days.reconstructed(number)
-        days.put(Day(*own, as_outings(outings), profile))
-        progress("days alone", number + 1, len(days.keys))
-        yield outings
-
-
-def _inputs_of_day(
-    folder: Path,
-    days: Mapping[tuple[str, str], StoredDay],
-    keys: Mapping[str, str],
-    person: str,
-    date: str,
-    corrections: Sequence[Correction],
-) -> PersonDay:
-    """The inputs of a stored day. keys: of the observation, by content hash; corrections: of the person."""
-    recordings = [(name, keys[name]) for name in days[person, date].recordings]
-    observations = apply_to_observations(observation.read_observations(folder, recordings), corrections)
-    before = [day.profile for (who, when), day in days.items() if who == person and when < date]
-    known = [profile for profile in before if profile is not None]
-    return PersonDay(person, date, observations, known[-1] if known else None)
+    return len(owners)

@@ -7,7 +7,7 @@ before and after such a time are separated by a gap, whose ends are all that it 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -30,7 +30,6 @@ from pdr_graph.types import (
     Beacons,
     Fixes,
     Headings,
-    Mask,
     OneLineRepr,
     Recording,
     Sightings,
@@ -115,6 +114,11 @@ class Observation(OneLineRepr):
         assert self.steps is not None, "a recording with steps"
         return self.steps
 
+    @property
+    def activities(self) -> tuple[StatedActivity, ...]:
+        """The stated activities, with times from the start of the recording [s]."""
+        return tuple((start - self.epoch, end - self.epoch, kind) for start, end, kind in self.stated)
+
     def _summary(self) -> list[str]:
         steps = "no steps" if self.steps is None else repr(self.steps)
         others = [f"{len(table)} {type(table).__name__.lower()}" for table in self.measurements]
@@ -178,6 +182,12 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
         gaits = gait_signals(walk)
         steps, headings = detected(replace(inputs, walker=replace(inputs.walker, profile=None)), gaits)
         looks, ends = _turns_in_pauses(gaits, steps), _fields_at_ends(gaits)
+    barometer = walk.barometer
+    if barometer is not None and barometer.rate > KEPT_BAROMETER_RATE:  # averaged
+        bins = np.floor(barometer.time * KEPT_BAROMETER_RATE).astype(np.int64)
+        _, first, number = np.unique(bins, return_index=True, return_counts=True)
+        values = np.add.reduceat(barometer.values, first, axis=0) / number[:, None]
+        barometer = Signal(np.add.reduceat(barometer.time, first) / number, values)
     return Observation(
         source=walk.source,
         epoch=epoch,
@@ -189,7 +199,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
         looks=looks,
         headings=headings,
         fixes=inputs.fixes,
-        barometer=_downsampled(walk.barometer),
+        barometer=barometer,
         bluetooth=walk.bluetooth,
         wifi=walk.wifi,
         beacons=inputs.beacons,
@@ -216,11 +226,6 @@ def is_usable(observation: Observation) -> bool:
     return observation.steps is not None or len(observation.fixes) >= MIN_POSITIONS
 
 
-def step_count(observation: Observation) -> int:
-    """Number of steps of an observation."""
-    return 0 if observation.steps is None else int((~observation.steps.is_gap).sum())
-
-
 def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
     """Direction of the walker in each pause ``(n + 1,)``, relative to the step before [rad]; 0 in short pauses."""
     landed = np.concatenate([[steps.start], steps.time])
@@ -237,39 +242,23 @@ def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
 
 
 def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
-    """Magnetic field at both ends of a recording, in the walker's axes; None if it was not measured there."""
-    if gaits[0].recording.magnetometer is None:
-        return None
-    start = _mean_field(gaits[0], gaits[0].attitude.time[0], gaits[0].attitude.time[0] + END_DURATION, 0)
-    end = _mean_field(gaits[-1], gaits[-1].attitude.time[-1] - END_DURATION, gaits[-1].attitude.time[-1], -1)
-    field = np.array([start, end])
-    return Ends(field[:, :2], field[:, 2]) if np.isfinite(field).all() else None
-
-
-def _mean_field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
-    """Mean field ``(3,)`` [µT] from ``begin`` to ``end`` [s]: forward, left, up for the walker at sample ``at``."""
+    """Mean magnetic field at both ends of a recording, in the walker's axes; None if it was not measured there."""
     from pdr_graph.inertial.magnetometer import measured_field
 
-    attitude = gait.attitude
-    assert gait.recording.magnetometer is not None, "the caller has checked it"
-    held = attitude[slice(*np.searchsorted(attitude.time, [begin, end]).tolist())]
-    field = measured_field(gait.recording.magnetometer, held.time)
-    measured = np.count_nonzero(field.any(axis=1))
-    if not measured:
-        return np.full(3, np.nan)
-    x, y, z = held.R_world_device.apply(field).sum(axis=0) / measured
-    cos, sin = np.cos(heading := gait.direction.heading[at]), np.sin(heading)
-    return np.array([cos * x + sin * y, cos * y - sin * x, z])
-
-
-def _downsampled(barometer: Signal | None) -> Signal | None:
-    """Downsample a barometer to 5 Hz by averaging."""
-    if barometer is None or barometer.rate <= KEPT_BAROMETER_RATE:
-        return barometer
-    bins = np.floor(barometer.time * KEPT_BAROMETER_RATE).astype(np.int64)
-    _, first, count = np.unique(bins, return_index=True, return_counts=True)
-    time = np.add.reduceat(barometer.time, first) / count
-    return Signal(time, np.add.reduceat(barometer.values, first, axis=0) / count[:, None])
+    fields = []
+    for gait, end, span in ((gaits[0], 0, [0.0, END_DURATION]), (gaits[-1], -1, [-END_DURATION, 0.0])):
+        attitude, magnetometer = gait.attitude, gait.recording.magnetometer
+        if magnetometer is None:
+            return None
+        held = attitude[slice(*np.searchsorted(attitude.time, attitude.time[end] + np.array(span)).tolist())]
+        field = measured_field(magnetometer, held.time)
+        if not (measured := np.count_nonzero(field.any(axis=1))):
+            return None
+        x, y, z = held.R_world_device.apply(field).sum(axis=0) / measured
+        cos, sin = np.cos(heading := gait.direction.heading[end]), np.sin(heading)
+        fields.append([cos * x + sin * y, cos * y - sin * x, z])
+    field = np.array(fields)
+    return Ends(field[:, :2], field[:, 2]) if np.isfinite(field).all() else None
 
 
 LATEST_EPOCH = 7_258_118_400.0  # [s] Unix time of the year 2200; a clock beyond it, or before 1970, was never set
@@ -293,15 +282,12 @@ class ObservationTask:
 
 @dataclass(frozen=True)
 class ObservationResult:
-    """Result for a recording. epoch, duration [s], steps, zone: as in `Entry`; refusal: why it failed, else ""."""
+    """Result for a recording. columns: as of `entry_columns`; refusal: why it failed, else ""."""
 
     hash: str
     key: str
-    epoch: float = 0.0
-    duration: float = 0.0
-    steps: int = 0
+    columns: Mapping[str, Any]
     refusal: str = ""
-    zone: str = ""
 
 
 def plan_hash(plan: Path) -> str:
@@ -311,33 +297,49 @@ def plan_hash(plan: Path) -> str:
     return plan_fingerprint(plan)
 
 
-def observe_all(tasks: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
+def observe_all(tasks: Sequence[ObservationTask], observe: Observe = observe) -> Iterator[ObservationResult]:
     """Observe recordings and write each observation to its file, unless it exists; yields a result per recording.
 
     observe: a replacement for `observe`, for tests. Raises OSError if a file cannot be written.
     """
     for task in tasks:
-        observation = read_observation(Path(task.file))
-        if observation is None:
+        file, path = Path(task.file), Path(task.path)
+        found = read_observation(file)
+        if found is None:
             try:
-                observation = _observe_task(task, observe)
+                cache.check_version(task.version)
+                if not path.exists():
+                    raise InputError(path, "", "no such file", "the recording: add it again from its present place")
+                if content_hash(path) != task.hash:
+                    raise InputError(path, "", "changed content", "the content that was added: add it again")
+                found = observe(path, task.options)
+                if not 0 <= found.epoch < LATEST_EPOCH:
+                    epoch = f"{found.epoch:g} s since 1970"
+                    raise InputError(path, "time", epoch, "a time since 1970: give --begins")
+                found = without_times(found, task.forgotten, DELETED)
+                if found is None or not is_usable(found):
+                    expected = "other times: pdr-graph lifelog correct list"
+                    raise InputError(path, "", "nothing but times that were deleted", expected)
             except Exception as error:  # a failure of one recording must not stop the others
                 where = "" if isinstance(error, InputError) else f"{task.path}: "
-                yield ObservationResult(task.hash, task.key, refusal=f"{where}{error_text(error)}")
+                yield ObservationResult(task.hash, task.key, {}, f"{where}{error_text(error)}")
                 continue
-            cache.write(Path(task.file), to_bytes(observation))
-        found = {"duration": observation.duration, "steps": step_count(observation), "zone": zone_at_start(observation)}
-        yield ObservationResult(task.hash, task.key, observation.epoch, **found)
+            cache.write(file, to_bytes(found))
+        yield ObservationResult(task.hash, task.key, entry_columns(found))
 
 
-def zone_at_start(observation: Observation) -> str:
-    """Name of the time zone where a recording began: at its first position, else at its plan; "" if unknown."""
-    frame = observation.frame
-    if not frame.georeferenced or not (len(observation.fixes) or observation.plan):
-        return ""
-    place = observation.fixes.position[:1] if len(observation.fixes) else np.zeros((1, 2))
-    longitude, latitude = frame.to_lonlat(place)[0].tolist()
-    return zone_at(latitude, longitude)
+def entry_columns(observation: Observation) -> dict[str, Any]:
+    """What an `Entry` has of an observation.
+
+    zone: time zone where the recording began: at its first position, else at its plan; "" if unknown.
+    """
+    frame, zone = observation.frame, ""
+    if frame.georeferenced and (len(observation.fixes) or observation.plan):
+        place = observation.fixes.position[:1] if len(observation.fixes) else np.zeros((1, 2))
+        longitude, latitude = frame.to_lonlat(place)[0].tolist()
+        zone = zone_at(latitude, longitude)
+    steps = 0 if observation.steps is None else int((~observation.steps.is_gap).sum())
+    return {"epoch": observation.epoch, "duration": observation.duration, "steps": steps, "zone": zone}
 
 
 def read_observation(file: Path) -> Observation | None:
@@ -368,24 +370,6 @@ def error_text(error: Exception) -> str:
     return str(error) if isinstance(error, InputError) else one_line(f"{type(error).__name__}: {error}")
 
 
-def _observe_task(task: ObservationTask, observer: Observe | None) -> Observation:
-    """Observe the recording of a task. Raises InputError if it is missing or has changed since it was added."""
-    cache.check_version(task.version)
-    path = Path(task.path)
-    if not path.exists():
-        raise InputError(path, "", "no such file", "the recording: add it again from its present place")
-    if content_hash(path) != task.hash:
-        raise InputError(path, "", "changed content", "the content that was added: add it again")
-    observation = (observer or observe)(path, task.options)
-    if not 0 <= observation.epoch < LATEST_EPOCH:
-        raise InputError(path, "time", f"{observation.epoch:g} s since 1970", "a time since 1970: give --begins")
-    if task.forgotten:
-        observation = without_times(observation, task.forgotten, DELETED)
-    if observation is None or not is_usable(observation):
-        raise InputError(path, "", "nothing but times that were deleted", "other times: pdr-graph lifelog correct list")
-    return observation
-
-
 DELETED = "part of this recording was deleted"  # note of an observation that was cut
 AT_END = 2.0  # [s] from either end of a recording, within which its `Ends` were measured
 Span = tuple[float, float]
@@ -397,69 +381,61 @@ def without_times(observation: Observation, spans: Sequence[Span], note: str) ->
 
     spans: start and end of each, Unix times [s]; note: replaces the notes, which may state what was measured then.
     """
-    start, end = observation.epoch, observation.epoch + observation.duration
-    inside = [(a - start, b - start) for a, b in _merged(spans) if a < end - INSTANT and b > start + INSTANT]
+    start, long = observation.epoch, observation.duration
+    inside = list[Span]()  # from its start [s], without overlap
+    for a, b in sorted((a - start, b - start) for a, b in spans):
+        if inside and a <= inside[-1][1]:
+            inside[-1] = inside[-1][0], max(b, inside[-1][1])
+        elif a < long - INSTANT and b > INSTANT:
+            inside.append((a, b))
     if not inside:
         return observation
-    begins = next((b for a, b in inside if a <= 0), 0.0)
-    ends = next((a for a, b in inside if b >= observation.duration), observation.duration)
+    begins = inside[0][1] if inside[0][0] <= 0 else 0.0
+    ends = inside[-1][0] if inside[-1][1] >= long else long
     if begins >= ends:
         return None
-    cut = _without_rows(observation, inside)
-    if cut.steps is None and not len(cut.fixes):
-        return None
-    return replace(shifted(_reframed(cut, observation), -begins), duration=ends - begins, notes=(note,))
 
+    def outside(table: Any) -> Any:
+        """The rows of a table with no time inside, and the anchors that these refer to."""
+        if table is None:
+            return None
+        within = np.any([(table.time >= a) & (table.time <= b) for a, b in inside], axis=0)
+        table = take(table, ~(within if within.ndim == 1 else within.any(axis=1)))
+        tables = getattr(type(table), "tables", ())
+        if not tables:
+            return table
+        column = type(table).reference
+        used, number = np.unique(getattr(table, column), return_inverse=True)
+        named = {name: getattr(table, name) for name in tables}
+        kept = {n: c[used] if isinstance(c, np.ndarray) else tuple(c[i] for i in used) for n, c in named.items()}
+        return replace(table, **kept, **{column: number.astype(np.intp)})
 
-def _merged(spans: Sequence[Span]) -> list[Span]:
-    """The spans in order of time, overlapping ones as one."""
-    found: list[Span] = []
-    for start, end in sorted(spans):
-        if found and start <= found[-1][1]:
-            found[-1] = found[-1][0], max(end, found[-1][1])
-        else:
-            found.append((start, end))
-    return found
-
-
-def _outside(time: Array, spans: Sequence[Span]) -> Mask:
-    """True ``(n,)`` for the times that lie in none of the spans; of rows with two times, both."""
-    inside = np.any([(time >= a) & (time <= b) for a, b in spans], axis=0)
-    return ~(inside if inside.ndim == 1 else inside.any(axis=1))
-
-
-def _without_rows(part: Observation, spans: Sequence[Span]) -> Observation:
-    """The observation without the rows whose time lies in a span [s]."""
-    rows: dict[str, Any] = {}
-    for name in TIMED_TABLES:
-        table = getattr(part, name)
-        rows[name] = table if table is None else take(table, _outside(table.time, spans))
-    steps, looks = part.steps, part.looks
-    for a, b in spans:
+    steps, looks = observation.steps, observation.looks
+    for a, b in inside:
         if steps is not None:
             steps, looks = steps_without(steps, looks, a, b)
-    at_ends = any(a <= AT_END or b >= part.duration - AT_END for a, b in spans)
-    return replace(
-        part,
-        **rows,
+    at_ends = any(a <= AT_END or b >= long - AT_END for a, b in inside)
+    cut = replace(
+        observation,
+        **{name: outside(getattr(observation, name)) for name in TIMED_TABLES},
         steps=steps,
         looks=looks,
-        ends=None if at_ends else part.ends,
-        measurements=tuple(_table_without(table, spans) for table in part.measurements),
+        ends=None if at_ends else observation.ends,
+        measurements=tuple(map(outside, observation.measurements)),
     )
-
-
-def _table_without(table: Any, spans: Sequence[Span]) -> Any:
-    """The measurement table without the rows in the spans, and without the anchors that only these refer to."""
-    table = take(table, _outside(table.time, spans))
-    tables = getattr(type(table), "tables", ())
-    if not tables:
-        return table
-    column = type(table).reference
-    used, number = np.unique(getattr(table, column), return_inverse=True)
-    named = {name: getattr(table, name) for name in tables}
-    kept = {n: c[used] if isinstance(c, np.ndarray) else tuple(c[i] for i in used) for n, c in named.items()}
-    return replace(table, **kept, **{column: number.astype(np.intp)})
+    if steps is None and not len(cut.fixes):
+        return None
+    if cut.frame.kind == "enu" and len(cut.fixes) < len(observation.fixes):
+        # A frame about the first position that is left, since the old one is about the first of all
+        tables: tuple[Any, ...] = (cut.fixes, cut.beacons, *cut.measurements)
+        placed = [table.position for table in tables if hasattr(table, "position")]
+        first = next((p[finite][:1] for p in placed if (finite := np.isfinite(p).all(axis=1)).any()), None)
+        if first is None:
+            cut = replace(cut, frame=Frame())
+        else:
+            lon, lat = cut.frame.to_lonlat(first)[0].tolist()
+            cut = in_frame(cut, enu(lat, lon))
+    return replace(shifted(cut, -begins), duration=ends - begins, notes=(note,))
 
 
 def steps_without(steps: Steps, looks: Array, a: float, b: float) -> tuple[Steps | None, Array]:
@@ -485,19 +461,6 @@ def steps_without(steps: Steps, looks: Array, a: float, b: float) -> tuple[Steps
         return None, np.empty(0)
     start, end = b if a <= steps.start else steps.start, a if b >= steps.end else steps.end
     return replace(steps, start=start, end=end, **columns, final_turn=final), np.append(seen, last)
-
-
-def _reframed(part: Observation, whole: Observation) -> Observation:
-    """The observation in a frame about its first position, since the frame is about the first of all."""
-    if part.frame.kind != "enu" or len(part.fixes) == len(whole.fixes):
-        return part
-    tables: tuple[Any, ...] = (part.fixes, part.beacons, *part.measurements)
-    placed = [table.position for table in tables if hasattr(table, "position")]
-    first = next((p[np.isfinite(p).all(axis=1)][:1] for p in placed if np.isfinite(p).all(axis=1).any()), None)
-    if first is None:
-        return replace(part, frame=Frame())
-    lon, lat = part.frame.to_lonlat(first)[0].tolist()
-    return in_frame(part, enu(lat, lon))
 
 
 def in_frame(part: Observation, frame: Frame) -> Observation:

@@ -1,6 +1,6 @@
 """Places: what was visited, with visits, a name, and the hours at which somebody usually comes and leaves.
 
-Visits within PLACE_RADIUS of one another are at one place: leader clustering, the most certain visits first, each place
+Visits within VISIT_RADIUS of one another are at one place: leader clustering, the most certain visits first, each place
 at the weighted mean of its visits. A name is what the person or a floor plan says; nothing is guessed.
 
 A stay that continues after midnight is one visit. The start of a stay counts as an arrival only if it was observed: not
@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, duration_text, 
 from pdr_graph.errors import count
 from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
 
-PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
 WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 EVERY_DAY = "every day"  # instead of a weekday
@@ -91,7 +89,8 @@ class Place(OneLineRepr):
         gone = np.array([v.end + v.end_offset for v in self.visits if v.left])
         found = []
         for weekday in (-1, *range(7)):
-            own = [time[(weekday < 0) | (_weekday(time) == weekday)] for time in (come, gone)]
+            # Monday is 0; 1 January 1970 was a Thursday
+            own = [t[(weekday < 0) | ((np.floor(t / DAY_LENGTH) + 3) % 7 == weekday)] for t in (come, gone)]
             if weekday < 0 or any(len(time) for time in own):
                 quartiles = [clock_quartiles(time / 3600 % 24) for time in own]
                 name = EVERY_DAY if weekday < 0 else WEEKDAYS[weekday]
@@ -109,11 +108,12 @@ def places_of(visits: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()) 
     for visit, middle in sorted(located, key=lambda pair: (_sigma(pair[0]), pair[0].start)):
         sigma, name = _sigma(visit), plan_name(visit)
         near = [(far, n) for n, own in enumerate(clusters) if (far := own.distance(middle, sigma, name)) is not None]
-        if near:
-            clusters[min(near)[1]].append(visit, middle)
-        else:
-            clusters.append(_Cluster(visit, middle))
-    ordered = sorted(clusters, key=lambda own: own.first.start)
+        clusters += [] if near else [_Cluster(name)]
+        cluster = clusters[min(near)[1]] if near else clusters[-1]
+        cluster.visits.append((visit, middle))
+        cluster.weight += _weight(visit)
+        cluster.total = cluster.total + _weight(visit) * middle
+    ordered = sorted(clusters, key=lambda own: min(visit.start for visit, _ in own.visits))
     return tuple(own.place(number, named) for number, own in enumerate(ordered, start=1))
 
 
@@ -123,46 +123,39 @@ def plan_name(visit: TimelineEntry) -> str:
     return visit.facing[0][0] if visit.facing and visit.facing[0][1] >= 0.5 else ""
 
 
+@dataclass
 class _Cluster:
-    """Visits of one place with their middles ``(3,)`` on the sphere [m], and their weighted mean place."""
+    """Visits of one place with their middles ``(3,)`` on the sphere [m], and the sums for their weighted mean place.
 
-    def __init__(self, visit: TimelineEntry, middle: Array):
-        self._visits: list[tuple[TimelineEntry, Array]] = []
-        self._name = plan_name(visit)
-        self._weight, self._sum = 0.0, np.zeros(3)
-        self.append(visit, middle)
+    name: of the place on a plan, "" without one.
+    """
 
-    @property
-    def first(self) -> TimelineEntry:
-        """The earliest visit."""
-        return min((visit for visit, _ in self._visits), key=lambda visit: visit.start)
-
-    def append(self, visit: TimelineEntry, middle: Array) -> None:
-        """Add a visit."""
-        self._visits.append((visit, middle))
-        self._weight += _weight(visit)
-        self._sum = self._sum + _weight(visit) * middle
+    name: str
+    visits: list[tuple[TimelineEntry, Array]] = field(default_factory=list)
+    weight: float = 0.0
+    total: Array = field(default_factory=lambda: np.zeros(3))
 
     def distance(self, middle: Array, sigma: float, name: str) -> float | None:
         """Distance of a visit at this place [m], by its name on a plan 0 if unknown; None if it is elsewhere."""
-        off = middle - self._sum / self._weight
-        far = float(np.sqrt(off @ off))
-        if name or self._name:
+        far = float(np.linalg.norm(middle - self.total / self.weight))
+        if name or self.name:
             # widest place [m] between visits of one name on a plan
-            return float(np.nan_to_num(far)) if self._name == name and not far > 500.0 else None
-        return far if far <= PLACE_RADIUS + min(sigma, PLACE_RADIUS) else None
+            return float(np.nan_to_num(far)) if self.name == name and not far > 500.0 else None
+        return far if far <= VISIT_RADIUS + min(sigma, VISIT_RADIUS) else None
 
     def place(self, number: int, named: Sequence[NamedArea]) -> Place:
-        """The place of the visits."""
-        ordered = sorted(self._visits, key=lambda pair: pair[0].start)
+        """The place of the visits, with the name of the nearest area that it is in; the last name given counts."""
+        ordered = sorted(self.visits, key=lambda pair: pair[0].start)
         visits, middles = [visit for visit, _ in ordered], np.array([middle for _, middle in ordered])
-        weight = np.array([_weight(visit) for visit in visits])
+        weight, sigma = (np.array([f(visit) for visit in visits]) for f in (_weight, _sigma))
         middle = weight @ middles / weight.sum()
-        variance = weight @ (
-            np.array([_sigma(v) for v in visits]) ** 2 / len(visits) + ((middles - middle) ** 2).sum(axis=1) / 2
-        )
+        variance = weight @ (sigma**2 / len(visits) + ((middles - middle) ** 2).sum(axis=1) / 2)
         longitude, latitude = lonlat_of(middle)
-        name = _area_name(middle, named) or plan_name(visits[0])
+        areas = list[tuple[float, int, str]]()
+        for n, (lat, lon, radius, name) in enumerate(named):
+            far = float(np.linalg.norm(on_sphere(np.array([[lon, lat]]))[0] - middle))
+            areas += [(far, -n, name)] if far <= radius else []
+        name = min(areas)[2] if areas else plan_name(visits[0])
         return Place(number, name, latitude, longitude, float(np.sqrt(variance / weight.sum())), tuple(visits))
 
 
@@ -172,16 +165,8 @@ def _sigma(visit: TimelineEntry) -> float:
 
 
 def _weight(visit: TimelineEntry) -> float:
+    """Weight of a visit in the mean of its place [s/m²]."""
     return visit.duration / (HALT_SIGMA**2 + _sigma(visit) ** 2)
-
-
-def _area_name(middle: Array, named: Sequence[NamedArea]) -> str:
-    """The name of the nearest area that a place is in; "" if there is none. The last name given counts."""
-    inside: list[tuple[float, int]] = []
-    for n, (latitude, longitude, radius, _) in enumerate(named):
-        far = float(np.linalg.norm(on_sphere(np.array([[longitude, latitude]]))[0] - middle))
-        inside += [(far, -n)] if far <= radius else []
-    return named[-min(inside)[1]][3] if inside else ""
 
 
 def likely_home(places: Sequence[Place]) -> Place | None:
@@ -189,22 +174,17 @@ def likely_home(places: Sequence[Place]) -> Place | None:
 
     A guess, for those who ask for one: nights are spent at home more often than anywhere else.
     """
-    nights = {place.number: _nights(place) for place in places if np.isfinite(place.latitude)}
-    best = max(places, key=lambda place: nights.get(place.number, 0.0), default=None)
-    enough = best is not None and nights.get(best.number, 0.0) >= FEWEST_NIGHTS * NIGHT_END
-    return best if enough else None
-
-
-def _nights(place: Place) -> float:
-    """Time spent at a place between midnight and NIGHT_END [s]."""
-    clock = LocalClock(zone_at(place.latitude, place.longitude), np.empty(0), np.empty((0, 2)))
-    total = 0.0
-    for visit in place.visits:
-        midnight = clock.midnight_before(visit.start)
-        while midnight < visit.end:
-            total += max(min(visit.end, midnight + NIGHT_END) - max(visit.start, midnight), 0.0)
-            midnight = clock.next_midnight(midnight)
-    return total
+    best, most = None, 0.0
+    for place in places:
+        clock = LocalClock(zone_at(place.latitude, place.longitude), np.empty(0), np.empty((0, 2)))
+        total = 0.0
+        for visit in place.visits if np.isfinite(place.latitude) else ():
+            midnight = clock.midnight_before(visit.start)
+            while midnight < visit.end:
+                total += max(min(visit.end, midnight + NIGHT_END) - max(visit.start, midnight), 0.0)
+                midnight = clock.next_midnight(midnight)
+        best, most = (place, total) if total > most else (best, most)
+    return best if most >= FEWEST_NIGHTS * NIGHT_END else None
 
 
 def is_place(text: str, visit: TimelineEntry) -> bool:
@@ -216,20 +196,23 @@ def is_place(text: str, visit: TimelineEntry) -> bool:
 def joined_visits(entries: Sequence[TimelineEntry]) -> list[TimelineEntry]:
     """The visits of a person, over midnights too. entries: of all days, in time order."""
     joined: list[list[TimelineEntry]] = []
-    for before, entry in pairwise([None, *entries]):
-        assert entry is not None
-        if before is not None and joined and _continues(before, entry):
+    for entry in entries:
+        if joined and _continues(joined[-1][-1], entry):
             joined[-1].append(entry)
         else:
             joined.append([entry])
     found = list[TimelineEntry]()
-    for n, parts in enumerate(joined):
-        if parts[0].kind != STAY:
+    for before, parts, after in zip([[], *joined], joined, [*joined[1:], []], strict=False):
+        first, last, longest = parts[0], parts[-1], max(parts, key=lambda entry: entry.duration)
+        if first.kind != STAY:
             continue
-        before, after = joined[n - 1][-1] if n else None, joined[n + 1][0] if n + 1 < len(joined) else None
-        arrived = before is not None and parts[0].start - _last_seen(before) < UNOBSERVED_TIME
-        left = after is not None and _first_seen(after) - parts[-1].end < UNOBSERVED_TIME
-        found.append(_visit(parts, arrived, left))
+        seen = [[p for e in beside for p in e.parts or (e,) if p.is_seen] for beside in (before[-1:], after[:1])]
+        arrived = bool(before) and first.start - max((p.end for p in seen[0]), default=-np.inf) < UNOBSERVED_TIME
+        left = bool(after) and min((p.start for p in seen[1]), default=np.inf) - last.end < UNOBSERVED_TIME
+        observed = sum(entry.duration * entry.observed for entry in parts) / max(last.end - first.start, 1e-9)
+        at = {"latitude": longest.latitude, "longitude": longest.longitude, "sigma": longest.sigma}
+        whole = replace(first, end=last.end, end_offset=last.end_offset, observed=float(observed), **at)
+        found.append(replace(whole, arrived=arrived, left=left))
     return found
 
 
@@ -240,25 +223,6 @@ def _continues(before: TimelineEntry, after: TimelineEntry) -> bool:
     kinds = before.kind == after.kind and after.kind in (STAY, *KINDS_WITHOUT_DATA)
     # same instant [s] between two parts of a stay, before and after midnight
     return kinds and abs(after.start - before.end) < 1.0 and same and not (after.kind == STAY and unplaced)
-
-
-def _last_seen(entry: TimelineEntry) -> float:
-    """Unix time of the end of the last part of an entry with data [s]; -inf if it has none."""
-    return max((part.end for part in entry.parts or (entry,) if part.is_seen), default=-np.inf)
-
-
-def _first_seen(entry: TimelineEntry) -> float:
-    """Unix time of the start of the first part of an entry with data [s]; inf if it has none."""
-    return min((part.start for part in entry.parts or (entry,) if part.is_seen), default=np.inf)
-
-
-def _visit(parts: Sequence[TimelineEntry], arrived: bool, left: bool) -> TimelineEntry:
-    """The visit of entries that are one, at the position of the longest."""
-    first, last, longest = parts[0], parts[-1], max(parts, key=lambda entry: entry.duration)
-    observed = sum(entry.duration * entry.observed for entry in parts) / max(last.end - first.start, 1e-9)
-    at = {"latitude": longest.latitude, "longitude": longest.longitude, "sigma": longest.sigma}
-    whole = replace(first, end=last.end, end_offset=last.end_offset, observed=float(observed), **at)
-    return replace(whole, arrived=arrived, left=left)
 
 
 def places_of_visits(visits: Sequence[TimelineEntry], known: Sequence[Place]) -> tuple[Place, ...]:
@@ -277,11 +241,6 @@ def places_of_visits(visits: Sequence[TimelineEntry], known: Sequence[Place]) ->
 def local_date(local: float) -> date:
     """The date of a local time [s]."""
     return date.fromisoformat(str(np.datetime64(int(local), "s"))[:10])
-
-
-def _weekday(local: Array) -> Array:
-    """Weekdays of local times [s], Monday is 0; 1 January 1970 was a Thursday."""
-    return (np.floor(local / DAY_LENGTH) + 3) % 7
 
 
 def clock_quartiles(hours: Array) -> tuple[float, float, float]:

@@ -40,7 +40,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
@@ -180,75 +179,57 @@ def private_places(texts: Sequence[str], plans: Sequence[str], secret: bytes) ->
 
 
 def _places(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivatePlace]:
+    """The places of one text: a circle, the areas of a GeoJSON file, or all shops and rooms of a name on the plans."""
     if match := CIRCLE.fullmatch(text):
-        lat, lon, radius = (_number_in(text, number) for number in match.groups())
+        try:
+            lat, lon, radius = map(float, match.groups())
+        except ValueError as error:
+            raise InputError("a private place", text, f"{error}", EXPECTED) from None
         yield _place_of_circle(text, lat, lon, radius, secret)
     elif Path(text).suffix.lower() in (".json", ".geojson"):
-        yield from _places_of_file(Path(text), secret)
+        path, notes = Path(text), list[str]()
+        features = list(features_of(path, read_json(path), notes, []))
+        check_degrees(path, features)
+        if notes or not features:  # the user believes all of it hidden
+            raise InputError(path, "", notes[0] if notes else "no feature", "polygons, or points with a radius")
+        for number, shape, properties in features:
+            name = str(properties.get("name") or f"{path.name}, feature {number}")
+            lon, lat = shapely.get_coordinates(shapely.centroid(shape))[0].tolist()
+            radius = properties.get("radius")
+            if shapely.get_dimensions(shape) == 2:
+                frame = enu(lat, lon)
+                yield _private_place(name, frame, shapely.transform(shape, frame.from_lonlat), secret)
+            elif isinstance(shape, shapely.Point) and isinstance(radius, int | float):
+                yield _place_of_circle(name, lat, lon, float(radius), secret)
+            else:
+                found, expected = f"a {type(shape).__name__}", "a polygon, or a point with a radius [m]"
+                raise InputError(path, f"feature {number}", found, expected)
     else:
-        yield from _places_by_name(text, plans, secret)
-
-
-def _number_in(text: str, number: str) -> float:
-    try:
-        return float(number)
-    except ValueError:
-        raise InputError("a private place", text, f"{number!r}", EXPECTED) from None
+        found = dict.fromkeys(
+            (floor.frame, area.shape)
+            for plan in plans
+            for floor in Building.load(plan).floors
+            for area in floor.of_kind(*NAMED_KINDS)
+            if area.name and normalized_name(area.name) == normalized_name(text)
+        )
+        if not found:
+            raise InputError("a private place", text, f"no such name on {len(plans)} plans", EXPECTED)
+        for frame, shape in found:
+            lon, lat = frame.to_lonlat(shapely.get_coordinates(shapely.centroid(shape)))[0].tolist()
+            own = enu(lat, lon)
+            moved = shapely.transform(shape, partial(own.from_frame, frame))
+            if shapely.get_dimensions(moved) < 2:  # a stand drawn as a point, a wall as a line
+                moved = shapely.buffer(moved, MIN_RADIUS)
+            yield _private_place(text, own, moved, secret)
 
 
 def _place_of_circle(text: str, lat: float, lon: float, radius: float, secret: bytes) -> PrivatePlace:
+    """The place of a circle; latitude and longitude [deg], radius [m]."""
     if abs(lat) > 90 or abs(lon) > 180:
         raise InputError("a private place", text, f"latitude {lat}, longitude {lon}", "degrees, the latitude first")
     if not MIN_RADIUS <= radius <= MAX_RADIUS:
         raise InputError("a private place", text, f"a radius of {radius} m", f"{MIN_RADIUS:.0f} to {MAX_RADIUS:.0f} m")
     return _private_place(text, enu(lat, lon), shapely.Point(0, 0).buffer(radius, quad_segs=32), secret)
-
-
-def _places_of_file(path: Path, secret: bytes) -> Iterator[PrivatePlace]:
-    """The polygons of a GeoJSON file, and its points with a radius."""
-    notes, mended = list[str](), list[str]()
-    features = list(features_of(path, read_json(path), notes, mended))
-    check_degrees(path, features)
-    if notes or not features:  # the user believes all of it hidden
-        raise InputError(path, "", notes[0] if notes else "no feature", "polygons, or points with a radius")
-    for number, shape, properties in features:
-        yield _place_of_feature(path, number, shape, properties, secret)
-
-
-def _place_of_feature(
-    path: Path, number: int, shape: shapely.Geometry, properties: dict[str, Any], secret: bytes
-) -> PrivatePlace:
-    name = str(properties.get("name") or f"{path.name}, feature {number}")
-    lon, lat = shapely.get_coordinates(shapely.centroid(shape))[0].tolist()
-    if shapely.get_dimensions(shape) == 2:
-        frame = enu(lat, lon)
-        return _private_place(name, frame, shapely.transform(shape, frame.from_lonlat), secret)
-    radius = properties.get("radius")
-    if not isinstance(shape, shapely.Point) or not isinstance(radius, int | float):
-        raise InputError(
-            path, f"feature {number}", f"a {type(shape).__name__}", "a polygon, or a point with a radius [m]"
-        )
-    return _place_of_circle(name, lat, lon, float(radius), secret)
-
-
-def _places_by_name(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivatePlace]:
-    """All shops and rooms of a name on some plans."""
-    found = dict.fromkeys(
-        (floor.frame, area.shape)
-        for plan in plans
-        for floor in Building.load(plan).floors
-        for area in floor.of_kind(*NAMED_KINDS)
-        if area.name and normalized_name(area.name) == normalized_name(text)
-    )
-    if not found:
-        raise InputError("a private place", text, f"no such name on {len(plans)} plans", EXPECTED)
-    for frame, shape in found:
-        lon, lat = frame.to_lonlat(shapely.get_coordinates(shapely.centroid(shape)))[0].tolist()
-        own = enu(lat, lon)
-        moved = shapely.transform(shape, partial(own.from_frame, frame))
-        if shapely.get_dimensions(moved) < 2:  # a stand drawn as a point, a wall as a line
-            moved = shapely.buffer(moved, MIN_RADIUS)
-        yield _private_place(text, own, moved, secret)
 
 
 def _private_place(name: str, frame: Frame, shape: shapely.Geometry, secret: bytes) -> PrivatePlace:
@@ -310,56 +291,40 @@ def hidden_rows(outing: Outing, cut: Sequence[PrivatePlace], blur: Sequence[Priv
 
 
 def shown_runs(track: Trajectory, hidden: HiddenRows, places: Sequence[PrivatePlace]) -> list[ShownRun]:
-    """Row ranges outside private places, in time order, without ends that point at a hidden area."""
+    """Row ranges outside private places, in time order, without ends that point at a hidden area.
+
+    A range beside hidden rows that is shorter than SHORTEST_SHOWN is left out.
+    """
     shown = np.flatnonzero(~(hidden.cut | hidden.blurred))
     apart = np.flatnonzero((np.diff(shown) > 1) | hidden.broken[shown[:-1]])
-    runs = [
-        ShownRun(first := int(r[0]), last := int(r[-1]), (first > 0, last < len(track) - 1))
-        for r in np.split(shown, apart + 1)
-        if len(r)
-    ]
-    turned = [_trimmed(track, run, hidden.lonlat, places) for run in runs if _is_long(track, run)]
-    return [run for run in turned if _is_long(track, run)]
-
-
-def _is_long(track: Trajectory, run: ShownRun) -> bool:
-    """True unless the run is beside hidden rows and shorter than SHORTEST_SHOWN."""
-    return not any(run.at_hidden) or float(track.time[run.last] - track.time[run.first]) >= SHORTEST_SHOWN
-
-
-def _trimmed(track: Trajectory, run: ShownRun, lonlat: Array, places: Sequence[PrivatePlace]) -> ShownRun:
-    """The run without the rows at its ends from which the track points at a hidden area."""
-    rows = np.arange(run.first, run.last + 1)
-    if run.at_hidden[1]:
-        rows = _trimmed_end(track.position, lonlat, rows, places)
-    if run.at_hidden[0]:
-        rows = _trimmed_end(track.position, lonlat, rows[::-1], places)[::-1]
-    return replace(run, first=int(rows[0]), last=int(rows[-1])) if len(rows) else replace(run, last=run.first)
+    runs = list[ShownRun]()
+    for rows in np.split(shown, apart + 1) if len(shown) else []:
+        at_hidden = bool(rows[0] > 0), bool(rows[-1] < len(track) - 1)
+        shortest = SHORTEST_SHOWN if any(at_hidden) else 0.0
+        if np.ptp(track.time[rows[[0, -1]]]) >= shortest and at_hidden[1]:
+            rows = _trimmed_end(track.position, hidden.lonlat, rows, places)
+        if len(rows) and np.ptp(track.time[rows[[0, -1]]]) >= shortest and at_hidden[0]:
+            rows = _trimmed_end(track.position, hidden.lonlat, rows[::-1], places)[::-1]
+        if len(rows) and np.ptp(track.time[rows[[0, -1]]]) >= shortest:
+            runs.append(ShownRun(int(rows[0]), int(rows[-1]), at_hidden))
+    return runs
 
 
 def _trimmed_end(position: Array, lonlat: Array, rows: Index, places: Sequence[PrivatePlace]) -> Index:
     """The rows up to the last one that is far from each hidden area, or from which the track does not point at it."""
-    if not len(rows):
-        return rows
     for after in range(len(rows), 0, -ROWS_PER_BLOCK):
-        number = range(max(after - ROWS_PER_BLOCK, 0), after)
-        # most leg rows: rows among which a leg begins: half a kilometre of steps
-        behind = [rows[_leg_start(position[rows[max(0, n - 1000) : n + 1]], n)] for n in number]
+        number, behind = range(max(after - ROWS_PER_BLOCK, 0), after), list[int]()
+        for n in number:  # the leg to a row begins at the last row LEG_LENGTH away from it, else at the first
+            # most leg rows: rows among which a leg begins: half a kilometre of steps
+            leg = rows[max(0, n - 1000) : n + 1]
+            before = np.flatnonzero(np.hypot(*(position[leg] - position[leg[-1]]).T) >= LEG_LENGTH)
+            behind.append(int(leg[before[-1] if len(before) else 0]))
         here = lonlat[rows[number]]
         away = [(p.distance(here) > 2 * p.radius) | ~p.ahead(here, lonlat[behind]) for p in places]
         good = np.flatnonzero(np.all(away, axis=0))
         if len(good):
             return rows[: number[good[-1]] + 1]
     return rows[:0]
-
-
-def _leg_start(position: Array, number: int) -> int:
-    """Number of the row where the leg to row `number` begins: the last one LEG_LENGTH away from it, else the first.
-
-    position: ``(n, 2)`` of the last rows up to that number [m].
-    """
-    away = np.flatnonzero(np.hypot(*(position - position[-1]).T) >= LEG_LENGTH)
-    return number + 1 - len(position) + (int(away[-1]) if len(away) else 0)
 
 
 QUARTER_HOUR = 900.0  # [s] to which times are rounded; chosen by hand
@@ -400,27 +365,17 @@ def blurred_part(
     covariance[:, 2, 2] = ANY_HEADING**2
     heading, floor = np.full(len(time), np.nan), ("",) * len(time)
     track = Trajectory(time, outing.frame.from_lonlat(centre), heading, floor, covariance)
-    stays = tuple(
-        s for s in _blurred_stays(outing, blur, rows, start, end) if not is_hidden(cut, outing.frame, s.position)
-    )
-    return ExportedPart(start, end, track, (Segment(PRIVATE, start, end, 0.0),), stays)
-
-
-def _blurred_stays(
-    outing: Outing, blur: Sequence[PrivatePlace], rows: Index, start: float, end: float
-) -> tuple[Stay, ...]:
-    """The stays among blurred rows: in the middle of a square, from quarter to quarter of an hour, without names."""
-    begin, last = outing.trajectory.time[rows[[0, -1]]] + outing.epoch
-    stays = []
-    for stay in outing.stays:
-        since, until = stay.start + outing.epoch, stay.end + outing.epoch
-        inside = since < last and until > begin and is_hidden(blur, outing.frame, stay.position)
-        since, until = max(start, quarter_before(since)), min(end, quarter_after(until))
-        if inside and not stay.passing and until > since:
+    stays = list[Stay]()
+    for stay in outing.stays:  # in the middle of a square, from quarter to quarter of an hour, without names
+        begin, last = stay.start + outing.epoch, stay.end + outing.epoch
+        inside = begin < until and last > since and is_hidden(blur, outing.frame, stay.position)
+        begin, last = max(start, quarter_before(begin)), min(end, quarter_after(last))
+        if inside and not stay.passing and last > begin:
             centre, side = _grid_squares(outing.frame.to_lonlat(stay.position[None]), blur)
-            position, covariance = outing.frame.from_lonlat(centre)[0], np.eye(2) * side[0] ** 2 / 12
-            stays.append(Stay(since, until, False, position, covariance, np.nan, ""))
-    return tuple(stays)
+            place, spread = outing.frame.from_lonlat(centre)[0], np.eye(2) * side[0] ** 2 / 12
+            if not is_hidden(cut, outing.frame, place):
+                stays.append(Stay(begin, last, False, place, spread, np.nan, ""))
+    return ExportedPart(start, end, track, (Segment(PRIVATE, start, end, 0.0),), tuple(stays))
 
 
 def _grid_squares(lonlat: Array, blur: Sequence[PrivatePlace]) -> tuple[Array, Array]:
@@ -449,64 +404,71 @@ def without_private_places(
     """
     if not (cut or blur):
         return list(days), []
-    made, notes = list[Day](), list[str]()
+    made, notes, places = list[Day](), list[str](), (*cut, *blur)
     for day in days:
-        outings, free = list[Outing](), -np.inf
+        outings, free, names = list[Outing](), -np.inf, {place.name for place in places}
         for outing in sorted(day.outings, key=lambda o: o.epoch):
             if not outing.frame.georeferenced:
                 notes.append(f"{day.person}, {day.date}: outing left out: no absolute position")
-            elif parts := _exported_parts(replace(outing, trajectory=without_gap_rows(outing)), cut, blur, free):
+                continue
+            hidden = (s for s in outing.stays if s.facing and is_hidden(places, outing.frame, s.position))
+            names |= {stay.facing[0][0] for stay in hidden}
+            if parts := _exported_parts(replace(outing, trajectory=without_gap_rows(outing)), cut, blur, free):
                 outings.append(_with_new_origin(_outing_of_parts(outing, parts)))
                 free = parts[-1].end
-        made.append(Day(day.person, day.date, _without_names(outings, _private_names(day, cut, blur))))
+        private = set(map(normalized_name, names))
+        for n, outing in enumerate(outings):
+            stays = (
+                replace(s, facing=tuple((name, p) for name, p in s.facing if normalized_name(name) not in private))
+                for s in outing.stays
+            )
+            outings[n] = replace(outing, stays=tuple(stays))
+        made.append(Day(day.person, day.date, tuple(outings)))
     return made, notes
 
 
 def _exported_parts(
     outing: Outing, cut: Sequence[PrivatePlace], blur: Sequence[PrivatePlace], free: float
 ) -> list[ExportedPart]:
-    """The shown parts of an outing in time order, none of them before the Unix time `free` [s]."""
-    hidden = hidden_rows(outing, cut, blur)
+    """The shown parts of an outing in time order, none of them before the Unix time `free` [s].
+
+    A part is shown from a quarter of an hour on if it is beside hidden rows or before `free`.
+    """
+    track, places, hidden = outing.trajectory, (*cut, *blur), hidden_rows(outing, cut, blur)
     parts: list[ExportedPart] = []
-    for before, run in pairwise([None, *shown_runs(outing.trajectory, hidden, (*cut, *blur)), None]):
-        passed = np.arange(before.last + 1 if before else 0, run.first if run else len(outing.trajectory))
-        begin = _shown_begin(outing, run, free) if run else np.inf
+    for before, run in pairwise([None, *shown_runs(track, hidden, places), None]):
+        begin = outing.epoch + float(track.time[run.first]) if run else np.inf
+        # shortest break [s] between two shown parts
+        after = free + 1.0  # a part that begins where another ends would make one line across what is hidden
+        if run and (any(run.at_hidden) or begin < after):
+            begin = quarter_after(max(begin, after))
+        passed = np.arange(before.last + 1 if before else 0, run.first if run else len(track))
         coarse = blurred_part(outing, hidden, passed[hidden.blurred[passed]], cut, blur, (free, begin), not parts)
         parts += [coarse] if coarse else []
-        parts += [_shown_part(outing, run, begin, (*cut, *blur))] if run else []
+        if run:
+            rows = track[run.first : run.last + 1]
+            start, end = float(rows.time[0]), float(rows.time[-1])
+            by = begin - start
+            segments = tuple(
+                Segment(s.kind, a + by, b + by, s.distance * share)
+                for s in outing.segments
+                if (b := min(s.end, end)) > (a := max(s.start, start))
+                for share in [float(path_shares(track, [s.start, a, b, s.end])[1])]
+            )
+            stays = tuple(
+                shift(s, by)
+                for s in outing.stays
+                if s.start >= start - INSTANT
+                and s.end <= end + INSTANT
+                and not is_hidden(places, outing.frame, s.position)
+            )
+            parts.append(ExportedPart(begin, end + by, replace(rows, time=rows.time + by), segments, stays))
         free = parts[-1].end if parts else free
     return parts
 
 
-def _shown_begin(outing: Outing, run: ShownRun, free: float) -> float:
-    """Unix time at which a run is shown [s]: on a quarter of an hour if it is beside hidden rows or before `free`."""
-    begin = outing.epoch + float(outing.trajectory.time[run.first])
-    # shortest break [s] between two shown parts
-    after = free + 1.0  # a part that begins where another ends would make one line across what is hidden
-    return quarter_after(max(begin, after)) if any(run.at_hidden) or begin < after else begin
-
-
-def _shown_part(outing: Outing, run: ShownRun, begin: float, places: Sequence[PrivatePlace]) -> ExportedPart:
-    """A run with its segments and stays, shifted to begin at a Unix time [s]."""
-    track = outing.trajectory[run.first : run.last + 1]
-    start, end = float(track.time[0]), float(track.time[-1])
-    by = begin - start
-    bounds = [(s, max(s.start, start), min(s.end, end)) for s in outing.segments]
-    segments = [
-        Segment(s.kind, a + by, b + by, s.distance * float(path_shares(outing.trajectory, [s.start, a, b, s.end])[1]))
-        for s, a, b in bounds
-        if b > a
-    ]
-    stays = [
-        shift(s, by)
-        for s in outing.stays
-        if s.start >= start - INSTANT and s.end <= end + INSTANT and not is_hidden(places, outing.frame, s.position)
-    ]
-    return ExportedPart(begin, end + by, replace(track, time=track.time + by), tuple(segments), tuple(stays))
-
-
 def _outing_of_parts(of: Outing, parts: Sequence[ExportedPart]) -> Outing:
-    """Join parts to one outing, with private segments between them."""
+    """Join parts to one outing, with private segments between them and steps in proportion to the walked distance."""
     segments = list(parts[0].segments)
     for before, after in pairwise(parts):
         if after.start > before.end + INSTANT:
@@ -523,13 +485,8 @@ def _outing_of_parts(of: Outing, parts: Sequence[ExportedPart]) -> Outing:
     )
     moved = tuple(shift(s, -epoch) for s in segments)
     stays = tuple(shift(s, -epoch) for part in parts for s in part.stays)
-    return Outing((), "", epoch, of.frame, "", track, moved, stays, _step_count(of, segments))
-
-
-def _step_count(of: Outing, left: Sequence[Segment]) -> int:
-    """The number of steps in proportion to the walked distance that is left."""
-    every, rows = (sum(s.distance for s in segments if s.kind == WALKING) for segments in (of.segments, left))
-    return round(of.steps * rows / every) if every else 0
+    every, left = (sum(s.distance for s in of_them if s.kind == WALKING) for of_them in (of.segments, segments))
+    return Outing((), "", epoch, of.frame, "", track, moved, stays, round(of.steps * left / every) if every else 0)
 
 
 def _with_new_origin(outing: Outing) -> Outing:
@@ -561,30 +518,3 @@ def _convergence(frame: Frame, old: Frame, position: Array) -> Array:
     """The angles ``(n,)`` by which headings at positions ``(n, 2)`` [m] of the old frame are turned to a new one."""
     ahead = frame.from_frame(old, position + np.array([100.0, 0.0])) - frame.from_frame(old, position)
     return np.arctan2(ahead[:, 1], ahead[:, 0])
-
-
-def _private_names(day: Day, cut: Sequence[PrivatePlace], blur: Sequence[PrivatePlace]) -> set[str]:
-    """The names that the user gives, and those of hidden stays."""
-    places = (*cut, *blur)
-    hidden = {
-        stay.facing[0][0]
-        for outing in day.outings
-        if outing.frame.georeferenced
-        for stay in outing.stays
-        if stay.facing and is_hidden(places, outing.frame, stay.position)
-    }
-    return {normalized_name(name) for name in (*hidden, *(place.name for place in places))}
-
-
-def _without_names(outings: Sequence[Outing], names: set[str]) -> tuple[Outing, ...]:
-    """The outings, with these names removed from all stays."""
-    return tuple(
-        replace(
-            outing,
-            stays=tuple(
-                replace(s, facing=tuple((name, p) for name, p in s.facing if normalized_name(name) not in names))
-                for s in outing.stays
-            ),
-        )
-        for outing in outings
-    )

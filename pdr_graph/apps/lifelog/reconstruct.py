@@ -9,15 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import Day, Outing
+from pdr_graph.apps.lifelog.day import Day, Outing, Segment
 from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.sessions import (
     LONGEST_SESSION_GAP,
     Session,
     is_located,
     join,
-    join_fixes,
-    join_stated,
     restart_closures,
     sessions_of,
 )
@@ -37,7 +35,7 @@ from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.priors import MOTION
-from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording
+from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording, Trajectory
 from pdr_graph.walk import Evidence, Options, estimate, with_tables
 
 
@@ -76,19 +74,14 @@ class EstimatedWalk(OneLineRepr):
     @cached_property
     def outing(self) -> Outing:
         """The walk as an outing of a day."""
-        first, steps, track = self.session.parts[0][1], self.graph.steps, self.estimate.trajectory
-        notes = (line for observation in self.session.observations for line in observation.notes)
-        return Outing(
-            recordings=self.session.hashes,
-            source=first.source,
-            epoch=self.joined.epoch,
-            frame=self.joined.frame,
-            plan=first.plan,
-            trajectory=track,
-            segments=segments_of(steps, track, self.rides),
+        steps, track, reasons = self.graph.steps, self.estimate.trajectory, verdict(self.estimate).reasons
+        outing = _outing(self.session, self.joined, track, segments_of(steps, track, self.rides))
+        notes = (*(f"{reason.state}: {reason.text}" for reason in reasons), *outing.notes, *self.estimate.warnings)
+        return replace(
+            outing,
             stays=stays_of(steps, track, self.building, self.looks),
             steps=int((~steps.is_gap).sum()),
-            notes=tuple(dict.fromkeys((*self._doubts, *notes, *self.session.notes, *self.estimate.warnings))),
+            notes=tuple(dict.fromkeys(notes)),
             missing=self.missing,
         )
 
@@ -96,11 +89,6 @@ class EstimatedWalk(OneLineRepr):
     def may_bind(self) -> bool:
         """True if other walks may be bound to this one: no source contradicts another; its route may be open."""
         return all(reason.source == ROUTE for reason in verdict(self.estimate).reasons)
-
-    @property
-    def _doubts(self) -> tuple[str, ...]:
-        """The reasons why the walk is not "ok", a line each."""
-        return tuple(f"{reason.state}: {reason.text}" for reason in verdict(self.estimate).reasons)
 
     def _summary(self) -> list[str]:
         return [repr(self.session), repr(self.estimate)]
@@ -129,7 +117,7 @@ def estimate_walk(
 
     # The steps of this walker, without rides, on their floors
     steps = profile.corrected(joined.walked) if profile else joined.walked
-    rides = with_stated_rides(detect_rides(steps, fixes), steps, join_stated(session.observations))
+    rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.activities)
     evidence = Evidence(
         walk,
         Walker(profile=profile),
@@ -203,7 +191,10 @@ def reconstruct_outings(
     profile = profile or next((one.profile for one in observations.values() if one.profile is not None), None)
     for session in sessions_of(observations):
         if session.observations[0].steps is None:
-            outings.append(_outing_of_positions(session))
+            joined, plan = join(session.observations), session.parts[0][1].plan
+            track, segments = follow_positions(joined.fixes, joined.activities)
+            stays = stays_of_positions(track, segments, building_of(plan) if plan else None)
+            outings.append(replace(_outing(session, joined, track, segments), stays=stays))
         else:
             walk = estimate_walk(session, outings[-1] if outings else None, profile)
             profile = walk.profile_after
@@ -211,22 +202,8 @@ def reconstruct_outings(
     return outings, profile
 
 
-def _outing_of_positions(session: Session) -> Outing:
-    """The outing of a session of positions alone."""
-    first = session.parts[0][1]
-    frame, fixes = join_fixes(session.observations)
-    trajectory, segments = follow_positions(fixes, join_stated(session.observations))
-    building = building_of(first.plan) if first.plan else None
-    notes = (line for observation in session.observations for line in observation.notes)
-    return Outing(
-        recordings=session.hashes,
-        source=first.source,
-        epoch=session.epoch,
-        frame=frame,
-        plan=first.plan,
-        trajectory=trajectory,
-        segments=segments,
-        stays=stays_of_positions(trajectory, segments, building),
-        steps=0,
-        notes=tuple(dict.fromkeys((*notes, *session.notes))),
-    )
+def _outing(session: Session, joined: Observation, track: Trajectory, segments: tuple[Segment, ...]) -> Outing:
+    """The outing of a session without stays and steps, with the notes on its recordings."""
+    first, notes = session.parts[0][1], (line for part in session.observations for line in part.notes)
+    notes = tuple(dict.fromkeys((*notes, *session.notes)))
+    return Outing(session.hashes, first.source, joined.epoch, joined.frame, first.plan, track, segments, (), 0, notes)

@@ -13,13 +13,14 @@ from __future__ import annotations
 import re
 import shutil
 import time as clock
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pdr_graph.apps.lifelog import build, cache
-from pdr_graph.apps.lifelog.corrections import place_names
+from pdr_graph.apps.lifelog.corrections import SLIVER, place_names
 from pdr_graph.apps.lifelog.diary import UnpartedDiary
 from pdr_graph.apps.lifelog.facts import (
     ALWAYS,
@@ -38,12 +39,11 @@ from pdr_graph.apps.lifelog.facts import (
 from pdr_graph.apps.lifelog.local_time import LocalClock
 from pdr_graph.apps.lifelog.observation import (
     DELETED,
+    entry_columns,
     is_usable,
     read_observation,
-    step_count,
     to_bytes,
     without_times,
-    zone_at_start,
 )
 from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
@@ -56,7 +56,6 @@ from pdr_graph.types import DAY_LENGTH
 AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a point on a map, in a building
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
 LARGEST_RADIUS = 10_000.0  # [m]
-SNAP = 60.0  # [s] from the start or end of an entry, within which a time means that: people read minutes
 LONGEST_CORRECTION = 366 * DAY_LENGTH  # [s] of one correction
 DIARY_MARGIN = timedelta(days=3)  # that determine the rows of a day: a visit may last over nights
 LATLON = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*,\s*([-+]?\d+(?:\.\d*)?)\s*", re.ASCII)
@@ -73,6 +72,13 @@ class OpenDiary:
     clock: LocalClock
 
     @classmethod
+    @contextmanager
+    def opened(cls, store: Path, person: str | None, *near: str) -> Iterator[OpenDiary]:
+        """Open a lifelog with the diary of a person, as of `of`."""
+        with Store(store) as log:
+            yield cls.of(log, person, *near)
+
+    @classmethod
     def of(cls, log: Store, person: str | None, *near: str) -> OpenDiary:
         """The diary of a person; the only one by default. Raises InputError if the choice is ambiguous or unknown.
 
@@ -80,7 +86,11 @@ class OpenDiary:
         """
         who = person_of(log, person)
         dates = [date for name, date in log.days() if name == who]
-        whole = UnpartedDiary.of(log, who, _dates_near(dates, near))
+        with suppress(ValueError, OverflowError):  # of other texts
+            days = [datetime.fromisoformat(text.strip()[:10]).date() for text in near]
+            first, last = (min(days) - DIARY_MARGIN).isoformat(), (max(days) + DIARY_MARGIN).isoformat()
+            dates = [date for date in dates if first <= date <= last]
+        whole = UnpartedDiary.of(log, who, dates)
         return cls(log, who, whole.rows, whole.clock)
 
     def time(self, option: str, text: str) -> float:
@@ -102,13 +112,15 @@ class OpenDiary:
         return begin, after
 
     def span_of_rows(self, start: str, end: str) -> tuple[float, float]:
-        """As `span`, moved to starts and ends of rows within SNAP. Raises InputError without any row."""
+        """As `span`, moved to starts and ends of rows within SLIVER. Raises InputError without any row."""
         begin, after = self.span(start, end)
         if not self.between(begin, after):
             raise InputError("FROM", "", f"nothing of {self.person} from {start} to {end}", "a time of the timeline")
         bounds = [time for row in self.rows for time in (row.start, row.end)]
-        first, last = (min(bounds, key=lambda bound: abs(bound - time)) for time in (begin, after))
-        first, last = first if abs(first - begin) <= SNAP else begin, last if abs(last - after) <= SNAP else after
+        first, last = (
+            min((bound for bound in bounds if abs(bound - time) <= SLIVER), key=lambda b: abs(b - time), default=time)
+            for time in (begin, after)
+        )
         return (first, last) if first < last else (begin, after)
 
     def between(self, start: float, end: float) -> list[TimelineEntry]:
@@ -170,27 +182,23 @@ def state_place(store: Path, at: str, place: str, radius: float | None = None, p
     radius: standard deviation per axis [m], AT_RADIUS by default. Raises InputError, as all functions here do, if an
     argument or the lifelog cannot be used.
     """
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person, at)
+    with OpenDiary.opened(store, person, at) as diary:
         row = diary.row_at("TIME", at)
-        latitude, longitude, name = _place(place, log.corrections(diary.person))
-        value: dict[str, float | str] = {"latitude": latitude, "longitude": longitude}
-        value["radius"] = _radius(radius, AT_RADIUS)
-        return diary.make(AT, (row.start, row.end), value | ({"name": name} if name else {}))
+        latitude, longitude, name = _place(place, diary.log.corrections(diary.person))
+        named = {"name": name} if name else {}
+        return diary.make(AT, (row.start, row.end), _value(latitude, longitude, radius, AT_RADIUS) | named)
 
 
 def merge(store: Path, start: str, end: str, person: str | None = None) -> list[str]:
     """Make one stay of all rows from one time to another."""
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person, start, end)
+    with OpenDiary.opened(store, person, start, end) as diary:
         inside = diary.between(*diary.span_of_rows(start, end))
         return diary.make(MERGE, (inside[0].start, inside[-1].end))
 
 
 def split(store: Path, at: str, person: str | None = None) -> list[str]:
     """Split the row at a time in two."""
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person, at)
+    with OpenDiary.opened(store, person, at) as diary:
         diary.row_at("TIME", at)
         time = diary.time("TIME", at)
         return diary.make(SPLIT, (time, time))
@@ -200,15 +208,13 @@ def state_mode(store: Path, start: str, end: str, mode: str, person: str | None 
     """State what the person did from one time to another. mode: one of `facts.MODE_ACTIVITIES`."""
     if mode not in MODE_ACTIVITIES:
         raise InputError("MODE", "", repr(mode), f"one of {', '.join(MODE_ACTIVITIES)}")
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person, start, end)
+    with OpenDiary.opened(store, person, start, end) as diary:
         return diary.make(MODE, diary.span_of_rows(start, end), {"mode": mode})
 
 
 def state_not_me(store: Path, start: str, end: str, person: str | None = None) -> list[str]:
     """State that what was recorded from one time to another is not this person's: it is shown as no data."""
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person, start, end)
+    with OpenDiary.opened(store, person, start, end) as diary:
         return diary.make(NOT_ME, diary.span_of_rows(start, end))
 
 
@@ -216,8 +222,8 @@ def name_place(store: Path, place: str, name: str, radius: float | None = None, 
     """Name a place. place: "LAT,LON", or the time of a stay there; radius: [m], NAME_RADIUS by default."""
     if not (name.strip() and name.isprintable()):
         raise InputError("NAME", "", repr(name), "a name")
-    with Store(store) as log:
-        diary, span = OpenDiary.of(log, person, place), ALWAYS
+    with OpenDiary.opened(store, person, place) as diary:
+        span = ALWAYS
         if found := LATLON.fullmatch(place):
             latitude, longitude = _degrees(found)
         else:
@@ -225,8 +231,7 @@ def name_place(store: Path, place: str, name: str, radius: float | None = None, 
             latitude, longitude, span = row.latitude, row.longitude, (row.start, row.end)
             if not abs(latitude) <= 90:
                 raise InputError("PLACE", "", f"{place}: {diary.text(row)}", "the time of a stay, or LAT,LON")
-        value: dict[str, float | str] = {"latitude": latitude, "longitude": longitude, "name": name}
-        return diary.make(PLACE_NAME, span, value | {"radius": _radius(radius, NAME_RADIUS)})
+        return diary.make(PLACE_NAME, span, _value(latitude, longitude, radius, NAME_RADIUS) | {"name": name})
 
 
 def listing(store: Path, person: str | None = None) -> list[str]:
@@ -248,7 +253,16 @@ def undo(store: Path, number: int) -> list[str]:
             raise InputError("N", "", f"{number}", "the number of a correction: pdr-graph lifelog correct list")
         line = f"undone: {OpenDiary.of(log, found[0].person).line(found[0])}"
         log.delete_correction(number)
-        return [line, *(_read_again if found[0].kind == FORGOTTEN else _effect)(log, found[0])]
+        if found[0].kind != FORGOTTEN:
+            return [line, *_effect(log, found[0])]
+
+        # Recordings that still exist have a time again that the next build may read
+        own = [e for e in log.entries() if e.person == found[0].person and e.overlaps(*found[0].span)]
+        there = [entry for entry in own if Path(entry.path).exists()]
+        for entry in there:
+            (log.folder / cache.OBSERVATIONS / entry.observation).unlink(missing_ok=True)
+        again = f"{count(len(there), 'recording')} can be read again: pdr-graph lifelog build {log.path}"
+        return [line, "what was deleted is not restored; recordings of that time may be added again", again]
 
 
 def person_of(log: Store, person: str | None) -> str:
@@ -261,16 +275,6 @@ def person_of(log: Store, person: str | None) -> str:
     if person is not None and person not in people:
         raise InputError("--person", "", repr(person), f"one of {', '.join(people)}")
     return people[0] if person is None else person
-
-
-def _dates_near(dates: Sequence[str], texts: Sequence[str]) -> list[str]:
-    """The dates from DIARY_MARGIN before the first to DIARY_MARGIN after the last of some; all if one is no date."""
-    try:
-        days = [datetime.fromisoformat(text.strip()[:10]).date() for text in texts]
-        first, last = min(days) - DIARY_MARGIN, max(days) + DIARY_MARGIN
-    except (ValueError, OverflowError):
-        return list(dates)
-    return [date for date in dates if first.isoformat() <= date <= last.isoformat()]
 
 
 def _place(text: str, corrections: Sequence[Correction]) -> tuple[float, float, str]:
@@ -292,12 +296,12 @@ def _degrees(found: re.Match[str]) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _radius(radius: float | None, default: float) -> float:
-    if radius is None:
-        return default
+def _value(latitude: float, longitude: float, radius: float | None, default: float) -> dict[str, float | str]:
+    """The value of a correction about a place [deg], within a radius [m]. Raises InputError for other radii."""
+    radius = default if radius is None else radius
     if not 0 < radius <= LARGEST_RADIUS:
         raise InputError("--radius", "", f"{radius:g} m", f"metres above 0, up to {LARGEST_RADIUS:.0f}")
-    return radius
+    return {"latitude": latitude, "longitude": longitude, "radius": radius}
 
 
 def _rebuilt(log: Store, person: str, dates: Collection[str]) -> list[str]:
@@ -321,16 +325,6 @@ def _effect(log: Store, correction: Correction) -> list[str]:
     return [*(f"  {diary.text(row)}" for row in shown or diary.between(start, end)), *lines]
 
 
-def _read_again(log: Store, correction: Correction) -> list[str]:
-    """Let the next build read recordings again that still exist, with a time that is no longer deleted."""
-    own = [e for e in log.entries() if e.person == correction.person and e.overlaps(*correction.span)]
-    there = [entry for entry in own if Path(entry.path).exists()]
-    for entry in there:
-        (log.folder / cache.OBSERVATIONS / entry.observation).unlink(missing_ok=True)
-    again = f"{count(len(there), 'recording')} can be read again: pdr-graph lifelog build {log.path}"
-    return ["what was deleted is not restored; recordings of that time may be added again", again]
-
-
 SHOWN_PAGES = ("overview.html", "report.html")  # of a folder that ``lifelog show`` writes beside the store by default
 
 
@@ -340,8 +334,8 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
     start, end: local times. Raises InputError if they or the lifelog cannot be used; OSError of the disk: what is
     missing is then deleted by calling it again.
     """
-    with Store(store) as log:
-        diary = OpenDiary.of(log, person)
+    with OpenDiary.opened(store, person) as diary:
+        log = diary.log
         who, span = diary.person, diary.span(start, end)
         fact = Correction(0, who, clock.time(), FORGOTTEN, *span)
         if fact.span not in forgotten_times(log.corrections(who)):  # else it was interrupted, and goes on
@@ -352,7 +346,15 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
         removed = [entry for entry in touched if not _cut(log, entry, forgotten_times(log.corrections(who)))]
         _remove(log, removed)
         for correction in log.corrections(who):
-            _trim(log, correction, fact)
+            kept_kind = correction.kind == FORGOTTEN or correction.span == ALWAYS
+            if kept_kind or not correction.touches(*span):
+                continue
+            if span[0] <= correction.start and correction.end <= span[1]:
+                log.delete_correction(correction.number)
+            else:  # it holds longer, and keeps the rest
+                begin = span[1] if span[0] <= correction.start < span[1] else correction.start
+                after = span[0] if span[0] < correction.end <= span[1] else correction.end
+                log.put_correction(replace(correction, start=begin, end=after))
         log.delete_days((who, date) for date in dates)
         _clean(log)
         build.observe_new(log, who)
@@ -362,7 +364,9 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
         now = [date for (name, date), own in build.recordings_by_day(log).items() if name == who and kept & own.keys()]
         lines += _rebuilt(log, who, {*dates, *now})
         log.compact()
-        return lines + _still_there(log, touched) + _named_places(log, who)
+        named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
+        remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
+        return lines + _still_there(log, touched) + ([remain] if named else [])
 
 
 def forget_recording(store: Path, recording: str) -> list[str]:
@@ -409,8 +413,7 @@ def _cut(log: Store, entry: Entry, spans: Sequence[tuple[float, float]]) -> bool
         return False
     if cut is not observation:
         cache.write(file, to_bytes(cut))
-        zone = zone_at_start(cut)
-        log.put(replace(entry, epoch=cut.epoch, duration=cut.duration, steps=step_count(cut), zone=zone))
+        log.put(replace(entry, **entry_columns(cut)))
         _delete_copy(log, entry)
     return True
 
@@ -431,19 +434,6 @@ def _delete_copy(log: Store, entry: Entry) -> None:
         Path(entry.path).unlink(missing_ok=True)
 
 
-def _trim(log: Store, correction: Correction, fact: Correction) -> None:
-    """Delete a correction of a deleted time; one that holds longer keeps the rest."""
-    start, end = fact.span
-    if correction.kind == FORGOTTEN or correction.span == ALWAYS or not correction.touches(start, end):
-        return
-    if start <= correction.start and correction.end <= end:
-        log.delete_correction(correction.number)
-        return
-    begin = end if start <= correction.start < end else correction.start
-    after = start if start < correction.end <= end else correction.end
-    log.put_correction(replace(correction, start=begin, end=after))
-
-
 def _clean(log: Store) -> None:
     """Delete files that nothing refers to, and rewrite the store without what was deleted."""
     log.put_setting(TOGETHER, "")
@@ -462,9 +452,3 @@ def _still_there(log: Store, entries: Iterable[Entry]) -> list[str]:
     shown = [folder for folder in beside if any((folder / page).exists() for page in SHOWN_PAGES)]
     there = dict.fromkeys(str(path) for path in (*files, *shown) if path is not None and path.exists())
     return [f"still on your disk: {one_line(path)}" for path in there]
-
-
-def _named_places(log: Store, person: str) -> list[str]:
-    """A line if named places remain, which hold at all times."""
-    number = sum(c.kind == PLACE_NAME for c in log.corrections(person))
-    return [f"{count(number, 'place')} with a name remain: pdr-graph lifelog correct list"] if number else []

@@ -29,9 +29,10 @@ from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_throu
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.gait.step_chunks import gap
 from pdr_graph.geometry import distance_walked, interpolate, length_along, row_times, unit, wrap_angle
-from pdr_graph.priors import FIXES, MOTION
-from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, OneLineRepr, Steps, Trajectory
+from pdr_graph.priors import FIXES
+from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Fixes, Index, Mask, OneLineRepr, Steps, Trajectory
 
 # A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
 # framework for digital mobility monitoring", PLOS ONE 16(8), 2021); a detector may miss the first and the last step
@@ -55,21 +56,31 @@ def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Seg
     trajectory: of these steps, with rows as of `row_times`; distances are measured along it. rides: ``(r, 2)`` start
     and end of each [s], in ``steps`` a row each (`without_rides`).
     """
-    kind = np.where(steps.is_gap, LOST, WALKS)
-    kind[_is_ridden(steps, rides)] = RIDES
+    begins, ends = (steps.time - steps.duration)[:, None], steps.time[:, None]
+    ridden = np.any((begins >= rides[:, 0] - INSTANT) & (ends <= rides[:, 1] + INSTANT), axis=1)
+    kind = np.where(ridden, RIDES, np.where(steps.is_gap, LOST, WALKS))
 
-    # Before every row and after the last one a pause, which may be none
+    # Before every row and after the last one a pause, which may be none; a short one beside a step is walking
     edge = np.column_stack([steps.time - steps.duration, steps.time]).ravel()
     edge = np.concatenate([[steps.start], edge, [steps.end]])
     parts = np.full(len(edge) - 1, STANDS)
     parts[1::2] = kind
-    parts[::2] = np.where(np.diff(edge)[::2] > LONGEST_PAUSE, STANDS, _pause_kinds(kind))
+    if len(kind):
+        before, after = np.append(kind[0], kind), np.append(kind, kind[-1])
+        pause = np.where((before == WALKS) | (after == WALKS), WALKS, before)
+        parts[::2] = np.where(np.diff(edge)[::2] > LONGEST_PAUSE, STANDS, pause)
     moved, distance = np.diff(length_along(trajectory.position)), np.zeros(len(parts))
     distance[1::2], distance[-1] = moved[:-1], moved[-1]
 
     lasting = np.diff(edge) > INSTANT
     parts, distance, edge = parts[lasting], distance[lasting], np.append(edge[:-1][lasting], edge[-1])
-    return _segments(_without_shuffling(parts, distance), edge, distance)
+
+    # Fewer than MIN_STEPS between two pauses are standing
+    for a, b in pairwise(_run_starts(parts)):
+        around = {parts[k] for k in (a - 1, b) if 0 <= k < len(parts)}
+        if parts[a] == WALKS and around == {STANDS} and np.count_nonzero(distance[a:b]) < MIN_STEPS:
+            parts[a:b] = STANDS
+    return _segments(parts, edge, distance)
 
 
 def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
@@ -78,42 +89,19 @@ def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
     parts: ``(p,)`` kinds; edge: ``(p + 1,)`` their bounds [s]; gone: ``(p,)`` the distance of each [m].
     """
     return tuple(
-        Segment(ACTIVITIES[parts[a]], float(edge[a]), float(edge[b]), _path_length(parts[a], gone[a:b]))
+        Segment(
+            ACTIVITIES[parts[a]],
+            float(edge[a]),
+            float(edge[b]),
+            float(gone[a:b].sum()) if parts[a] in (WALKS, RIDES) else 0.0,
+        )
         for a, b in pairwise(_run_starts(parts))
     )
-
-
-def _is_ridden(steps: Steps, rides: Array) -> Mask:
-    """Mask ``(n,)`` of the rows that lie within a ride."""
-    begins, ends = (steps.time - steps.duration)[:, None], steps.time[:, None]
-    return np.any((begins >= rides[:, 0] - INSTANT) & (ends <= rides[:, 1] + INSTANT), axis=1)
-
-
-def _pause_kinds(kind: Index) -> Index:
-    """Kind ``(n + 1,)`` of the short pauses before each row and after the last: walking if a step is beside it."""
-    if not len(kind):
-        return np.array([STANDS])
-    before, after = np.append(kind[0], kind), np.append(kind, kind[-1])
-    return np.where((before == WALKS) | (after == WALKS), WALKS, before)
-
-
-def _without_shuffling(parts: Index, distance: Array) -> Index:
-    """The parts, with fewer than MIN_STEPS between two pauses as standing."""
-    parts, edge = parts.copy(), _run_starts(parts)
-    for a, b in pairwise(edge):
-        around = {parts[k] for k in (a - 1, b) if 0 <= k < len(parts)}
-        if parts[a] == WALKS and around == {STANDS} and np.count_nonzero(distance[a:b]) < MIN_STEPS:
-            parts[a:b] = STANDS
-    return parts
 
 
 def _run_starts(parts: Index) -> list[int]:
     """Index of the first part of each run of one kind, and the number of parts."""
     return [*np.flatnonzero(np.diff(parts, prepend=-1)).tolist(), len(parts)]
-
-
-def _path_length(kind: int, gone: Array) -> float:
-    return float(gone.sum()) if kind in (WALKS, RIDES) else 0.0
 
 
 # Chosen by hand
@@ -130,12 +118,48 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     if len(fixes) < 2:
         return np.empty((0, 2))
     way, segments = follow_positions(fixes)
+
+    # Times in which the positions move farther than the steps can have led
     fast = [s for s in segments if s.kind in (VEHICLE, GAP)]
     spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
-    far = np.array([_gap_distance(way, s) if s.kind == GAP else s.distance for s in fast])
+    ends = interpolate(spans.ravel(), way.time, way.position).reshape(-1, 2, 2)
+    jumps = np.hypot(*np.diff(ends, axis=1)[:, 0].T)
+    far = np.where([s.kind == GAP for s in fast], jumps, [s.distance for s in fast])
+    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
+    reach = FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
+    first, after = np.searchsorted(fixes.time, spans[:, 0]), np.searchsorted(fixes.time, spans[:, 1], side="right")
+    sigma = np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
     # shortest ride [m]
-    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + FIXES.within * _largest_sigma(fixes, spans), 150.0)]
-    return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
+    spans = spans[far > np.maximum(reach + FIXES.within * sigma, 150.0)]
+
+    # One ride where the walker does not leave the place of a stop
+    if len(spans) > 1:
+        leave, board = spans[:-1, 1], spans[1:, 0]
+        # farthest at stop [m]: walked during such a stop
+        apart = (board - leave > 600.0) | (  # longest stop [s] between two parts of one ride: a jam, a bus stop
+            distance_walked(steps, board) - distance_walked(steps, leave) > 30.0
+        )
+        spans = np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
+
+    # Rides split at the bouts of walking within them that lead as far as the positions move (from one bus to the next)
+    begins, ends = steps.time - steps.duration, steps.time
+    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > LONGEST_PAUSE)
+    after = np.append(first[1:], len(steps))[: len(first)]
+    walks = np.column_stack([begins[first], ends[after - 1]])
+    gone = np.diff(np.interp(walks, way.time, length_along(way.position)), axis=1)[:, 0]
+    led = np.diff(distance_walked(steps, walks), axis=1)[:, 0]
+    # least steps between rides of a walk that separates two rides
+    walks = walks[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
+    inside = (walks[:, 0] > spans[:, :1]) & (walks[:, 1] < spans[:, 1:])
+    spans = np.sort(np.append(spans, walks[inside.any(axis=0)])).reshape(-1, 2)
+
+    # Extended to the steps before and after, by LONGEST_BOARDING at most
+    ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)
+    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
+    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
+    return np.column_stack(
+        [np.maximum(last, spans[:, 0] - LONGEST_BOARDING), np.minimum(next_, spans[:, 1] + LONGEST_BOARDING)]
+    )
 
 
 def with_stated_rides(rides: Array, steps: Steps, stated: Sequence[StatedActivity]) -> Array:
@@ -159,78 +183,13 @@ def without_rides(steps: Steps, spans: Array) -> Steps:
         return steps
     begins, ends = steps.time - steps.duration, steps.time
     ridden = np.any((ends[:, None] > spans[:, 0] + INSTANT) & (begins[:, None] < spans[:, 1] - INSTANT), axis=1)
-    long, nothing = spans[:, 1] - spans[:, 0], np.zeros(len(spans))
-    rows = {
-        "time": spans[:, 1],
-        "duration": long,
-        "length": nothing,
-        "turn": nothing,
-        "pause_turn": nothing,
-        "sigma_length": RIDE_SPEED * long,
-        "sigma_turn": np.full(len(spans), MOTION.gap_turn),
+    rides = [gap(start, end, speed=RIDE_SPEED) for start, end in spans.tolist()]
+    columns = {
+        name: np.concatenate([getattr(steps, name)[~ridden], *(getattr(ride, name) for ride in rides)])
+        for name in STEP_COLUMNS
     }
-    columns = {name: np.append(getattr(steps, name)[~ridden], row) for name, row in rows.items()}
     order = np.argsort(columns["time"], kind="stable")
     return replace(steps, **{name: column[order] for name, column in columns.items()})
-
-
-def _gap_distance(way: Trajectory, gap: Segment) -> float:
-    """Distance between the positions before and after a gap [m]."""
-    begin, end = interpolate(np.array([gap.start, gap.end]), way.time, way.position)
-    return float(np.hypot(*(end - begin)))
-
-
-def _reach_of_steps(steps: Steps, spans: Array) -> Array:
-    """Largest distance that the steps can have led in each span [m]; gaps count with a vehicle's speed."""
-    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
-    return FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
-
-
-def _largest_sigma(fixes: Fixes, spans: Array) -> Array:
-    """The largest sigma of the fixes in each span [m]."""
-    first = np.searchsorted(fixes.time, spans[:, 0])
-    after = np.searchsorted(fixes.time, spans[:, 1], side="right")
-    return np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
-
-
-def _merge_rides(steps: Steps, spans: Array) -> Array:
-    """The spans, merged where the walker does not leave the place of a stop between them."""
-    if len(spans) < 2:
-        return spans
-    leave, board = spans[:-1, 1], spans[1:, 0]
-    # farthest at stop [m]: walked during such a stop
-    apart = (board - leave > 600.0) | (  # longest stop [s] between two parts of one ride: a jam, a bus stop, a platform
-        distance_walked(steps, board) - distance_walked(steps, leave) > 30.0
-    )
-    return np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
-
-
-def _confirmed_walks(steps: Steps, way: Trajectory) -> Array:
-    """Start and end ``(b, 2)`` [s] of the bouts of walking that lead as far as the positions move."""
-    begins, ends = steps.time - steps.duration, steps.time
-    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > LONGEST_PAUSE)
-    after = np.append(first[1:], len(steps))[: len(first)]
-    bouts = np.column_stack([begins[first], ends[after - 1]])
-    gone = np.diff(np.interp(bouts, way.time, length_along(way.position)), axis=1)[:, 0]
-    led = np.diff(distance_walked(steps, bouts), axis=1)[:, 0]
-    # least steps between rides of a walk that separates two rides
-    return bouts[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
-
-
-def _without_walks(spans: Array, walks: Array) -> Array:
-    """The spans, split at the walks within them (from one bus to the next)."""
-    inside = (walks[:, 0] > spans[:, :1]) & (walks[:, 1] < spans[:, 1:])
-    return np.sort(np.append(spans, walks[inside.any(axis=0)])).reshape(-1, 2)
-
-
-def _extended_to_steps(steps: Steps, spans: Array) -> Array:
-    """The spans, extended to the steps before and after, by LONGEST_BOARDING at most."""
-    ends, begins = np.append(steps.start, steps.time), np.append(steps.time - steps.duration, steps.end)
-    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
-    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
-    return np.column_stack(
-        [np.maximum(last, spans[:, 0] - LONGEST_BOARDING), np.minimum(next_, spans[:, 1] + LONGEST_BOARDING)]
-    )
 
 
 FRONT_KINDS = ("shop", "place")  # kinds of areas that are solid and looked at; walls are not, even if they have names
@@ -302,15 +261,47 @@ class VisiblePlaces(OneLineRepr):
         deviation of the direction of the look from the heading's [rad].
         """
         standing = covariance + SHUFFLE_SIGMA**2 * np.diag([1.0, 1.0, 0.0])
-        middle, spread = self._on_walkable(position, standing[:2, :2])
+        # The nearest walkable position, with the covariance enlarged by the distance to it
+        line = shapely.shortest_line(self.walkable, shapely.Point(position))
+        middle, spread = shapely.get_coordinates(line)[0], standing[:2, :2]
+        off = middle - position
+        if off.any():
+            # inset [m] by which a position off the plan is moved into it
+            middle, spread = middle + 0.01 * off / np.hypot(*off), spread + np.outer(off, off)
+        else:
+            middle = position
         # most position sigma [m] per axis; a less certain position does not determine a place
         if np.trace(spread) > 2 * 20.0**2:
             return ()
         reach = 3 * np.sqrt(np.trace(spread)) + MAX_DISTANCE
         near = self.tree.query(shapely.box(*(middle - reach), *(middle + reach)))
-        places = self._reachable(middle, middle + NORMAL_POINTS @ np.linalg.cholesky(spread).T, near)
-        distance, owner = self._first_hits(places, near)
-        weight = _look_probability(places - position, heading, standing, sideways) * _linger_rate(distance)
+
+        # Sample points that no solid wall separates from the middle; the middle if there is none
+        places = middle + NORMAL_POINTS @ np.linalg.cholesky(spread).T
+        walls = near[self.solid[near]]
+        hit = _ray_distances(middle[None], places - middle, self.start[walls], self.way[walls])
+        places = places[~np.any(hit < 1, axis=(0, 2))]
+        places = places if len(places) else middle[None]
+
+        # Distance to the first edge on each ray from each point, and the number of its place
+        number = np.append(-1, self.owner[near])
+        hit = _ray_distances(places, unit(DIRECTIONS), self.start[near], self.way[near])
+        # wall offset [m] that walls are moved back, so that a front drawn on a wall is hit first
+        hit += np.where(number[1:] < 0, 0.05, 0.0)
+        hit = np.concatenate([np.full((*hit.shape[:2], 1), np.inf), hit], axis=2)
+        first = np.argmin(hit, axis=2)
+        distance, owner = np.take_along_axis(hit, first[:, :, None], axis=2)[:, :, 0], number[first]
+
+        # Probability of looking along each ray, given the heading at the point, times the rate of lingering
+        look = np.full((len(places), RAYS), 1 / RAYS)
+        if not np.isnan(heading):
+            gain = np.linalg.solve(standing[:2, :2], standing[:2, 2])
+            variance = sideways**2 + standing[2, 2] - gain @ standing[:2, 2]
+            apart = wrap_angle(DIRECTIONS - (heading + (places - position) @ gain)[:, None])
+            ahead = np.exp(-0.5 * apart**2 / variance)
+            look = (1 - RANDOM_LOOK_SHARE) * ahead / ahead.sum(axis=1, keepdims=True) + RANDOM_LOOK_SHARE / RAYS
+        linger = np.exp(-np.maximum(distance - NEAR_DISTANCE, 0.0) / DECAY_DISTANCE)
+        weight = look * np.where(distance < MAX_DISTANCE, linger, 0.0)
         rates = np.bincount(owner.ravel() + 1, weight.ravel(), minlength=len(self.names) + 1)[1:]
         inside, room = self.rooms.query(shapely.points(places), predicate="intersects")
         rates += UNNAMED_RATE * np.bincount(self.room[room], minlength=len(self.names))
@@ -319,33 +310,6 @@ class VisiblePlaces(OneLineRepr):
         order = np.argsort(-probability, kind="stable")
         # least probability of a place that is reported
         return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > 1e-3)
-
-    def _on_walkable(self, position: Array, covariance: Array) -> tuple[Array, Array]:
-        """The nearest walkable position, and the covariance enlarged by the distance to it."""
-        line = shapely.shortest_line(self.walkable, shapely.Point(position))
-        middle = shapely.get_coordinates(line)[0]
-        off = middle - position
-        if not off.any():
-            return position, covariance
-        # inset [m] by which a position off the plan is moved into it
-        return middle + 0.01 * off / np.hypot(*off), covariance + np.outer(off, off)
-
-    def _reachable(self, middle: Array, places: Array, near: Index) -> Array:
-        """The points that no solid wall separates from the middle; the middle if there is none."""
-        walls, way = near[self.solid[near]], places - middle
-        hit = _ray_distances(middle[None], way, self.start[walls], self.way[walls])
-        clear = places[~np.any(hit < 1, axis=(0, 2))]
-        return clear if len(clear) else middle[None]
-
-    def _first_hits(self, places: Array, near: Index) -> tuple[Array, Index]:
-        """Distance [m] to the first edge on each ray from each point, and the number of its place; ``(k, RAYS)``."""
-        owner = np.append(-1, self.owner[near])
-        hit = _ray_distances(places, unit(DIRECTIONS), self.start[near], self.way[near])
-        # wall offset [m] that walls are moved back, so that a front drawn on a wall is hit first
-        hit += np.where(owner[1:] < 0, 0.05, 0.0)
-        hit = np.concatenate([np.full((*hit.shape[:2], 1), np.inf), hit], axis=2)
-        first = np.argmin(hit, axis=2)
-        return np.take_along_axis(hit, first[:, :, None], axis=2)[:, :, 0], owner[first]
 
 
 def _outline(area: Area) -> shapely.Geometry:
@@ -373,30 +337,10 @@ def _ray_distances(origin: Array, ray: Array, start: Array, way: Array) -> Array
     return np.where((along > 0) & (share >= 0) & (share <= 1), along, np.inf)
 
 
-def _look_probability(off: Array, heading: float, covariance: Array, sideways: float) -> Array:
-    """Probability ``(k, RAYS)`` of looking along each ray from each point; off: ``(k, 2)`` from the position [m]."""
-    if np.isnan(heading):
-        return np.full((len(off), RAYS), 1 / RAYS)
-    gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])  # the heading at a point, given the position there
-    variance = sideways**2 + covariance[2, 2] - gain @ covariance[:2, 2]
-    apart = wrap_angle(DIRECTIONS - (heading + off @ gain)[:, None])
-    ahead = np.exp(-0.5 * apart**2 / variance)
-    return (1 - RANDOM_LOOK_SHARE) * ahead / ahead.sum(axis=1, keepdims=True) + RANDOM_LOOK_SHARE / RAYS
-
-
-def _linger_rate(distance: Array) -> Array:
-    """Rate of lingering at a distance [m], relative to that at a near place."""
-    return np.where(distance < MAX_DISTANCE, np.exp(-np.maximum(distance - NEAR_DISTANCE, 0.0) / DECAY_DISTANCE), 0.0)
-
-
-def _normal_points(number: int) -> Array:
-    """Points ``(n, 2)`` of equal weight that represent a standard normal distribution: a golden-angle spiral."""
-    rank = np.arange(number)
-    radius = np.sqrt(-2 * np.log1p(-(rank + 0.5) / number))
-    return radius[:, None] * unit(rank * np.pi * (3 - np.sqrt(5)))
-
-
-NORMAL_POINTS, DIRECTIONS = _normal_points(SAMPLE_POINTS), np.arange(RAYS) * 2 * np.pi / RAYS
+# Points ``(n, 2)`` of equal weight that represent a standard normal distribution: a golden-angle spiral
+_RANK = np.arange(SAMPLE_POINTS)
+NORMAL_POINTS = np.sqrt(-2 * np.log1p(-(_RANK + 0.5) / SAMPLE_POINTS))[:, None] * unit(_RANK * np.pi * (3 - np.sqrt(5)))
+DIRECTIONS = np.arange(RAYS) * 2 * np.pi / RAYS
 
 
 # Detection of stays and slow passes; chosen by hand
@@ -417,7 +361,10 @@ def stays_of(
 
     Raises ValueError if the numbers of rows do not match.
     """
-    _check(steps, trajectory, looks)
+    if len(trajectory) != len(steps) + 2:
+        raise ValueError(f"trajectory: found {len(trajectory)} rows, expected {len(steps) + 2}, two more than steps")
+    if looks is not None and len(looks) != len(steps) + 1:
+        raise ValueError(f"looks: found {len(looks)}, expected {len(steps) + 1}, one more than steps")
     fronts = _visible_places(building, trajectory)
     found = _stays(steps, trajectory, fronts, looks) + _passes(steps, trajectory, fronts)
     return tuple(sorted(found, key=lambda stay: stay.start))
@@ -440,14 +387,6 @@ def stays_of_positions(
         stay = _stay(segment.start, segment.end, False, *pose, track.floor[-1], fronts)
         found += [stay] if _is_long_enough(stay, fronts) else []
     return tuple(found)
-
-
-def _check(steps: Steps, trajectory: Trajectory, looks: Array | None) -> None:
-    """Raise ValueError unless there are two more rows and one more look than steps."""
-    if len(trajectory) != len(steps) + 2:
-        raise ValueError(f"trajectory: found {len(trajectory)} rows, expected {len(steps) + 2}, two more than steps")
-    if looks is not None and len(looks) != len(steps) + 1:
-        raise ValueError(f"looks: found {len(looks)}, expected {len(steps) + 1}, one more than steps")
 
 
 def _covariance(trajectory: Trajectory) -> Array:

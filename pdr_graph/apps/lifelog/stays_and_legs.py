@@ -45,21 +45,23 @@ class Track:
     def of(cls, outings: Sequence[Outing]) -> Track:
         """Construct from outings; those that are not georeferenced are left out."""
         parts = [(outing, without_gap_rows(outing)) for outing in outings if outing.frame.georeferenced]
-        parts = [(outing, rows) for outing, rows in parts if len(rows)]
-        time = np.concatenate([np.empty(0), *(rows.time + outing.epoch for outing, rows in parts)])
-        lonlat = np.concatenate([np.empty((0, 2)), *(o.frame.to_lonlat(rows.position) for o, rows in parts)])
-        plan = np.repeat([bool(o.plan) for o, _ in parts], [len(rows) for _, rows in parts]).astype(bool)
-        return cls._of_columns(time, lonlat, plan)
+        columns = [
+            (rows.time + outing.epoch, outing.frame.to_lonlat(rows.position), np.full(len(rows), bool(outing.plan)))
+            for outing, rows in parts
+            if len(rows)
+        ]
+        return cls._of_columns(columns)
 
     @classmethod
     def concatenate(cls, tracks: Sequence[Track]) -> Track:
         """One track of several."""
-        time = np.concatenate([np.empty(0), *(track.time for track in tracks)])
-        lonlat = np.concatenate([np.empty((0, 2)), *(track.lonlat for track in tracks)])
-        return cls._of_columns(time, lonlat, np.concatenate([np.empty(0, bool), *(track.plan for track in tracks)]))
+        return cls._of_columns([(track.time, track.lonlat, track.plan) for track in tracks])
 
     @classmethod
-    def _of_columns(cls, time: Array, lonlat: Array, plan: Mask) -> Track:
+    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask]]) -> Track:
+        """The track of parts with columns time, lonlat and plan, in any order."""
+        nothing = np.empty(0), np.empty((0, 2)), np.empty(0, bool)
+        time, lonlat, plan = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
         moved = np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1)
@@ -94,25 +96,13 @@ def lonlat_of(point: Array) -> tuple[float, float]:
 @dataclass(frozen=True)
 class _Halt:
     """A time at one place. start, end: Unix times [s]; middle ``(3,)`` on the sphere [m]; sigma: standard deviation per
-    axis of the place [m]; observed: share of the time with data.
+    axis of the place [m].
     """
 
     start: float
     end: float
     middle: Array
     sigma: float
-    observed: float = 1.0
-
-    @property
-    def duration(self) -> float:
-        """Its duration [s]."""
-        return self.end - self.start
-
-    @property
-    def visit(self) -> TimelineEntry:
-        """The stay at the place."""
-        longitude, latitude = lonlat_of(self.middle)
-        return TimelineEntry(STAY, self.start, self.end, latitude=latitude, longitude=longitude, sigma=self.sigma)
 
 
 def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
@@ -127,8 +117,16 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
         else:
             found.append(halt)
     limits = [-np.inf, *(visit.end for visit in found)], [*(visit.start for visit in found), np.inf]
-    found = [_with_edges(visit, track, limits[0][n], limits[1][n + 1]) for n, visit in enumerate(found)]
-    return [halt.visit for halt in _without_overlap(found) if halt.duration >= SHORTEST_VISIT]
+    visits, before = list[TimelineEntry](), -np.inf
+    for n, visit in enumerate(found):
+        start, end = _edges(visit, track, limits[0][n], limits[1][n + 1])
+        start = max(start, before)
+        before = max(end, before)
+        if end - start >= SHORTEST_VISIT:
+            longitude, latitude = lonlat_of(visit.middle)
+            place = TimelineEntry(STAY, start, end, latitude=latitude, longitude=longitude, sigma=visit.sigma)
+            visits.append(place)
+    return visits
 
 
 def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
@@ -141,22 +139,17 @@ def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
             sigma = float(np.hypot(np.nan_to_num(entry.sigma), spread))
             yield _Halt(entry.start, entry.end, np.median(points, axis=0), sigma)
         elif entry.kind == GAP:
-            yield from _silence(entry, track)
-
-
-def _silence(gap: TimelineEntry, track: Track) -> Iterator[_Halt]:
-    """The visit of a silence, if its ends are near each other and nobody was on the way between them."""
-    before, after = track.between(-np.inf, gap.start).stop - 1, track.between(gap.end, np.inf).start
-    if before < 0 or after >= len(track.time) or track.plan[[before, after]].any():
-        return
-    ends, lasted = track.sphere[[before, after]], gap.end - gap.start
-    if max(gap.start - track.time[before], track.time[after] - gap.end) > SHORTEST_VISIT:
-        return  # something without positions was between
-    apart = float(np.linalg.norm(ends[1] - ends[0]))
-    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
-    # silent speed [m/s] between its ends at most: faster, and the person was on the way
-    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_BRIDGED:
-        yield _Halt(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA), 0.0)
+            before, after = track.between(-np.inf, entry.start).stop - 1, track.between(entry.end, np.inf).start
+            if before < 0 or after >= len(track.time) or track.plan[[before, after]].any():
+                continue
+            if max(entry.start - track.time[before], track.time[after] - entry.end) > SHORTEST_VISIT:
+                continue  # something without positions was between
+            ends = track.sphere[[before, after]]
+            apart = float(np.linalg.norm(ends[1] - ends[0]))
+            # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+            # silent speed [m/s] between its ends at most: faster, and the person was on the way
+            if apart <= min(300.0, 0.25 * entry.duration) and entry.duration <= LONGEST_BRIDGED:
+                yield _Halt(entry.start, entry.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA))
 
 
 def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
@@ -166,50 +159,31 @@ def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
     between = track.between(visit.end, halt.start)
     if np.diff([visit.end, *track.time[between], halt.start]).max() > LONGEST_BRIDGED:
         return False
-    off = np.linalg.norm(track.sphere[between] - visit.middle, axis=1)
-    farthest = off.max(initial=0.0)
+    farthest = np.linalg.norm(track.sphere[between] - visit.middle, axis=1).max(initial=0.0)
     # longest excursion [s] beyond VISIT_RADIUS that is still part of a visit: mostly an error of the receiver
     return bool(farthest <= VISIT_RADIUS or (farthest <= 2 * VISIT_RADIUS and halt.start - visit.end <= 180.0))
 
 
 def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     """One visit of two, with the mean place by time and certainty."""
-    weight = [v.duration / (HALT_SIGMA**2 + v.sigma**2) for v in (visit, halt)]
+    weight = [(v.end - v.start) / (HALT_SIGMA**2 + v.sigma**2) for v in (visit, halt)]
     share = weight[1] / (weight[0] + weight[1]) if weight[0] + weight[1] else 0.5
     middle = (1 - share) * visit.middle + share * halt.middle
     apart = np.linalg.norm(halt.middle - visit.middle) / 2
     variance = (1 - share) * visit.sigma**2 + share * halt.sigma**2 + share * (1 - share) * apart**2
-    silent = sum((1 - v.observed) * v.duration for v in (visit, halt))
-    observed = 1 - silent / max(halt.end - visit.start, 1e-9)
-    return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)), float(observed))
+    return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)))
 
 
-def _with_edges(visit: _Halt, track: Track, earliest: float, latest: float) -> _Halt:
-    """The visit with the walking within EDGE_RADIUS just before and after it; earliest, latest: limits [s]."""
-    first, last = track.between(visit.start, visit.end).start, track.between(visit.start, visit.end).stop - 1
-    start, end = visit.start, visit.end
-    while first > 0 and _is_at(visit, track, first - 1) and track.time[first - 1] > earliest:
-        first -= 1
-        start = float(track.time[first])
-    while last + 1 < len(track.time) and _is_at(visit, track, last + 1) and track.time[last + 1] < latest:
-        last += 1
-        end = float(track.time[last])
-    silent = (1 - visit.observed) * visit.duration
-    return replace(visit, start=start, end=end, observed=1 - silent / max(end - start, 1e-9))
-
-
-def _is_at(visit: _Halt, track: Track, row: int) -> bool:
-    off = track.sphere[row] - visit.middle
-    return not track.plan[row] and bool(off @ off <= EDGE_RADIUS**2)
-
-
-def _without_overlap(visits: Sequence[_Halt]) -> list[_Halt]:
-    """The visits; one that begins before the end of the last begins there."""
-    found: list[_Halt] = []
-    for visit in visits:
-        start = max(visit.start, found[-1].end) if found else visit.start
-        found += [replace(visit, start=start)] if visit.end > start else []
-    return found
+def _edges(visit: _Halt, track: Track, earliest: float, latest: float) -> tuple[float, float]:
+    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits."""
+    rows = track.between(visit.start, visit.end)
+    low = min(int(np.searchsorted(track.time, earliest, side="right")), rows.start)
+    high = max(int(np.searchsorted(track.time, latest)), rows.stop)
+    away = track.plan[low:high] | (((track.sphere[low:high] - visit.middle) ** 2).sum(axis=1) > EDGE_RADIUS**2)
+    first = low + int(np.flatnonzero(np.append(True, away[: rows.start - low]))[-1])
+    last = rows.stop - 1 + int(np.flatnonzero(np.append(away[rows.stop - low :], True))[0])
+    start = float(track.time[first]) if first < rows.start else visit.start
+    return start, float(track.time[last]) if last >= rows.stop else visit.end
 
 
 # Chosen by hand
@@ -225,33 +199,28 @@ def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], trac
     """
     begins = [visit.start for visit in visits]
     bounds = sorted({time for visit in visits for time in (visit.start, visit.end)})
-    pieces = [piece for entry in fine for piece in cut(entry, bounds, track)]
+    on_plan, on_the_way = -2, -1
+
+    def group_of(piece: TimelineEntry) -> int:
+        """Number of the visit of a piece; on_plan for one that remains as it is, on_the_way between visits."""
+        middle = (piece.start + piece.end) / 2
+        n = bisect_right(begins, middle) - 1
+        if n >= 0 and middle < visits[n].end:
+            return n
+        seen = track.plan[track.between(piece.start, piece.end)]
+        return on_plan if piece.kind != GAP and (not len(seen) or seen.any()) else on_the_way
+
     rows: list[TimelineEntry] = []
-    for group, own in groupby(pieces, key=lambda piece: _group(piece, visits, begins, track)):
-        if group == _ON_PLAN:
-            rows += own
-        elif group >= 0:
-            rows.append(_with_parts(visits[group], tuple(own)))
+    for group, own in groupby((piece for entry in fine for piece in cut(entry, bounds, track)), key=group_of):
+        parts = tuple(own)
+        if group == on_plan:
+            rows += parts
+        elif group == on_the_way:
+            rows += _legs(parts, track)
         else:
-            rows += _legs(list(own), track)
+            floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
+            rows.append(replace(visits[group], floor=floor, observed=_observed(parts), parts=parts))
     return rows
-
-
-_ON_PLAN, _ON_THE_WAY = -2, -1
-
-
-def _group(piece: TimelineEntry, visits: Sequence[TimelineEntry], begins: Sequence[float], track: Track) -> int:
-    """Number of the visit of a piece; _ON_PLAN for one that remains as it is, _ON_THE_WAY between visits.
-
-    begins: starts of the visits [s].
-    """
-    middle = (piece.start + piece.end) / 2
-    n = bisect_right(begins, middle) - 1
-    if n >= 0 and middle < visits[n].end:
-        return n
-    rows = track.between(piece.start, piece.end)
-    seen = track.plan[rows]
-    return _ON_PLAN if piece.kind != GAP and (not len(seen) or seen.any()) else _ON_THE_WAY
 
 
 def cut(entry: TimelineEntry, times: Sequence[float], track: Track) -> list[TimelineEntry]:
@@ -271,41 +240,41 @@ def cut(entry: TimelineEntry, times: Sequence[float], track: Track) -> list[Time
         own = tuple(part for part in parts if start <= part.start and part.end <= end)
         piece = replace(entry, start=start, end=end, distance=of * entry.distance, parts=own)
         if own:
-            piece = replace(piece, distance=_distance(own) if entry.distance else 0.0, observed=_observed(own))
+            distance = float(sum(part.distance for part in own)) if entry.distance else 0.0
+            piece = replace(piece, distance=distance, observed=_observed(own))
         found.append(piece)
     return found
 
 
-def _with_parts(visit: TimelineEntry, parts: tuple[TimelineEntry, ...]) -> TimelineEntry:
-    """The row of a visit."""
-    floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
-    return replace(visit, floor=floor, observed=_observed(parts), parts=parts)
-
-
 def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEntry]:
-    """The walks, rides and long silences between two visits."""
+    """The walks, rides and long silences between two visits, as a row each.
+
+    A piece that makes no leg by itself belongs to the leg before it if that is a walk or a ride, else to the one after.
+    """
     longest = max((p.duration for p in pieces if p.kind in MOVING), default=0.0)
     kinds = [_leg_kind(piece, longest, track) for piece in pieces]
-    if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # nobody saw how the person went
-        kinds = [_kind_at_speed(pieces, track)] * len(pieces)
-    kinds = [
-        kind or _kind_beside(kinds, n) or piece.kind for n, (kind, piece) in enumerate(zip(kinds, pieces, strict=True))
-    ]
-    for kind, own in groupby(zip(kinds, pieces, strict=True), key=lambda pair: pair[0]):
-        yield _leg(kind, [piece for _, piece in own], track)
-
-
-def _kind_beside(kinds: Sequence[str], n: int) -> str:
-    """Kind of the leg before the nth piece if it is a walk or a ride, else of the one after it; "" without any leg."""
-    before = next((kind for kind in reversed(kinds[:n]) if kind), "")
-    after = next((kind for kind in kinds[n + 1 :] if kind), "")
-    return next((kind for kind in (before, after) if kind in MOVING), before or after)
-
-
-def _kind_at_speed(gaps: Sequence[TimelineEntry], track: Track) -> str:
-    """Kind of a way without data, by the straight line between its ends."""
-    start, end = gaps[0].start, gaps[-1].end
-    return VEHICLE if track.length(start, end) > FASTEST_WALKING_LEG * (end - start) else WALKING
+    if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # by speed: nobody saw how the person went
+        start, end = pieces[0].start, pieces[-1].end
+        fast = track.length(start, end) > FASTEST_WALKING_LEG * (end - start)
+        kinds = [VEHICLE if fast else WALKING] * len(pieces)
+    named = list[tuple[str, TimelineEntry]]()
+    for n, piece in enumerate(pieces):
+        beside = [next(filter(None, side), "") for side in (reversed(kinds[:n]), kinds[n + 1 :])]
+        moving = [kind for kind in beside if kind in MOVING]
+        named.append((next(filter(None, (kinds[n], *moving, *beside)), piece.kind), piece))
+    for kind, own in groupby(named, key=lambda pair: pair[0]):
+        parts = [piece for _, piece in own]
+        if len(parts) == 1 and parts[0].kind == kind:
+            yield parts[0]
+            continue
+        start, end, distance, observed = parts[0].start, parts[-1].end, 0.0, 1.0
+        if kind != GAP:  # a short silence counts with the straight line between its ends
+            for n, part in enumerate(parts):
+                if part.kind == GAP:
+                    length = track.length(part.start, part.end)
+                    parts[n] = replace(part, kind=kind, distance=length, observed=0.0)
+            distance, observed = float(sum(part.distance for part in parts)), _observed(parts)
+        yield TimelineEntry(kind, start, end, distance, observed=observed, parts=tuple(parts))
 
 
 def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
@@ -318,26 +287,6 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
         return piece.kind if lasted >= min(120.0, longest) else ""
     return GAP if piece.kind == GAP and lasted >= SHORTEST_SILENCE else ""
-
-
-def _leg(kind: str, pieces: Sequence[TimelineEntry], track: Track) -> TimelineEntry:
-    """One row of consecutive pieces; a short silence counts with the straight line between its ends."""
-    if len(pieces) == 1 and pieces[0].kind == kind:
-        return pieces[0]
-    parts = tuple(_bridged(piece, kind, track) if piece.kind == GAP and kind != GAP else piece for piece in pieces)
-    distance = 0.0 if kind == GAP else _distance(parts)
-    return TimelineEntry(
-        kind, pieces[0].start, pieces[-1].end, distance, observed=_observed(parts) if kind != GAP else 1.0, parts=parts
-    )
-
-
-def _bridged(gap: TimelineEntry, kind: str, track: Track) -> TimelineEntry:
-    """A short silence as a part of a leg, without data."""
-    return replace(gap, kind=kind, distance=track.length(gap.start, gap.end), observed=0.0)
-
-
-def _distance(parts: Sequence[TimelineEntry]) -> float:
-    return float(sum(part.distance for part in parts))
 
 
 def _observed(parts: Sequence[TimelineEntry]) -> float:

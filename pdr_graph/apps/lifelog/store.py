@@ -246,9 +246,7 @@ class Store:
 
     def delete(self, *hashes: str) -> None:
         """Delete entries of recordings; the next build deletes what was made from them."""
-        with self._transaction() as execute:
-            for name in hashes:
-                execute("DELETE FROM recording WHERE hash = ?", (name,))
+        self._write("DELETE FROM recording WHERE hash = ?", *((name,) for name in hashes))
 
     def guesses(self, person: str, start: float = -math.inf, stop: float = math.inf) -> tuple[Guess, ...]:
         """Guesses of other programs that touch a time (Unix times [s]), in time order."""
@@ -270,8 +268,7 @@ class Store:
 
     def delete_guesses(self, person: str, start: float, stop: float) -> None:
         """Delete the guesses that touch a time (Unix times [s])."""
-        with self._transaction() as execute:
-            execute("DELETE FROM guess WHERE person = ? AND start <= ? AND stop >= ?", (person, stop, start))
+        self._write("DELETE FROM guess WHERE person = ? AND start <= ? AND stop >= ?", (person, stop, start))
 
     def phones(self) -> dict[str, str]:
         """Map Bluetooth transmitter -> person who carries it."""
@@ -279,8 +276,7 @@ class Store:
 
     def put_phone(self, person: str, transmitter: str) -> None:
         """Store that a person carries a Bluetooth transmitter."""
-        with self._transaction() as execute:
-            execute(_insert("phone", 2, " (transmitter, person)"), (transmitter, person))
+        self._write(_insert("phone", 2, " (transmitter, person)"), (transmitter, person))
 
     def corrections(self, person: str | None = None) -> tuple[Correction, ...]:
         """Corrections of a person, of all persons by default, in the order in which they were made."""
@@ -292,13 +288,11 @@ class Store:
 
     def put_correction(self, correction: Correction) -> int:
         """Insert a correction, or replace that of the same number; returns its number."""
-        with self._transaction() as execute:
-            return execute(_insert("correction", 7), correction.row).lastrowid or 0
+        return self._write(_insert("correction", 7), correction.row)
 
     def delete_correction(self, number: int) -> None:
         """Delete a correction."""
-        with self._transaction() as execute:
-            execute("DELETE FROM correction WHERE number = ?", (number,))
+        self._write("DELETE FROM correction WHERE number = ?", (number,))
 
     def delete_days(self, days: Iterable[tuple[str, str]]) -> None:
         """Delete days (person, date)."""
@@ -319,21 +313,16 @@ class Store:
 
     def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""
-        with self._transaction() as execute:
-            execute(_insert("setting", 2, " (name, value)"), (name, value))
+        self._write(_insert("setting", 2, " (name, value)"), (name, value))
 
     def lasting_setting(self, name: str, value: str) -> str:
         """The value of a setting, which is `value` for ever if it has none: two processes get the same one."""
-        if not self._all("SELECT value FROM setting WHERE name = ?", name):
-            with self._transaction() as execute:
-                execute("INSERT OR IGNORE INTO setting (name, value) VALUES (?, ?)", (name, value))
+        self._write("INSERT OR IGNORE INTO setting (name, value) VALUES (?, ?)", (name, value))
         return self.setting(name)
 
     def put_versions(self, versions: dict[str, str]) -> None:
         """Store the versions of packages."""
-        with self._transaction() as execute:
-            for row in versions.items():
-                execute(_insert("version", 2), row)
+        self._write(_insert("version", 2), *versions.items())
 
     def begin_build(self, obsolete: Iterable[tuple[str, str]]) -> None:
         """Delete the failures of the last build, and days (person, date) whose recordings belong to other days now."""
@@ -353,8 +342,7 @@ class Store:
 
     def put_failure(self, person: str, date: str, reason: str) -> None:
         """Store why a day failed; its earlier rows are kept."""
-        with self._transaction() as execute:
-            execute(_insert("failure", 3), (person, date, reason))
+        self._write(_insert("failure", 3), (person, date, reason))
 
     def close(self) -> None:
         """Close the file, so that another process may open it."""
@@ -369,6 +357,11 @@ class Store:
     def _all(self, statement: str, *values: Any) -> list[Any]:
         with storage.explained(self.path, LIFELOG):
             return self._database.execute(statement, values).fetchall()
+
+    def _write(self, statement: str, *rows: Sequence[Any]) -> int:
+        """Execute a statement with the values of each row, in one transaction; returns the number of the last row."""
+        with self._transaction() as execute:
+            return max([0, *(execute(statement, row).lastrowid or 0 for row in rows)])
 
     @contextmanager
     def _reading_day(self, person: str, date: str) -> Iterator[None]:

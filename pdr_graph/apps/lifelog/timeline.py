@@ -125,16 +125,12 @@ def timeline(day: Day) -> tuple[TimelineEntry, ...]:
     """
     entries: list[TimelineEntry] = []
     for outing in sorted(day.outings, key=lambda o: o.epoch):
-        own = [_entry(outing, piece) for piece in _pieces(outing)]
+        pieces = _merged(_absorbed(_with_stays(outing), LONGEST_SLIVER, (STAY,)))
+        own = [_entry(outing, piece) for piece in _merged(_absorbed(pieces, SHORT_STAND, (WALKING, VEHICLE)))]
         if entries and own and own[0].start - entries[-1].end > SHORTEST_GAP:
             entries.append(TimelineEntry(GAP, entries[-1].end, own[0].start))
         entries += own
     return tuple(entries)
-
-
-def _pieces(outing: Outing) -> list[_Piece]:
-    """The parts of an outing, in time order."""
-    return _merged(_without_short_standing(_merged(_without_slivers(_with_stays(outing)))))
 
 
 def _with_stays(outing: Outing) -> list[_Piece]:
@@ -162,70 +158,55 @@ def _merged(pieces: Sequence[_Piece]) -> list[_Piece]:
     return joined
 
 
-def _without_slivers(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """The pieces; standing shorter than LONGEST_SLIVER beside a stay becomes part of the stay."""
+def _absorbed(pieces: Sequence[_Piece], shortest: float, kinds: Sequence[str]) -> list[_Piece]:
+    """The pieces; standing below `shortest` [s] belongs to the piece before it, else after it, of one of some kinds."""
     found = list(pieces)
     for n, piece in enumerate(found):
-        beside = [p for p in found[max(n - 1, 0) : n + 2] if p.kind == STAY]
-        if piece.kind == STANDING and piece.end - piece.start < LONGEST_SLIVER and beside:
-            found[n] = replace(piece, kind=STAY, stay=beside[0].stay)
-    return found
-
-
-def _without_short_standing(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """The pieces; short standing becomes part of the walk or ride before it, else after it."""
-    found = list(pieces)
-    for n, piece in enumerate(found):
-        ways = [p.kind for p in (*found[max(n - 1, 0) : n], *found[n + 1 : n + 2]) if p.kind in (WALKING, VEHICLE)]
-        if piece.kind == STANDING and piece.end - piece.start < SHORT_STAND and ways:
-            found[n] = replace(piece, kind=ways[0])
+        beside = [p for p in found[max(n - 1, 0) : n + 2] if p.kind in kinds]
+        if piece.kind == STANDING and piece.end - piece.start < shortest and beside:
+            found[n] = replace(piece, kind=beside[0].kind, stay=beside[0].stay)
     return found
 
 
 def _entry(outing: Outing, piece: _Piece) -> TimelineEntry:
-    start, end = outing.epoch + piece.start, outing.epoch + piece.end
-    track = outing.trajectory
-    if piece.stay is not None:
-        stay = piece.stay
-        entry = TimelineEntry(piece.kind, start, end, piece.distance, (stay.floor,) if stay.floor else (), stay.facing)
-        return _with_position(entry, outing, stay.position, stay.covariance)
+    """The entry of a piece; a stay, a slow pass and standing have a position."""
+    entry = TimelineEntry(piece.kind, outing.epoch + piece.start, outing.epoch + piece.end)
     if piece.kind in KINDS_WITHOUT_DATA:
-        return TimelineEntry(piece.kind, start, end)
-    entry = TimelineEntry(
-        piece.kind, start, end, piece.distance, floors_visited(rows_between(track, piece.start, piece.end))
-    )
-    if piece.kind != STANDING:
         return entry
-    middle = sampled(track, np.array([(piece.start + piece.end) / 2]))
-    covariance = np.full((3, 3), np.nan) if middle.covariance is None else middle.covariance[0]
-    return _with_position(entry, outing, middle.position[0], covariance)
-
-
-def _with_position(entry: TimelineEntry, outing: Outing, position: np.ndarray, covariance: np.ndarray) -> TimelineEntry:
-    """The entry with a position ``(2,)`` [m] in the outing's frame and its covariance [m²]."""
-    lon, lat = outing.frame.to_lonlat(position[None])[0] if outing.frame.georeferenced else (np.nan, np.nan)
-    x, y, spread = float(position[0]), float(position[1]), float(horizontal_sigma(covariance))
-    return replace(entry, x=x, y=y, latitude=float(lat), longitude=float(lon), sigma=spread)
+    track, stay = outing.trajectory, piece.stay
+    if stay is not None:
+        floor, position, covariance = (stay.floor,) if stay.floor else (), stay.position, stay.covariance
+        entry = replace(entry, distance=piece.distance, floor=floor, facing=stay.facing)
+    else:
+        floor = floors_visited(rows_between(track, piece.start, piece.end))
+        entry = replace(entry, distance=piece.distance, floor=floor)
+        if piece.kind != STANDING:
+            return entry
+        middle = sampled(track, np.array([(piece.start + piece.end) / 2]))
+        position = middle.position[0]
+        covariance = np.full((3, 3), np.nan) if middle.covariance is None else middle.covariance[0]
+    lon, lat = outing.frame.to_lonlat(position[None])[0].tolist() if outing.frame.georeferenced else (np.nan, np.nan)
+    (x, y), sigma = position.tolist(), float(horizontal_sigma(covariance))
+    return replace(entry, x=x, y=y, latitude=lat, longitude=lon, sigma=sigma)
 
 
 def timeline_csv(entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
     """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where a value is unknown."""
-    return csv_table([_record(entry, zone) for entry in entries], TIMELINE_HEADER.split(","), TIMELINE_DIGITS)
-
-
-def _record(entry: TimelineEntry, zone: tzinfo) -> dict[str, Any]:
-    """An entry by the columns of its table."""
-    name, probability = entry.facing[0] if entry.facing else ("", np.nan)
-    start, end = (datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end))
-    return vars(entry) | {
-        "start": start,
-        "end": end,
-        "distance": entry.distance if entry.is_known else np.nan,
-        "floor": " > ".join(entry.floor),
-        "place": name,
-        "probability": probability,
-        "others": "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:]),
-    }
+    records = []
+    for entry in entries:
+        name, probability = entry.facing[0] if entry.facing else ("", np.nan)
+        start, end = (datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end))
+        changed = {
+            "start": start,
+            "end": end,
+            "distance": entry.distance if entry.is_known else np.nan,
+            "floor": " > ".join(entry.floor),
+            "place": name,
+            "probability": probability,
+            "others": "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:]),
+        }
+        records.append(vars(entry) | changed)
+    return csv_table(records, TIMELINE_HEADER.split(","), TIMELINE_DIGITS)
 
 
 def csv_table(records: Iterable[Mapping[str, Any]], names: Sequence[str], digits: Mapping[str, int]) -> str:

@@ -13,250 +13,88 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, partial
-from io import TextIOWrapper
+from functools import partial
 from itertools import chain
 from threading import Lock, get_ident
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
+from unittest.mock import patch
 
 from threadpoolctl import threadpool_limits
 
 from pdr_graph.errors import InputError, install
-
-if TYPE_CHECKING:
-    from distributed import Client
-
-
-_deadlines: dict[int, float] = {}  # of each thread of this process that works on an item, as of `monotonic`
-_lock = Lock()
-
-
-def limited(results: Iterator[Item], limit: float) -> Iterator[Item]:
-    """Yield from an iterator; this process ends if an item takes longer than ``limit`` [s]."""
-    while True:
-        with _deadline_in(limit):
-            try:
-                item = next(results)
-            except StopIteration:
-                return
-        yield item
-
-
-@contextmanager
-def _deadline_in(limit: float) -> Iterator[None]:
-    """End this process if the context takes longer than ``limit`` [s], also if it hangs in compiled code."""
-    thread = get_ident()
-    with _lock:
-        _deadlines[thread] = monotonic() + limit
-        _set_timer()
-    try:
-        yield
-    finally:
-        with _lock:
-            del _deadlines[thread]
-            _set_timer()
-
-
-def _set_timer() -> None:
-    """Let faulthandler, whose timer is a thread in C, end this process at the earliest deadline."""
-    if _deadlines:
-        left = max(min(_deadlines.values()) - monotonic(), 1e-3)
-        faulthandler.dump_traceback_later(left, exit=True, file=_nowhere())
-    else:
-        faulthandler.cancel_dump_traceback_later()
-
-
-@cache
-def _nowhere() -> TextIOWrapper:
-    """A file for the stack of the thread that hangs: the build names the item instead."""
-    return open(os.devnull, "w")
-
-
-class FleetLostError(Exception):
-    """The workers of a build can do nothing more; the message says why."""
-
-
-class StallWatch:
-    """Raises FleetLostError when workers have written no result for longer than ``limit`` [s].
-
-    written: number of results in files now.
-    """
-
-    PERIOD = 1.0  # [s] between looks at the files
-
-    def __init__(self, limit: float, written: Callable[[], int]):
-        self._limit, self._written = limit, written
-        self._count, self._looked, self._changed = -1, 0.0, monotonic()
-
-    def look(self) -> None:
-        """Look at the files, once a PERIOD. Raises FleetLostError."""
-        now = monotonic()
-        if now - self._looked < self.PERIOD:
-            return
-        count, self._looked = self._written(), now
-        if count != self._count:
-            self._count, self._changed = count, now
-        elif now - self._changed > self._limit:
-            raise FleetLostError(f"no recording and no day was finished for {self._limit / 60:.0f} min")
-
-
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-Tasks = Sequence[tuple[Any, ...]]
-Work = Callable[[tuple[Any, ...]], Iterator[Any]]
-Look = Callable[[], None]  # called while waiting; raises FleetLostError
-
-
-def knowing_kinds(work: Work) -> Work:
-    """The work, for a process that has yet to learn the kinds of measurements that this one has registered."""
-    factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
-    kinds = factors.kinds_of_others() if factors else []
-    return partial(_with_kinds, kinds, work) if kinds else work
-
-
-def _with_kinds(kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, task: tuple[Any, ...]) -> Iterator[Any]:
-    """Register kinds of measurements, and do the work."""
-    from pdr_graph.estimation.factors import register
-
-    for data_type, of_type in kinds:
-        register(data_type, *of_type)
-    return work(task)
-
-
-def collected(work: Work, number: int, task: tuple[Any, ...], time_limit: float) -> tuple[int, list[Any]]:
-    """The results of a task in a worker process, which ends if one takes longer than ``time_limit`` [s]; its number."""
-    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
-    threadpool_limits(limits=1)  # for libraries that are loaded
-    return number, list(limited(work(task), time_limit))
-
-
-def finished(futures: Sequence[Any], look: Look) -> Iterator[Any]:
-    """Yield each future when it is done."""
-    left = list(futures)
-    while left:
-        done, running = list[Any](), list[Any]()
-        for future in left:
-            (done if future.done() else running).append(future)
-        yield from done
-        left = running
-        if left and not done:
-            look()
-            sleep(0.05)  # poll period [s] between looks at the tasks; chosen by hand
-
-
-# Chosen by hand
-CONNECT_TIMEOUT = 15.0  # [s] for a scheduler to answer
-ASK_PERIOD = 3.0  # [s] between questions which workers there are
-RESTART_TIME = 60.0  # [s] without any worker after which the cluster is lost; a worker under load restarts in 20 s
-
-
-class Cluster:
-    """The workers of a Dask scheduler."""
-
-    def __init__(self, client: Client, address: str):
-        self._client, self._address = client, address
-        self._asked = self._with_workers = monotonic()
-
-    def threads(self) -> int:
-        """Number of tasks that run at the same time. Raises InputError without workers."""
-        threads = self._threads()
-        if not threads:
-            raise InputError(
-                "--scheduler", self._address, "no workers", "at least one: start dask worker on each machine"
-            )
-        return threads
-
-    def execute(self, time_limit: float, work: Work, tasks: Tasks, look: Look) -> Iterator[tuple[int, Iterator[Any]]]:
-        """Yield number and results of each task, except tasks that crash several processes. Raises FleetLostError."""
-        from distributed import KilledWorker
-        from distributed.client import ClosedClientError, FutureCancelledError
-
-        def look_here() -> None:
-            look()
-            self._expect_workers()
-
-        self._asked = self._with_workers = monotonic()
-        try:
-            submit = self._client.submit
-            futures = [submit(collected, work, n, task, time_limit, pure=False) for n, task in enumerate(tasks)]
-            for future in finished(futures, look_here):
-                try:
-                    number, results = _result(future, look_here)
-                except KilledWorker:
-                    continue
-                finally:
-                    future.release()  # otherwise it is repeated if its worker ends
-                yield number, iter(results)
-        except (ClosedClientError, FutureCancelledError):
-            raise FleetLostError(f"the scheduler {self._address} does not answer any more") from None
-
-    def _expect_workers(self) -> None:
-        """Raise FleetLostError if there was no worker for RESTART_TIME: those that crashed may be restarting."""
-        if monotonic() - self._asked < ASK_PERIOD:
-            return
-        if self._threads():
-            self._with_workers = monotonic()
-        self._asked = monotonic()
-        if self._asked - self._with_workers > RESTART_TIME:
-            raise FleetLostError(f"the scheduler {self._address} has no worker any more")
-
-    def _threads(self) -> int:
-        """Number of threads of all workers; 0 if the scheduler does not answer in time."""
-        try:
-            threads: Any = self._client.nthreads(callback_timeout=CONNECT_TIMEOUT)
-        except (OSError, AttributeError):  # no connection, or none any more
-            return 0
-        return sum(threads.values())
-
-
-def _result(future: Any, look: Look) -> tuple[int, list[Any]]:
-    """The result of a task that is done, which Dask computes again if the worker that holds it has died."""
-    while True:
-        try:
-            return future.result(timeout=ASK_PERIOD)
-        except TimeoutError:
-            if future.status == "error":  # of a worker's disk
-                raise
-            look()
-
-
-@contextmanager
-def connected(scheduler: str) -> Iterator[Cluster]:
-    """The cluster of a Dask scheduler. Raises InputError if Dask is missing or nothing answers."""
-    try:
-        from distributed import Client
-        from distributed.comm.core import connect
-    except ImportError:
-        raise InputError("--scheduler", "", "no Dask", install("fleet")) from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
-
-    async def greet() -> None:
-        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
-        await comm.close()
-
-    try:
-        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop
-            thread.submit(asyncio.run, greet()).result()
-    except (OSError, ValueError) as error:
-        found = str(error) or "no answer"
-        raise InputError("--scheduler", scheduler, found, "a Dask scheduler, as tcp://host:8786") from None
-    with Client(
-        scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False
-    ) as client:  # hangs if nothing answers, hence the check above
-        yield Cluster(client, scheduler)
-
 
 # Chosen by hand
 MAX_TASK_SIZE = 20  # person-days or recordings: a task takes seconds, its transfer milliseconds
 TASKS_PER_WORKER = 4  # at least, so that all workers finish at about the same time
 ITEM_LIMIT = 900.0  # [s] of a recording or day in a worker process; on a busy machine the longest take a minute
 STALL_FACTOR = 5  # ITEM_LIMITs without any result after which a fleet is lost; Dask tries an item that hangs four times
+LOOK_PERIOD = 1.0  # [s] between looks at the workers and at the files of their results
+CONNECT_TIMEOUT = 15.0  # [s] for a scheduler to answer
+RESTART_TIME = 60.0  # [s] without any worker after which the cluster is lost; a worker under load restarts in 20 s
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 Item = TypeVar("Item")
-Execute = Callable[[Work, Tasks, Look], Iterator[tuple[int, Iterator[Any]]]]  # number and results of each task
+Tasks = Sequence[tuple[Any, ...]]
+Work = Callable[[tuple[Any, ...]], Iterator[Any]]
+
+_deadlines: dict[int, float] = {}  # of each thread of this process that works on an item, as of `monotonic`
+_lock = Lock()
+_nowhere = os.open(os.devnull, os.O_WRONLY)  # for the stack of a thread that hangs: the build names the item instead
+
+
+def limited(results: Iterator[Item], limit: float) -> Iterator[Item]:
+    """Yield from an iterator; this process ends if an item takes longer than ``limit`` [s]."""
+    while True:
+        _set_deadline(limit)
+        try:
+            item = next(results)
+        except StopIteration:
+            return
+        finally:
+            _set_deadline(None)
+        yield item
+
+
+def _set_deadline(limit: float | None) -> None:
+    """End this process `limit` [s] from now, unless this thread sets another deadline before; None for no deadline.
+
+    The timer is a thread of faulthandler in C, which also ends a process that hangs in compiled code. It has the
+    earliest deadline of all threads.
+    """
+    with _lock:
+        _deadlines.pop(get_ident(), None)
+        if limit is not None:
+            _deadlines[get_ident()] = monotonic() + limit
+        if _deadlines:
+            left = max(min(_deadlines.values()) - monotonic(), 1e-3)
+            faulthandler.dump_traceback_later(left, exit=True, file=_nowhere)
+        else:
+            faulthandler.cancel_dump_traceback_later()
+
+
+def collected(
+    kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, number: int, task: tuple[Any, ...], time_limit: float
+) -> tuple[int, list[Any]]:
+    """The number and results of a task in a worker process, which ends if one takes longer than ``time_limit`` [s].
+
+    kinds: of measurements, which the process has yet to register.
+    """
+    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
+    threadpool_limits(limits=1)  # for libraries that are loaded
+    if kinds:
+        from pdr_graph.estimation.factors import register
+
+        for data_type, of_type in kinds:
+            register(data_type, *of_type)
+    return number, list(limited(work(task), time_limit))
+
+
+class FleetLostError(Exception):
+    """The workers of a build can do nothing more; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -278,14 +116,19 @@ class LostItem(Generic[Item]):
 class Fleet:
     """The workers of a build.
 
-    workers: number of tasks that run at the same time. execute: yields number and results of each task that crashed no
-    process; raises FleetLostError. time_limit: of an item in a worker process [s]. lost: why the workers can do nothing
-    more, "" while they can.
+    workers: number of tasks that run at the same time; time_limit: of an item in a worker process [s].
+    pool: returns the executor of the workers, another one after a crash, None to run all tasks in this process;
+    crashes: what futures raise if a process crashed; losses: if the workers are lost; check: raises FleetLostError if
+    they are.
+    lost: why the workers can do nothing more, "" while they can.
     """
 
-    workers: int
-    execute: Execute
+    workers: int = 1
     time_limit: float = ITEM_LIMIT
+    pool: Callable[[], Executor] | None = None
+    crashes: tuple[type[BaseException], ...] = ()
+    losses: tuple[type[BaseException], ...] = ()
+    check: Callable[[], None] = lambda: None
     lost: str = ""
 
     def run(self, work: Work, tasks: Tasks, written: Callable[[], int] = lambda: 0) -> Iterator[Any]:
@@ -315,8 +158,38 @@ class Fleet:
             yield from map(LostItem, chain.from_iterable(left.values()))
 
     def _execute(self, work: Work, tasks: Tasks, written: Callable[[], int]) -> Iterator[tuple[int, Iterator[Any]]]:
-        """Execute tasks while the workers write results."""
-        return self.execute(work, tasks, StallWatch(STALL_FACTOR * self.time_limit, written).look)
+        """Yield number and results of each task, except tasks that crash a process. Raises FleetLostError."""
+        if self.pool is None:
+            yield from ((number, work(task)) for number, task in enumerate(tasks))
+            return
+        factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
+        kinds = factors.kinds_of_others() if factors else []
+        left, count, looked = list[Any](), -1, 0.0
+        changed = monotonic()
+        try:
+            with suppress(*self.crashes):  # a process may crash before all tasks are submitted
+                submit = self.pool().submit
+                for number, task in enumerate(tasks):
+                    left.append(submit(collected, kinds, work, number, task, self.time_limit))
+            while left:
+                done = [future for future in left if future.done()]
+                left = [future for future in left if future not in done]
+                for future in done:
+                    with suppress(*self.crashes):
+                        number, results = future.result()
+                        yield number, iter(results)
+                if done:
+                    continue
+                if monotonic() - looked >= LOOK_PERIOD:
+                    number, looked = written(), monotonic()
+                    if number != count:
+                        count, changed = number, looked
+                    elif looked - changed > (limit := STALL_FACTOR * self.time_limit):
+                        raise FleetLostError(f"no recording and no day was finished for {limit / 60:.0f} min")
+                    self.check()
+                sleep(0.05)  # poll period [s] between looks at the tasks; chosen by hand
+        except self.losses:
+            raise FleetLostError("the scheduler does not answer any more") from None
 
 
 @contextmanager
@@ -329,16 +202,72 @@ def fleet(workers: int = 1, scheduler: str = "", time_limit: float = ITEM_LIMIT)
     if scheduler and workers != 1:
         raise InputError("--scheduler", "", f"--workers {workers} too", "only one of the two options")
     if scheduler:
-        with connected(scheduler) as cluster:
-            yield Fleet(cluster.threads(), partial(cluster.execute, time_limit), time_limit)
+        with connected(scheduler, time_limit) as cluster:
+            yield cluster
     elif workers > 1:
+        from joblib.externals.loky import get_reusable_executor
+        from joblib.externals.loky.process_executor import BrokenProcessPool
+
+        pool: Any = partial(get_reusable_executor, workers, timeout=300, env=ONE_THREAD)
         try:
-            yield Fleet(workers, partial(_in_processes, workers, time_limit), time_limit)
+            yield Fleet(workers, time_limit, pool, (BrokenProcessPool,))
         finally:
-            _end_processes()
+            # End joblib's workers now, also those that hang; its own kill_workers ends in a traceback if tasks are left
+            executor: Any = get_reusable_executor(reuse=True)  # pyright: ignore[reportArgumentType]
+            for process in list(executor._processes):
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            executor.shutdown(wait=True)
     else:
-        with threadpool_limits(limits=1), _environment(ONE_THREAD):
-            yield Fleet(1, _here, time_limit)
+        with threadpool_limits(limits=1), patch.dict(os.environ, ONE_THREAD):
+            yield Fleet()
+
+
+@contextmanager
+def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]:
+    """The workers of a Dask scheduler. Raises InputError if Dask is missing, nothing answers, or there is no worker."""
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.client import ClosedClientError, FutureCancelledError
+        from distributed.comm.core import connect
+    except ImportError:
+        raise InputError("--scheduler", "", "no Dask", install("fleet")) from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
+
+    async def greet() -> None:
+        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
+        await comm.close()
+
+    try:  # before a client, which hangs if nothing answers
+        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop
+            thread.submit(asyncio.run, greet()).result()
+    except (OSError, ValueError) as error:
+        found = str(error) or "no answer"
+        raise InputError("--scheduler", scheduler, found, "a Dask scheduler, as tcp://host:8786") from None
+    with Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False) as client:
+        seen = monotonic()  # last time with a worker
+
+        def threads() -> int:
+            """Number of threads of all workers; 0 if the scheduler does not answer in time."""
+            try:
+                found: Any = client.nthreads(callback_timeout=CONNECT_TIMEOUT)
+            except (OSError, AttributeError):  # no connection, or none any more
+                return 0
+            return sum(found.values())
+
+        def check() -> None:
+            """Raise FleetLostError if there was no worker for RESTART_TIME: those that crashed may be restarting."""
+            nonlocal seen
+            if threads():
+                seen = monotonic()
+            elif monotonic() - seen > RESTART_TIME:
+                raise FleetLostError(f"the scheduler {scheduler} has no worker any more")
+
+        if not (number := threads()):
+            raise InputError("--scheduler", scheduler, "no workers", "at least one: start dask worker on each machine")
+        losses = CancelledError, ClosedClientError, FutureCancelledError
+        executor = client.get_executor(pure=False)
+        yield Fleet(number, time_limit, lambda: executor, (KilledWorker,), losses, check)
 
 
 def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
@@ -354,53 +283,3 @@ def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tupl
             room = enough
         room -= size
     return tasks
-
-
-def _here(work: Work, tasks: Tasks, look: Look) -> Iterator[tuple[int, Iterator[Any]]]:
-    """Run tasks in this process, in order."""
-    return ((number, work(task)) for number, task in enumerate(tasks))
-
-
-def _in_processes(
-    workers: int, time_limit: float, work: Work, tasks: Tasks, look: Look
-) -> Iterator[tuple[int, Iterator[Any]]]:
-    """Run tasks with joblib's processes; if one crashes, its pool ends and the tasks left have no results."""
-    from joblib.externals.loky import get_reusable_executor
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    pool: Any = get_reusable_executor(workers, timeout=300, env=ONE_THREAD)
-    futures: list[Any] = []
-    with suppress(BrokenProcessPool):  # a process may crash before all tasks are submitted
-        futures.extend(pool.submit(collected, work, n, task, time_limit) for n, task in enumerate(tasks))
-    for future in finished(futures, look):
-        try:
-            number, results = future.result()
-        except BrokenProcessPool:
-            continue
-        yield number, iter(results)
-
-
-def _end_processes() -> None:
-    """End joblib's workers now, also those that hang."""
-    from joblib.externals.loky import get_reusable_executor
-
-    pool: Any = get_reusable_executor(reuse=True)  # pyright: ignore[reportArgumentType]
-    for process in list(pool._processes):  # its own kill_workers ends in a traceback if tasks are left
-        with suppress(ProcessLookupError):
-            os.kill(process, signal.SIGKILL)
-    pool.shutdown(wait=True)
-
-
-@contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables within a context."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ |= variables
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
