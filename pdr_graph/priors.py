@@ -390,10 +390,11 @@ class LossPriors(Table):
     """Widths of robust losses."""
 
     huber: float = number(
-        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", still=(0.5, 1)
-    )
-    geman_mcclure: float = number(
-        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", still=(0.5, 2)
+        2.45,
+        "σ",
+        "full weight up to here: 95 % of inliers in the plane; beyond it outliers lose most of theirs",
+        "χ² of 2 degrees: 5.99",
+        still=(0.5, 1),
     )
     closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres")
 
@@ -498,9 +499,10 @@ class FixPriors(Table):
 
     longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording")
     walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows")
-    outlier: float = number(5.0, "σ", "from a first optimum beyond which a fix is an outlier")
-    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say")
-    within: float = number(5.0, "σ", "of both fixes, within reach of one another")
+    outlier: float = number(
+        5.0, "σ", "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter"
+    )
+    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say, or shorter")
     driven: float = number(30.0, "m/s", "reached during a gap in the recording")
     patience: int = number(
         4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged"
@@ -529,8 +531,6 @@ class ReceiverPriors(Table):
     lag: float = number(1.0, "s", "sigma of the lag")
     lag_change: float = number(0.02, "s/√s", "random walk of the lag")
     lately: float = number(2.0, "s", "over which the velocity is averaged")
-    amble: float = number(1.0, "m/s", "assumed after the last step, until the next node")
-    usually_worse: float = number(2.0, "factor", "of what it states, up to which a user need not check a receiver")
     scattered: float = number(1.1, "σ", "root mean square residual from which all errors may be larger than stated")
 
 
@@ -554,12 +554,13 @@ class BeaconPriors(Table):
     range: float = number(
         60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
     )
-    anywhere: float = number(30.0, "m", "sigma of an unsurveyed beacon about the place of its strongest level")
+    anywhere: float = number(
+        30.0, "m", "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list"
+    )
     most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved")
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
     )
-    origin_sigma: float = number(30.0, "m", "of the displacement of a whole list")
     displaced: float = number(8.0, "m", "between the walks by the list and by all else, from which that is assumed")
 
 
@@ -572,7 +573,7 @@ class RangePriors(Table):
     bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
     near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
     bin: float = number(5.0, "s", "of ranges that make a rough position")
-    fewest: int = number(3, "anchors", "for a trilaterated rough position")
+    fewest: int = number(3, "anchors", "or beacons that determine a position")
 
 
 # Initialisation and search
@@ -588,7 +589,6 @@ class InitialPriors(Table):
     scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite")
     huber: float = number(2.0, "σ", "width of Huber's weight")
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
-    longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes")
     beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked")
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
@@ -733,9 +733,7 @@ class ParticlePriors(Table):
     )
     least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2))
     least_sigma_direction: float = number(0.1, "rad", "at the start")
-    far: float = number(4.0, "σ", "of a fix from all particles, from which some move there")
     sought: int = number(5, "particles", "of which one moves to such a fix")
-    lost_price: float = number(4.0, "log-odds", "of such a move")
     outlier_price: float = number(8.0, "log-odds", "largest of an outlier")
     doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
     rare: int = number(4, "particles", "of which one draws any turn then")
@@ -753,7 +751,6 @@ class ParticlePriors(Table):
 class KalmanPriors(Table):
     """The causal Kalman filter."""
 
-    gate: float = number(5.0, "σ", "beyond which a measurement is rejected: χ² of 25, as outliers in the graph")
     hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
     same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
     patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
@@ -764,7 +761,6 @@ class LinePriors(Table):
     """A calibration walk along a known line."""
 
     most_laps: int = number(5, "laps", "on a closed line")
-    plausible: float = number(1.5, "ratio", "largest of stated to true length, or inverse", "0.86 to 1.4 on real walks")
     farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4")
     strays: float = number(2.0, "m", "along the line by which a step may move from round to round")
     sway: float = number(0.3, "m", "lateral sigma of people who follow a line")
@@ -808,7 +804,9 @@ class ScanPriors(Table):
     neighbours: int = number(8, "fingerprints", "averaged for a position")
     agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown")
     least_sure: float = number(3.0, "m", "largest sigma of a walk at its fingerprints")
-    near: float = number(5.0, "m", "from a fingerprint within which a place is mapped")
+    near: float = number(
+        5.0, "m", "from a fingerprint within which a place is mapped; σ of a closure where there are few pairs"
+    )
     accepted: tuple[float, float] = number(
         (0.05, 0.95), "quantile", "of the distance at mapped places: limits of σ and fix"
     )
@@ -821,14 +819,15 @@ class ScanPriors(Table):
     later: float = number(60.0, "s", "after which a return to a place is a revisit")
     accepted_pairs: float = number(0.8, "quantile", "of the distance of near pairs, beyond which they are dropped")
     usually_alike: float = number(0.3, "distance", "that quantile where there are few pairs", "fit: two malls")
-    usually_apart: float = number(5.0, "m", "σ of a closure where there are few pairs", "fit: two malls")
 
 
 @dataclass(frozen=True)
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(15.0, "s", "between samples: shorter ones accumulate the receiver's noise")
+    grid: float = number(
+        15.0, "s", "between samples, and least window of a speed: shorter ones accumulate the receiver's noise"
+    )
     path: float = number(100.0, "m", "of path for walks")
     ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     crooked: float = number(0.6, "share", "below which a path leads nowhere: half a circle is 0.64", "geometry")
@@ -838,19 +837,18 @@ class TravelPriors(Table):
     widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
     epoch: float = number(10.0, "s", "of the hidden Markov model")
     window: float = number(40.0, "s", "over which net speeds are computed for the modes")
-    narrow: float = number(15.0, "s", "the same for the times of their changes")
     lasts: float = number(300.0, "s", "usual duration of a mode")
     shuffling: float = number(0.05, "m/s", "speed while standing")
     walk: float = number(1.2, "m/s", "net speed of walkers, with turns and stops")
     walk_spread: float = number(0.4, "m/s", "its sigma")
     ride: float = number(7.0, "m/s", "net speed from bicycles to cars")
     ride_spread: float = number(0.9, "log", "its sigma")
-    dawdling: float = number(0.1, "share", "of a walk with turns and short stops, at any lower speed")
+    exceptions: float = number(
+        0.1, "share", "of larger errors of a receiver, of a walk with turns and stops, of paths of any straightness"
+    )
     waiting: float = number(0.15, "share", "of a ride in which it hardly moves")
     creeping: float = number(0.5, "m/s", "speed then")
-    outliers: float = number(0.1, "share", "of larger errors of a receiver")
-    outlier_scale: float = number(3.0, "factor", "of these errors")
-    bends: float = number(0.1, "share", "of paths of any straightness")
+    outlier_scale: float = number(3.0, "factor", "of these larger errors")
     shortest_ride: int = number(3, "epochs", "shorter ones are jumps of the receiver")
 
 
@@ -867,7 +865,6 @@ class TrackPriors(Table):
     free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
     first_scales: tuple[float, ...] = number((8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass")
     final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second")
-    at_rest: float = number(1.0, "m/s", "sigma of the velocity of a single fix")
 
 
 # Live
@@ -975,10 +972,9 @@ class ReportPriors(Table):
 
     sure: float = number(0.9, "probability", "below which a user is warned")
     least_reported: float = number(0.01, "probability", "below which another walk is not reported")
-    full_weight: float = number(0.9, "weight", "above which a fix is reported as such")
     rejected: float = number(0.1, "weight", "below which a fix counts as rejected")
     many: float = number(0.1, "share", "of rejected fixes at which a user is warned")
-    detour: float = number(0.5, "weight", "below which a range is reported as one without line of sight")
+    accepted: float = number(0.5, "weight", "below which a range has no line of sight, above which a fix is accepted")
     stride: tuple[float, float] = number((0.8, 1.2), "ratio", "stride scale R_s of usual walkers")
     crossed_anyway: float = number(
         0.01, "share", "of rows, beside one, through walls on right routes", "at most 1 of 15 to 222 rows of real walks"
@@ -989,25 +985,18 @@ class ReportPriors(Table):
 class VerdictPriors(Table):
     """When a walk is doubtful or failed."""
 
-    failed: float = number(0.5, "share", "of rejected fixes of a failed walk", VERDICT_SEEDS)
+    most: float = number(0.5, "share", "of a source that fails, with which it, or the walk, fails", VERDICT_SEEDS)
     doubtful: float = number(
         0.3, "share", "of rejected fixes of a doubtful walk; 0.3 still determine it", VERDICT_SEEDS
     )
     fix_median: float = number(1.18, "σ", "median distance of honest fixes", "Rayleigh's distribution")
-    fix_spread: float = number(0.85, "σ", "sigma of that median × √n", "Rayleigh's distribution")
     heading_median: float = number(0.67, "σ", "median of the residuals of honest headings", "normal distribution")
     heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
     distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
-    checked: int = number(3, "fixes", "that determine a stride scale and check one another", VERDICT_SEEDS)
     seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
-    moved: float = number(0.5, "share", "of beacons elsewhere at which the list is of another place", VERDICT_SEEDS)
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
-    lost: float = number(0.5, "share", "of rows through walls of a failed walk", VERDICT_SEEDS)
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
-    accepted: float = number(0.5, "weight", "above which a fix is accepted", VERDICT_SEEDS)
-    transmitters: int = number(3, "beacons", "or anchors that determine positions", "geometry")
-    overruled: float = number(0.5, "share", "of rejected measurements above which a source is overruled")
 
 
 STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()

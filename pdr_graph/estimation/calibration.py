@@ -20,7 +20,7 @@ from pdr_graph.estimation.results import verdict
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
-from pdr_graph.priors import LINE, WALKER
+from pdr_graph.priors import FIXES, LINE, WALKER
 from pdr_graph.types import Array, Estimate, Fixes, Steps
 
 
@@ -109,7 +109,7 @@ def _possible_laps(steps: Steps, route: Array) -> list[int]:
     return [
         n
         for n in range(1, LINE.most_laps + 1 if closes else 2)
-        if reached / LINE.plausible < n < reached * LINE.plausible
+        if reached / FIXES.stretched < n < reached * FIXES.stretched
     ]
 
 

@@ -349,7 +349,7 @@ def _accepted(distance: Array, apart: Array) -> tuple[Mask, Array]:
     near = np.hypot(*apart.T) < SCANS.near
     if near.sum() < SCANS.enough:
         accepted = distance < SCANS.usually_alike
-        return accepted, np.full(np.count_nonzero(accepted), SCANS.usually_apart)
+        return accepted, np.full(np.count_nonzero(accepted), SCANS.near)
     least, most = np.quantile(distance[near], [1 - SCANS.accepted_pairs, SCANS.accepted_pairs])
     accepted = distance <= most
     at = distance[accepted].clip(least)

@@ -164,7 +164,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     diagonal = np.zeros((len(gps.time), 3, 3))
     diagonal[1:] += inverse
     diagonal[:-1] += back @ F
-    diagonal[0] += np.diag([FIRST_INFORMATION, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
+    diagonal[0] += np.diag([FIRST_INFORMATION, np.append(motion.speed, TRACK.speed[LOST])[0] ** -2, 1.0])
     return diagonal, -back.transpose(0, 2, 1)
 
 
@@ -280,7 +280,7 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
     # The times of changes, by speeds over a shorter window around each change
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
     open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
-    cost = _by_speed(epochs, knots, way, TRAVEL.narrow) + lead
+    cost = _by_speed(epochs, knots, way, TRAVEL.grid) + lead
     decided = np.where(np.array(MODES) == state[:, None], 0.0, np.inf)
     state = _without_jumps(_most_probable(np.where(open_[:, None], cost, decided), epochs), epochs)
     at = np.searchsorted(epochs.start, (knots.time[1:] + knots.time[:-1]) / 2, side="right") - 1
@@ -324,12 +324,12 @@ def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Arr
 
 def _of_speeds(speed: Array, noise: Array) -> tuple[Array, Array, Array]:
     """Likelihoods ``(e,)`` of net speeds [m/s] while standing, walking, riding; noise: of speeds per axis [m/s]."""
-    stands = (1 - TRAVEL.outliers) * _rayleigh(speed, noise) + TRAVEL.outliers * _rayleigh(
+    stands = (1 - TRAVEL.exceptions) * _rayleigh(speed, noise) + TRAVEL.exceptions * _rayleigh(
         speed, TRAVEL.outlier_scale * noise
     )
-    walks = (1 - TRAVEL.dawdling) * _normal(
+    walks = (1 - TRAVEL.exceptions) * _normal(
         speed - TRAVEL.walk, np.hypot(TRAVEL.walk_spread, noise)
-    ) + TRAVEL.dawdling / TRAVEL.walk * (speed < TRAVEL.walk)
+    ) + TRAVEL.exceptions / TRAVEL.walk * (speed < TRAVEL.walk)
     rides = (
         _normal(np.log(speed / TRAVEL.ride), np.hypot(TRAVEL.ride_spread, noise / np.maximum(speed, TRAVEL.creeping)))
         / speed
@@ -345,7 +345,8 @@ def _by_straightness(epochs: Epochs, straight: Straightness) -> Array:
     """Costs ``(e, 3)`` of the modes by straightness, which walks and even more rides have."""
     at = nearest_sample(straight, epochs.middle)
     walk, ride = (
-        -np.log(TRAVEL.bends + (1 - TRAVEL.bends) * 5 * net[at] ** 4) for net in (straight.walk, straight.ride)
+        -np.log(TRAVEL.exceptions + (1 - TRAVEL.exceptions) * 5 * net[at] ** 4)
+        for net in (straight.walk, straight.ride)
     )
     counts = TRAVEL.epoch / np.maximum(straight.lasts[at], TRAVEL.window)
     return np.stack([np.zeros(len(at)), walk, walk + ride], axis=1) * counts[:, None]
@@ -414,7 +415,7 @@ def _plausible(fixes: Fixes) -> Index:
     order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
     first = fixes[order]
     way = TRACK.fastest * (first.time - first.time[0])
-    return order[longest_consistent_chain(first.position, FIXES.within * _knots(first).white, way, TRACK.jump)[1]]
+    return order[longest_consistent_chain(first.position, FIXES.outlier * _knots(first).white, way, TRACK.jump)[1]]
 
 
 def _knots(fixes: Fixes) -> GpsKnots:
@@ -545,7 +546,11 @@ def follow(fixes: Fixes) -> Estimate:
 
 def _reason(sigmas: float, weight: float) -> str:
     trust = (
-        "full weight" if weight > REPORTS.full_weight else "reduced weight" if weight >= REPORTS.rejected else "outlier"
+        "full weight"
+        if weight > 1 - REPORTS.rejected
+        else "reduced weight"
+        if weight >= REPORTS.rejected
+        else "outlier"
     )
     return f"{sigmas:.1f} sigma from the smoothed track: {trust}"
 

@@ -22,7 +22,7 @@ from pdr_graph.estimation.factors.base import huber_weight
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
-from pdr_graph.priors import INITIAL
+from pdr_graph.priors import FIXES, INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
 
 REWEIGHTINGS = 5
@@ -228,5 +228,5 @@ def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
     at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])
     to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
     gaps = float(np.sum(steps.sigma_length[steps.is_gap]))
-    far = INITIAL.longer * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
+    far = FIXES.stretched * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
     return place.min(axis=0) - far, place.max(axis=0) + far

@@ -42,7 +42,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import KALMAN, LOSSES, REPORTS, SEARCH
+from pdr_graph.priors import FIXES, KALMAN, LOSSES, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
@@ -117,7 +117,7 @@ def measured(
     expected = cross @ H.T
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
-    weight = np.where(sigmas < KALMAN.gate, huber_weight(sigmas, LOSSES.huber), 0.0)
+    weight = np.where(sigmas < FIXES.outlier, huber_weight(sigmas, LOSSES.huber), 0.0)
     log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
@@ -170,7 +170,7 @@ def by_direction(wide: GaussianMixture) -> GaussianMixture:
 def _cost(sigmas: Array) -> Array:
     """Cost of an innovation [σ]: Huber's loss, constant beyond the gate."""
     return 0.5 * np.minimum(sigmas, LOSSES.huber) ** 2 + LOSSES.huber * (
-        np.clip(sigmas, LOSSES.huber, KALMAN.gate) - LOSSES.huber
+        np.clip(sigmas, LOSSES.huber, FIXES.outlier) - LOSSES.huber
     )
 
 
@@ -399,7 +399,8 @@ def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
     refused = sum(meeting.weight == 0.0 for meeting in met)
     resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
     holds_for = {
-        f"{count(refused, 'fix')} rejected: more than {KALMAN.gate:.0f} sigma from the expected position": refused > 0,
+        f"{count(refused, 'fix')} rejected: more than {FIXES.outlier:.0f} sigma from the expected position": refused
+        > 0,
         f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
     }
     return tuple(text for text, holds in holds_for.items() if holds)

@@ -524,7 +524,7 @@ class ParticleFilter:
         place = self.random.standard_normal((2, len(put))) * sigma
         state[:2, put] = position[:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
-        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - PARTICLES.lost_price
+        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - PARTICLES.outlier_price / 2
         self.state, self.weight = state, weight
 
     def _needed(self) -> int:

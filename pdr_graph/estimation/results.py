@@ -20,7 +20,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.priors import REPORTS, VERDICTS
+from pdr_graph.priors import PATHS, RANGES, REPORTS, VERDICTS
 from pdr_graph.types import (
     DOUBTFUL,
     FAILED,
@@ -272,7 +272,7 @@ def wall_crossings(building: Building, trajectory: Trajectory) -> tuple[Contradi
         return ()
     text = f"the walk leads through walls at {number} of {len(crossed)} rows ({share:.0%})"
     check = "the floor plan (another floor? an older one?), the fixes, and the floor where the walk starts"
-    state = FAILED if share > VERDICTS.lost else DOUBTFUL
+    state = FAILED if share > VERDICTS.most else DOUBTFUL
     return (Contradiction("plan", "steps and fixes", share, "share", text, check, state),)
 
 
@@ -295,7 +295,7 @@ def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     share, other = rejected / max(len(used), 1), _other_source(estimate)
     if share > VERDICTS.doubtful:
         text = f"{rejected} of {count(len(used), 'fix')} contradict the {other}, with weight 0"
-        state = FAILED if share >= VERDICTS.failed and other == STEPS_AND_REST else DOUBTFUL
+        state = FAILED if share >= VERDICTS.most and other == STEPS_AND_REST else DOUBTFUL
         text += ": where the walk was is a guess" * (state == FAILED)
         yield Contradiction("fixes", other, share, "share", text, CHECK_FIXES, state)
 
@@ -314,7 +314,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     sigmas = np.array([fix.residual / fix.sigma for fix in used])
     independent = len({int(fix.time // VERDICTS.alike) for fix in used})
     median = float(np.median(sigmas))
-    if median > VERDICTS.fix_median + VERDICTS.distant * VERDICTS.fix_spread / np.sqrt(independent):
+    if median > VERDICTS.fix_median + VERDICTS.distant / (VERDICTS.fix_median * np.sqrt(independent)):
         other = _other_source(estimate)
         lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
         text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
@@ -326,7 +326,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
     """A list of beacons of which half are elsewhere."""
     moved = [beacon.label for beacon in estimate.beacons if beacon.misplaced]
-    if estimate.beacons and len(moved) >= VERDICTS.moved * len(estimate.beacons):
+    if estimate.beacons and len(moved) >= VERDICTS.most * len(estimate.beacons):
         share = len(moved) / len(estimate.beacons)
         text = f"{len(moved)} of {count(len(estimate.beacons), 'beacon')} are not heard where they are listed"
         yield Contradiction("beacons", "fixes and steps", share, "share", text, CHECK_LIST)
@@ -351,7 +351,7 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
         calibration is not None
         and scale is not None
         and scale.beyond > scale.sigma
-        and not stride_determined(estimate, VERDICTS.checked)
+        and not stride_determined(estimate, PATHS.fewest_fixes)
     ):
         sigmas = (scale.value - 1) / float(calibration.prior_sigma[0, 0])
         text = f"{scale}, and too few fixes confirm it"
@@ -384,10 +384,10 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
     calibration, half = estimate.calibration, np.sqrt(0.5) * Prior().sigma[0]
     if calibration is None or calibration.sigma[-1, 0] > half:
         return False
-    accepted = [fix for fix in _evidence(estimate) if fix.weight > VERDICTS.accepted]
+    accepted = [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
     if len(accepted) >= fewest and _stride_sigma(accepted) <= half:
         return True
-    return len(set(_transmitters(estimate))) >= max(fewest, VERDICTS.transmitters)
+    return len(set(_transmitters(estimate))) >= max(fewest, RANGES.fewest)
 
 
 def teaches_profile(estimate: Estimate) -> bool:

@@ -134,7 +134,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
     far = np.array([_gap_distance(way, s) if s.kind == GAP else s.distance for s in fast])
     # shortest ride [m]
-    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + FIXES.within * _largest_sigma(fixes, spans), 150.0)]
+    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + FIXES.outlier * _largest_sigma(fixes, spans), 150.0)]
     return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
 
 

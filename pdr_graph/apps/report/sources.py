@@ -107,7 +107,7 @@ def _use(name: str, reports: list[Any], estimate: Estimate) -> tuple[int, float,
     remark = "used"
     if rejected:
         share = size[weight < REPORTS.rejected].sum() / size.sum()
-        verb = "overruled" if share > VERDICTS.overruled else "used in part"
+        verb = "overruled" if share > VERDICTS.most else "used in part"
         remark = f"{verb}: {len(rejected)} of {len(reports)} rejected, {_reason(rejected)}"
     stated = [reason.text for reason in estimate.contradictions if reason.source == name]
     return int(size.sum()), float((weight * size).sum() / size.sum()), "; ".join([remark, *dict.fromkeys(stated)])

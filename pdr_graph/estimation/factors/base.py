@@ -40,7 +40,7 @@ def huber_weight(deviation: Array, width: float | None = None) -> Array:
 
 def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
     """Geman and McClure's weight ``(n,)`` at deviations ``(n,)`` [σ]: it tends to 0 far off."""
-    square = (width or LOSSES.geman_mcclure) ** 2
+    square = (width or LOSSES.huber) ** 2
     return (square / (square + deviation**2)) ** 2
 
 
@@ -74,7 +74,7 @@ class RobustLoss(Loss):
     """
 
     outlier: Mask
-    width: float = field(default_factory=lambda: LOSSES.geman_mcclure)
+    width: float = field(default_factory=lambda: LOSSES.huber)
 
     def weight(self, deviation: Array) -> Array:
         """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""

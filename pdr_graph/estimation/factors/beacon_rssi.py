@@ -199,7 +199,7 @@ class BeaconRssiFactor(Measurement):
 
     def _displacement(self, at: Evaluation) -> FactorBlock:
         """The prior of how far the whole list is displaced: ``origin``, and what ``d`` adds to it."""
-        single, sigma = np.zeros(1, dtype=np.intp), np.array([[BEACONS.origin_sigma, BEACONS.origin_sigma, 1.0]])
+        single, sigma = np.zeros(1, dtype=np.intp), np.array([[BEACONS.anywhere, BEACONS.anywhere, 1.0]])
         off = at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)
         return FactorBlock.prior_of(f"{self.name}.displacement", ("d", single), off, sigma, single)
 
@@ -235,7 +235,7 @@ class BeaconRssiFactor(Measurement):
     def _displaced(self, by: Array) -> Proposal:
         """The list has the right distances between beacons, but another origin, ``by (2,)`` [m] away."""
         displaced = replace(self.at_places(self.position + by), origin=by)
-        price = PRICES.wrong_origin + 2 * float(np.log(BEACONS.origin_sigma))
+        price = PRICES.wrong_origin + 2 * float(np.log(BEACONS.anywhere))
         away = Hypothesis((self.name, "displaced"), (), (float(np.round(np.hypot(*by))),), price)
         return Proposal(away, (displaced,), fresh=("b",))
 

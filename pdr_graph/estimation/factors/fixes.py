@@ -348,11 +348,11 @@ class FixCosts:
             )
 
     def place_sought(self, state: Array) -> tuple[Array, float] | None:
-        """The fix farthest from all states if beyond PARTICLES.far: an outlier, or all states are wrong."""
+        """The fix farthest from all states if it costs an outlier: an outlier, or all states are wrong."""
         fixes = np.flatnonzero(~self.outlier)
         distance = [np.sqrt(_squares(state, self.position[f]).min()) for f in fixes]
         apart = np.divide(distance, self.sigma[fixes])
-        if np.max(apart, initial=0.0) <= PARTICLES.far:
+        if np.max(apart, initial=0.0) ** 2 / 2 <= PARTICLES.outlier_price:
             return None
         farthest = int(fixes[np.argmax(apart)])
         return self.position[farthest], max(self.sigma[farthest], PARTICLES.least_sigma)
@@ -393,7 +393,7 @@ def consistent_chains(
         way = FIXES.stretched * distance_walked(steps, fixes.time[order], moved)
         share = np.ones(len(fixes)) if share is None else share
         chains = longest_consistent_chain(
-            fixes.position[order], FIXES.within * sigma[order], way, np.inf, ENDS, share[order]
+            fixes.position[order], FIXES.outlier * sigma[order], way, np.inf, ENDS, share[order]
         )
         run[order], consistent[order] = chains
     return run, consistent

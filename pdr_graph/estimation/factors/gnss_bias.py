@@ -28,7 +28,7 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Meas
 from pdr_graph.estimation.factors.fixes import FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
-from pdr_graph.priors import FIXES, PRICES, RECEIVERS
+from pdr_graph.priors import FIXES, MOTION, PRICES, RECEIVERS
 from pdr_graph.types import Array, Complex, Index, Steps
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     if hypothesis.kind[1] == "larger":
         return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
     text = f"{names} is off throughout by up to {factor:.0f} times what it states"
-    return Wording(names, text, check if factor > RECEIVERS.usually_worse else "")
+    return Wording(names, text, check if factor > PRICES.worse[0][0] else "")
 
 
 def _number(source: str) -> int:
@@ -271,7 +271,7 @@ def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index,
     grid = np.unique([before, before + 1]).astype(np.intp)
     at = (RECEIVERS.node * grid).astype(np.float64)
     node = np.searchsorted(grid, before)
-    beyond = np.maximum(at - steps.end, 0.0) * RECEIVERS.amble / RECEIVERS.along
+    beyond = np.maximum(at - steps.end, 0.0) * MOTION.gap_speed / RECEIVERS.along
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)

@@ -187,7 +187,7 @@ class RangeFactor(Measurement):
             if number in place:
                 residual, weight = float(block.residual[place[number]]) * sigma, float(block.weight[place[number]])
                 long = "longer" if residual < 0 else "shorter"
-                detour = ": no line of sight" if weight < REPORTS.detour and residual < 0 else ""
+                detour = ": no line of sight" if weight < REPORTS.accepted and residual < 0 else ""
                 reason = f"{abs(residual):.2f} m {long} than from the walk{detour}"
             reports.append(
                 RangeReport(
