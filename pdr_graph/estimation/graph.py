@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import Directions, Positions, corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import (
     AnyArray,
     Initialized,
@@ -33,6 +32,7 @@ from pdr_graph.estimation.factors.base import (
     initial_state,
 )
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
+from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
@@ -44,6 +44,8 @@ from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Ste
 
 if TYPE_CHECKING:
     import gtsam
+
+    from pdr_graph.estimation.factors import Directions, Positions
 
 MOST_EQUATIONS = 3  # places of blocks that are kept
 Kind = TypeVar("Kind", bound=Measurement)

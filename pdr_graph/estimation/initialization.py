@@ -13,17 +13,20 @@ a banded least-squares problem, re-weighted a few times against outliers. It nee
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from pdr_graph.estimation.factors import Directions, Positions
 from pdr_graph.estimation.factors.base import huber_weight
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
 from pdr_graph.priors import FIXES, INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors import Directions, Positions
 
 REWEIGHTINGS = 5
 

@@ -35,14 +35,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors.base import huber_weight
+from pdr_graph.estimation.factors.base import huber_cost, huber_weight
 from pdr_graph.estimation.factors.chain import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import FIXES, KALMAN, LOSSES, REPORTS, SEARCH
+from pdr_graph.priors import FIXES, KALMAN, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
@@ -117,8 +117,8 @@ def measured(
     expected = cross @ H.T
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
-    weight = np.where(sigmas < FIXES.outlier, huber_weight(sigmas, LOSSES.huber), 0.0)
-    log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
+    weight = np.where(sigmas < FIXES.outlier, huber_weight(sigmas), 0.0)
+    log_weight = bank.log_weight - huber_cost(np.minimum(sigmas, FIXES.outlier)) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
     K = (weight > 0)[:, None, None] * cross.transpose(0, 2, 1) @ np.linalg.inv(weighted)
@@ -160,17 +160,10 @@ def by_direction(wide: GaussianMixture) -> GaussianMixture:
     wider, by_heading = max(V - width**2, 0.0), wide.covariance[0, 2] / V
     narrow = wide.covariance[0] - wider * np.outer(by_heading, by_heading)
     all_round = np.zeros(SEARCH.directions, dtype=np.intp)
-    log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
+    log_weight = -huber_cost(np.minimum(np.abs(off) / np.sqrt(max(wider, EXACT**2)), FIXES.outlier))
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(
         wide.mean + off[:, None] * by_heading, np.tile(narrow, (SEARCH.directions, 1, 1)), log_weight, all_round
-    )
-
-
-def _cost(sigmas: Array) -> Array:
-    """Cost of an innovation [σ]: Huber's loss, constant beyond the gate."""
-    return 0.5 * np.minimum(sigmas, LOSSES.huber) ** 2 + LOSSES.huber * (
-        np.clip(sigmas, LOSSES.huber, FIXES.outlier) - LOSSES.huber
     )
 
 

@@ -190,7 +190,6 @@ ROOT = 48  # variables that are eliminated last, as one dense matrix
 FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
 SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
 NEIGHBOUR_QUANTILE = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
-FEW_PLACES = 0.5  # share of all places that occur, below which sums are made for these alone
 INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
 INDETERMINATE_TEXT = "the factors do not determine all variables"
 
@@ -219,34 +218,23 @@ class Sum:
 
     def __init__(self, place: Index, count: int):
         """place: of each contribution, any shape; count: of all places. size: number of contributions."""
-        self.size, column = place.size, place.ravel()
-        self._count = self._rows = count
-        self._places = None
+        self.size, self._count, column = place.size, count, place.ravel()
         occurs = np.zeros(count, dtype=bool)
         occurs[column] = True
-        if np.count_nonzero(occurs) < FEW_PLACES * count:  # sums to these alone
-            self._places, column = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
-            self._rows = len(self._places)
-        matrix = coo_array((np.ones(self.size), (column, np.arange(self.size))), shape=(self._rows, self.size))
+        self._places, row = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
+        matrix = coo_array((np.ones(self.size), (row, np.arange(self.size))), shape=(len(self._places), self.size))
         matrix.has_canonical_format = True  # or it would be sorted
         self._matrix = matrix.tocsr()
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""
-        trailing = total.shape[1:]
-        sums = (self._matrix @ contribution.reshape(self.size, int(np.prod(trailing)))).reshape(self._rows, *trailing)
-        if self._places is None:
-            total += sums
-        else:
-            total[self._places] += sums
+        sums = self._matrix @ contribution.reshape(self.size, int(np.prod(total.shape[1:])))
+        total[self._places] += sums.reshape(-1, *total.shape[1:])
 
     def of(self, contribution: Array) -> Array:
         """The sums ``(count, k)`` of all contributions ``(n, k)``."""
-        sums = self._matrix @ contribution
-        if self._places is None:
-            return sums
         total = np.zeros((self._count, contribution.shape[1]))
-        total[self._places] = sums
+        total[self._places] = self._matrix @ contribution
         return total
 
 
@@ -261,7 +249,7 @@ class Elimination:
         self.count = count
         diagonal = np.arange(count + 1) * (count + 2)
         u, v = self._edges(first, second)
-        self.border = _border(u, count)
+        self.border = np.flatnonzero(np.bincount(u, minlength=count) > max(FEWEST_BOUND, SHARE_BOUND * count))
         inner = np.ones(count + 1, dtype=bool)
         inner[self.border] = False
         within = inner[u] & inner[v]
@@ -336,12 +324,6 @@ class Elimination:
         )
 
 
-def _border(u: Index, count: int) -> Index:
-    """Variables that so many others are bound to that their columns are dense. u: ``(n,)`` first of each edge."""
-    degree = np.bincount(u, minlength=count)
-    return np.flatnonzero(degree > max(FEWEST_BOUND, SHARE_BOUND * count))
-
-
 def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]], Mask, list[Index]]:
     """Variables of each round with their parents; those that are left; codes of all edges.
 
@@ -363,7 +345,8 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
         alive &= ~chosen
         leaving = chosen[u]
         which = np.flatnonzero(chosen)
-        parents = _filled_up(v[leaving], degree[which], count)
+        parents = np.full((len(which), int(degree[which].max(initial=0))), count)  # filled up with `nothing`
+        parents[np.arange(parents.shape[1]) < degree[which, None]] = v[leaving]
         rounds.append((which, parents))
         first, second = np.broadcast_arrays(parents[:, :, None], parents[:, None, :])
         new = (first != second) & (first < count) & (second < count)
@@ -379,13 +362,6 @@ def _distinct(codes: Index) -> Index:
     """The different codes, ascending; several times as fast as ``np.unique``, which hashes them."""
     codes = np.sort(codes)
     return codes[np.diff(codes, prepend=-1) > 0]
-
-
-def _filled_up(parents: Index, degree: Index, nothing: int) -> Index:
-    """Parents ``(n, p)`` of variables with ``degree (n,)`` parents each, filled up with ``nothing``."""
-    table = np.full((len(degree), int(degree.max(initial=0))), nothing)
-    table[np.arange(table.shape[1]) < degree[:, None]] = parents
-    return table
 
 
 class Factorization:
@@ -509,33 +485,18 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
     return np.ascontiguousarray(inverse.transpose(2, 0, 1)), -float(np.log(p * q * r).sum())
 
 
-CACHED_MATRICES = 2000  # pieces whose matrices fit into a processor's cache
-
-
 def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> Array:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
     step given both ends. at, solution: the walk at the optimum, and its linear system there.
     """
-    R_0, first = pose_rotation(at.pose_i[:1, 2]), np.zeros(1, dtype=np.intp)
-    covariance = np.empty((1 + len(which), 3, 3))
-    covariance[:1] = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
-    for n in range(0, len(which), CACHED_MATRICES):
-        part = which[n : n + CACHED_MATRICES]
-        i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
-        joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))
-        covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint[of_piece], at, part)
-    return covariance
-
-
-def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
-    """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
-
-    joint: covariance ``(n, 9, 9)`` of x_i, x_j and c of the interval of each.
-    """
-    placed, interval = at.poses_of(which), at.pieces.interval[which]
+    start = pose_rotation(at.pose_i[:1, 2])
+    first = start @ solution.joint(("x", np.zeros(1, dtype=np.intp))) @ start.transpose(0, 2, 1)
+    i, of_piece = np.unique(at.pieces.interval[which], return_inverse=True)
+    joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))[of_piece]
+    placed = at.poses_of(which)
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
-    R = pose_rotation(at.pose_i[interval, 2])
-    spread = at.chain.bridge.spread[which]
-    return D @ joint @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
+    R = pose_rotation(at.pose_i[i[of_piece], 2])
+    within = R @ at.chain.bridge.spread[which] @ R.transpose(0, 2, 1)
+    return np.concatenate([first, D @ joint @ D.transpose(0, 2, 1) + within])

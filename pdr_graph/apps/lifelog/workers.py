@@ -113,14 +113,14 @@ Look = Callable[[], None]  # called while waiting; raises FleetLostError
 
 def knowing_kinds(work: Work) -> Work:
     """The work, for a process that has yet to learn the kinds of measurements that this one has registered."""
-    factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
+    factors: Any = sys.modules.get("pdr_graph.estimation.factors.registry")  # not loaded: nothing was registered
     kinds = factors.kinds_of_others() if factors else []
     return partial(_with_kinds, kinds, work) if kinds else work
 
 
 def _with_kinds(kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, task: tuple[Any, ...]) -> Iterator[Any]:
     """Register kinds of measurements, and do the work."""
-    from pdr_graph.estimation.factors import register
+    from pdr_graph.estimation.factors.registry import register
 
     for data_type, of_type in kinds:
         register(data_type, *of_type)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors import kind_of, locating_kinds
 from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.registry import kind_of, locating_kinds
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import solve_robust
 from pdr_graph.estimation.results import used_fixes

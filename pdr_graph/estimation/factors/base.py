@@ -44,6 +44,12 @@ def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
     return (square / (square + deviation**2)) ** 2
 
 
+def huber_cost(deviation: Array) -> Array:
+    """Huber's loss ``(n,)`` at deviations ``(n,)`` [σ]."""
+    inlier = np.minimum(np.abs(deviation), LOSSES.huber)
+    return inlier * (np.abs(deviation) - inlier / 2)
+
+
 class Loss:
     """Half the squared deviation: errors are Gaussian."""
 
@@ -82,9 +88,8 @@ class RobustLoss(Loss):
 
     def cost(self, deviation: Array) -> Array:
         """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
-        far, square = np.abs(deviation), deviation**2
-        inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
-        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
+        square = deviation**2
+        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), huber_cost(deviation))
 
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of factor ``n``."""
@@ -336,19 +341,6 @@ class FactorBlock:
             return self.residual, list(self.jacobian())
         root = np.sqrt(self.weight)[self.row_of]
         return root * self.residual, [root[:, None] * by for by in self.jacobian()]
-
-
-class _UnitNoise(dict[int, Any]):
-    """Unit noise models by dimension, each made once."""
-
-    def __missing__(self, rows: int) -> gtsam.noiseModel.Base:
-        import gtsam
-
-        self[rows] = gtsam.noiseModel.Unit.Create(rows)
-        return self[rows]
-
-
-UNIT = _UnitNoise()
 
 
 class Stage(Enum):

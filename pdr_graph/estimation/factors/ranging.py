@@ -28,11 +28,12 @@ from pdr_graph.estimation.factors.base import (
     Measurement,
     RobustLoss,
     Variables,
+    huber_cost,
     huber_weight,
 )
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
-from pdr_graph.priors import LOSSES, RANGES, REPORTS
+from pdr_graph.priors import RANGES, REPORTS
 from pdr_graph.types import Array, Fixes, Index, RangeReport, Ranges, Steps, take
 
 if TYPE_CHECKING:
@@ -62,8 +63,7 @@ class LongErrors(Loss):
         sight, detour, _ = self._log_likelihoods(deviation)
         sight_at_zero, detour_at_zero, _ = self._log_likelihoods(np.zeros(len(deviation)))
         long = np.logaddexp(sight_at_zero, detour_at_zero) - np.logaddexp(sight, detour)
-        short = np.where(deviation > LOSSES.huber, LOSSES.huber * (deviation - LOSSES.huber / 2), deviation**2 / 2)
-        return np.where(deviation > 0, short, long)
+        return np.where(deviation > 0, huber_cost(deviation), long)
 
     def _log_likelihoods(self, deviation: Array) -> tuple[Array, Array, Array]:
         """Log-likelihoods of deviations ``(n,)`` [σ] with line of sight and with a detour, and √(1 + (s / scale)²)."""
