@@ -66,19 +66,6 @@ def placement_warnings(used: int, headings: bool, plan: bool, walled: bool) -> t
     return tuple(text for text, holds in warned.items() if holds)
 
 
-def warnings(self) -> tuple[str, ...]:
-    """Warn of an unknown position or direction, and of a plan that is elsewhere."""
-    warned = {
-        "no position fix: the track starts at (0, 0) along x": self.used == 0 and not self.walled,
-        "no position fix: the place was sought on the whole plan": self.used == 0 and self.walled,
-        "one position fix: the direction of the walk is unknown; it starts along x": self.used == 1
-        and not self.walled
-        and not self.headings,
-        "no fix lies near the floor plan: its walls were not used": bool(self.used) and self.plan and not self.walled,
-    }
-    return tuple(text for text, holds in warned.items() if holds)
-
-
 def warnings(
     graph: WalkGraph, walks: int, probability: float, converged: bool, calibration: Calibration
 ) -> tuple[str, ...]:
