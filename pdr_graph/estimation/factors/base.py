@@ -163,8 +163,7 @@ class State:
 
     def rotated(self, angle: float, pivot: Array) -> State:
         """Rotate all poses by ``angle`` [rad] about ``pivot (2,)`` [m]."""
-        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
-        return self.replaced(x=np.column_stack([position, self.poses[:, 2] + angle]))
+        return self.replaced(x=rotated(self.poses, angle, pivot))
 
     def retracted(self, moves: Mapping[str, Array], longest: float = np.inf) -> State:
         """Move every variable by GTSAM's local coordinates; poses by Pose2's full exponential map.
@@ -196,6 +195,11 @@ class State:
             arrays[symbol] = np.empty_like(rows)
             arrays[symbol][np.argsort(self.number(symbol))] = estimates
         return replace(self, arrays=arrays)
+
+
+def rotated(poses: Array, angle: float, pivot: Array) -> Array:
+    """Rotate poses ``(n, 3)`` by ``angle`` [rad] about ``pivot (2,)`` [m]."""
+    return np.column_stack([(poses[:, :2] - pivot) @ rotation(angle).T + pivot, poses[:, 2] + angle])
 
 
 def retracted(poses: Array, move: Array) -> Array:
