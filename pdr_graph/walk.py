@@ -516,7 +516,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     at = interpolate(fixes.time, track.time, track.position)
     distance = np.hypot(*(fixes.position - at).T)
     columns = (fixes.time, *fixes.position.T, fixes.sigma, distance, np.zeros(len(fixes)))
-    reports = [FixReport(*row, FIRST_ONLY) for row in zip(*(column.tolist() for column in columns), strict=True)]
+    reports = list(map(FixReport, *(column.tolist() for column in columns), [FIRST_ONLY] * len(fixes)))
     reports[first : first + 1] = alone.fixes
     track = replace(track, floor=graph.floors)
     direction = Contradiction("route", "other directions", 2 * np.pi, "rad", UNDECIDED, "--method graph uses all fixes")

@@ -103,7 +103,7 @@ class LinearSystem:
         """
         if self._curved is not None:
             return self.equations.assembled(self._curved, curved=False).solution
-        return Solution(self.state, self._rescued(0.0))
+        return Solution(self.state, self._factorized(0.0))
 
     @property
     def solved(self) -> LinearSystem | Solution:
@@ -113,26 +113,24 @@ class LinearSystem:
     def step(self, damping: float = 0.0) -> dict[str, Array]:
         """A step of the search ``(n, 3)`` of the variables of each symbol; damping: Levenberg and Marquardt's."""
         if damping or self._curved is not None:
-            return Solution(self.state, self._rescued(damping)).moves
+            return Solution(self.state, self._factorized(damping)).moves
         return self.solution.moves
 
     def gain(self, moves: Mapping[str, Array]) -> float:
         """The decrease of the cost by an undamped step, were all factors linear."""
         return float(np.sum(np.concatenate([moves[symbol] for symbol in self.state.arrays]) * self._right)) / 2
 
-    def _rescued(self, damping: float) -> Factorization:
-        """The factorised system; with more damping if it is indeterminate."""
-        for least in RESCUING[:-1]:
-            with suppress(RuntimeError):
-                return self._factorized(max(damping, least))
-        return self._factorized(max(damping, RESCUING[-1]))
-
     def _factorized(self, damping: float) -> Factorization:
-        elimination, blocks = self.equations.elimination, self._blocks
-        if damping:
-            blocks = blocks.copy()
-            blocks[elimination.diagonal] += damping * np.eye(3)
-        return Factorization(elimination, blocks, self._right)
+        """The factorised system; with more damping if it is indeterminate."""
+        elimination = self.equations.elimination
+        for least in RESCUING:
+            blocks = self._blocks
+            if more := max(damping, least):
+                blocks = blocks.copy()
+                blocks[elimination.diagonal] += more * np.eye(3)
+            with suppress(RuntimeError):
+                return Factorization(elimination, blocks, self._right)
+        raise RuntimeError(INDETERMINATE_TEXT)
 
 
 class Solution:
@@ -198,7 +196,7 @@ INDETERMINATE_TEXT = "the factors do not determine all variables"
 class Round:
     """Variables ``n`` that are eliminated together.
 
-    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.nothing`; own: ``(n,)`` slot of its
+    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.count`; own: ``(n,)`` slot of its
     block; bound: ``(n, p)`` slots of the blocks of parents and variable, mirrored: of variable and parents; among:
     ``(n, p, p)`` of parents with each other; to_slots, to_variables: sums of all contributions.
     """
@@ -241,7 +239,8 @@ class Sum:
 class Elimination:
     """The order in which variables are eliminated, and where all blocks are stored: the same for every state.
 
-    count: of variables; codes: those of the blocks, ascending; border, root: variables that are eliminated last.
+    count: of variables, and the number of one without neighbours, with which tables are filled up; codes: those of the
+    blocks, ascending; border, root: variables that are eliminated last.
     """
 
     def __init__(self, count: int, first: Index, second: Index):
@@ -260,21 +259,21 @@ class Elimination:
         codes = [diagonal, self._code(u[at_border], v[at_border]), among_root, *filled]
         self.codes = _distinct(np.concatenate(codes))
         self.diagonal = self.slots(np.arange(count), np.arange(count))
-        self.rounds = [self._round(chosen, parents) for chosen, parents in eliminated]
+        self.rounds = list[Round]()
+        for chosen, parents in eliminated:
+            own, among = chosen[:, None], self.slots(parents[:, :, None], parents[:, None, :])
+            bound, mirrored, sums = self.slots(parents, own), self.slots(own, parents), Sum(among, len(self.codes))
+            to_variables, diagonal = Sum(parents, count + 1), self.diagonal[chosen]
+            self.rounds.append(Round(chosen, parents, diagonal, bound, mirrored, among, sums, to_variables))
         place = np.full(count + 1, -1)
         place[self.border] = np.arange(len(self.border))
         at = at_border[place[v[at_border]] >= 0]
         self._row, self._place = np.append(u[at], self.border), np.append(place[v[at]], place[self.border])
         self._border_slots = self.slots(self._row, self.border[self._place])
 
-    @property
-    def nothing(self) -> int:
-        """The number of a variable without neighbours, with which tables are filled up."""
-        return self.count
-
     def slots(self, first: Index, second: Index) -> Index:
-        """Index of the block of each pair of variables; the last block, which stays 0, for `nothing`."""
-        nowhere = (first == self.nothing) | (second == self.nothing)
+        """Index of the block of each pair of variables; the last block, which stays 0, for `count`."""
+        nowhere = (first == self.count) | (second == self.count)
         found = np.searchsorted(self.codes, self._code(first, second))
         return np.where(nowhere, len(self.codes) - 1, found)
 
@@ -285,10 +284,6 @@ class Elimination:
         columns = columns.transpose(0, 2, 1, 3).reshape(self.count + 1, 3, -1)[:, :, : 3 * len(self.border) + 1]
         columns[:-1, :, -1] = right
         return np.ascontiguousarray(columns)
-
-    def corner(self, columns: Array) -> Array:
-        """Rows ``(3 g, 3 g + 1)`` of the border in its columns."""
-        return columns[self.border].reshape(3 * len(self.border), columns.shape[2])
 
     def fill_in(self, inverse: Array, to_border: Array) -> None:
         """Set the blocks of the border in ``inverse``. to_border: ``(count + 1, 3, 3 g)`` columns of the inverse."""
@@ -308,20 +303,6 @@ class Elimination:
         codes = np.sort(np.concatenate([once, self._code(*np.divmod(once, self.count + 1)[::-1])]))
         u, v = np.divmod(codes, self.count + 1)
         return u, v
-
-    def _round(self, chosen: Index, parents: Index) -> Round:
-        own = chosen[:, None]
-        among = self.slots(parents[:, :, None], parents[:, None, :])
-        return Round(
-            eliminated=chosen,
-            parents=parents,
-            own=self.diagonal[chosen],
-            bound=self.slots(parents, own),
-            mirrored=self.slots(own, parents),
-            among=among,
-            to_slots=Sum(among, len(self.codes)),
-            to_variables=Sum(parents, self.count + 1),
-        )
 
 
 def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]], Mask, list[Index]]:
@@ -345,7 +326,7 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
         alive &= ~chosen
         leaving = chosen[u]
         which = np.flatnonzero(chosen)
-        parents = np.full((len(which), int(degree[which].max(initial=0))), count)  # filled up with `nothing`
+        parents = np.full((len(which), int(degree[which].max(initial=0))), count)  # filled up
         parents[np.arange(parents.shape[1]) < degree[which, None]] = v[leaving]
         rounds.append((which, parents))
         first, second = np.broadcast_arrays(parents[:, :, None], parents[:, None, :])
@@ -375,7 +356,7 @@ class Factorization:
         self.elimination, self._size = elimination, len(blocks)
         least = INDETERMINATE * blocks[elimination.diagonal].diagonal(axis1=1, axis2=2)
         columns = elimination.columns(blocks, right)
-        corner = elimination.corner(columns)
+        corner = columns[elimination.border].reshape(3 * len(elimination.border), columns.shape[2])  # of the border
         blocks = blocks.copy()
         self._steps = list[tuple[Array, Array, Array]]()  # of each round: F⁻¹, S F⁻¹, F⁻¹ (border, right-hand side)
         self.log_determinant = 0.0  # of the root of the matrix

@@ -236,14 +236,13 @@ def stepped(
     motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
     errors = _errors(state.shape[1], sigma, random)
-    first = _first_try(state, errors, motion, walls) if kernels is None else None
+    complete = False  # unless tiles of the distance field are missing, which only NumPy's functions compute
     if kernels is not None:
         cos, sin = _directions(kernels, state, np.arange(state.shape[1]), errors, motion)
         table = walls.field.pixel_table(walls.tiles)
-        *first, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
-        if not complete:  # tiles of the distance field are missing, which only NumPy's functions compute
-            first = _first_try(state, errors, motion, walls)
-    after, price, stopped = first
+        after, price, stopped, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
+    if not complete:
+        after, price, stopped = _first_try(state, errors, motion, walls)
     if len(stopped):
         errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
         done = False

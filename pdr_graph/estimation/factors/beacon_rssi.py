@@ -72,9 +72,9 @@ class BeaconRssiFactor(Measurement):
             position=levels.position[beacons],
             sigma=levels.sigma[beacons],
         )
-        prior = np.column_stack([some.position, np.zeros(len(beacons))])
+        mean = np.column_stack([some.position, np.zeros(len(beacons))])
         number = rows if number is None else number[rows]
-        return cls(some, some.position, prior, beacons, number, np.full(len(rows), -1))
+        return cls(some, some.position, mean, beacons, number, np.full(len(rows), -1))
 
     def keyframe_times(self) -> Array:
         """The middles of the stretches."""

@@ -115,7 +115,7 @@ def measurements_of(
     return made
 
 
-def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measurement]:
+def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Any]:
     """The factors of corridors that the prior asks for, not associated with the walk yet."""
     return [ON_PLAN[name].about(floor_sequence) for name in prior.corridors]
 
@@ -123,8 +123,8 @@ def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measuremen
 def measurements_of_walk(tables: Sequence[Any], steps: Steps, prior: Prior) -> list[Measurement]:
     """The measurement kinds of all data of a walk; if no fix can be used, approximate positions by another kind."""
     kinds = [kind for table in tables for kind in measurements_of(table, steps, prior)]
-    from_fixes = KINDS[Fixes]
-    if any(isinstance(kind, from_fixes[0]) and kind.used.any() for kind in kinds):
+    from_fixes, fixes = KINDS[Fixes], made_from(Fixes, kinds)
+    if fixes is not None and fixes.used.any():
         return kinds
     rough = next((rough for kind in kinds if isinstance(kind, Locating) and len(rough := kind.rough_fixes())), None)
     if rough is None:
