@@ -236,13 +236,14 @@ def stepped(
     motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
     errors = _errors(state.shape[1], sigma, random)
-    complete = False  # unless tiles of the distance field are missing, which only NumPy's functions compute
+    compiled: tuple[Array, Array, Index] | None = None
     if kernels is not None:
         cos, sin = _directions(kernels, state, np.arange(state.shape[1]), errors, motion)
         table = walls.field.pixel_table(walls.tiles)
-        after, price, stopped, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
-    if not complete:
-        after, price, stopped = _first_try(state, errors, motion, walls)
+        *tried, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
+        if complete:  # else tiles of the distance field are missing, which only NumPy's functions compute
+            compiled = tried[0], tried[1], tried[2]
+    after, price, stopped = compiled or _first_try(state, errors, motion, walls)
     if len(stopped):
         errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
         done = False
