@@ -48,7 +48,7 @@ SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make t
 FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
 ROW, COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
-LOWER, LEFT = np.tril_indices(3)
+LOWER_ROW, LOWER_COLUMN = np.tril_indices(3)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class SmoothTrack:
         """Variances of position [m²] and velocity [m²/s²] per axis ``(n, 2)``, by Takahashi's sparse inverse."""
         knots = self.root.shape[1] // 3
         root, diagonal, next_ = self.root.reshape(6, knots, 3), np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
-        diagonal[:, LOWER, LEFT] = root[LOWER - LEFT, :, LEFT].T
+        diagonal[:, LOWER_ROW, LOWER_COLUMN] = root[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN].T
         next_[:, ROW, COLUMN] = root[3 + ROW - COLUMN, :-1, COLUMN].T
         inverse = np.linalg.inv(diagonal)
         alone = inverse.transpose(0, 2, 1) @ inverse
@@ -140,7 +140,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
     origin = gps.position[0]  # the first knot is a fix; digits are lost far from it
     right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
     band = np.zeros((6, knots, 3))
-    band[LOWER - LEFT, :, LEFT] = information[:, LOWER, LEFT].T
+    band[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN] = information[:, LOWER_ROW, LOWER_COLUMN].T
     band[3 + ROW - COLUMN, :-1, COLUMN] = to_next[:, ROW, COLUMN].T
     root = cholesky_banded(band.reshape(6, -1), lower=True)
     state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
