@@ -3,9 +3,9 @@
 from .apps.report.evaluation import evaluate as evaluate
 from .apps.report.plotting import plot as plot
 from .errors import InputError as InputError
-from .estimation.factors import register as register
 from .estimation.factors.base import FactorBlock as FactorBlock
 from .estimation.factors.base import Measurement as Measurement
+from .estimation.factors.registry import register as register
 from .estimation.factors.start import Prior as Prior
 from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph

@@ -22,8 +22,8 @@ VERDICT_SEEDS = "set on simulated walks with honest and with lying sources (scri
 
 
 class Entry(NamedTuple):
-    """One number. table: name of its instance; still: lower and upper end of the range in which the accuracy is the
-    same, None if it was not measured.
+    """One number. table: name of its instance; still: least and largest factor of the value at which the accuracy is
+    the same (0.5 and 2 were tried), None if it was not measured.
     """
 
     table: str
@@ -32,16 +32,16 @@ class Entry(NamedTuple):
     unit: str
     meaning: str
     source: str
-    still: tuple[Any, Any] | None
+    still: tuple[float, float] | None
 
     def __str__(self) -> str:
         return f"{self.table}.{self.name}"
 
 
 def number(
-    value: Any, unit: str, meaning: str, source: str = JUDGEMENT, *, still: tuple[Any, Any] | None = None
+    value: Any, unit: str, meaning: str, source: str = JUDGEMENT, *, still: tuple[float, float] | None = None
 ) -> Any:
-    """A field with this default and its description. still: see `Entry`; of tuples, factors of the value."""
+    """A field with this default and its description. still: see `Entry`."""
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source, "still": still})
 
 
@@ -81,40 +81,40 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 class StepPriors(Table):
     """Durations of steps."""
 
-    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.125, 0.5))
+    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 2))
     longest: float = number(
-        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", still=(1.2, 1.2)
+        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", still=(1, 1)
     )
-    usual: float = number(0.54, "s", "typical duration of a step", still=(0.54, 0.54))
+    usual: float = number(0.54, "s", "typical duration of a step", still=(1, 1))
 
 
 @dataclass(frozen=True)
 class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
-    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(0.04, 0.08))
+    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(1, 2))
     slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
-    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(0.125, 0.5))
-    usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.15, 0.6))
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(0.05, 0.1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(0.2, 0.4))
-    window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(2.0, 8.0))
-    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1.0, 2.0))
+    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(0.5, 2))
+    usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 2))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 2))
+    window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(0.5, 1))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(
-        0.23, "share", "least amplitude among the steps around it: feet shuffle", still=(0.23, 0.23)
+        0.23, "share", "least amplitude among the steps around it: feet shuffle", still=(1, 1)
     )
     highest_bounce: float = number(
         0.14,
         "m",
         "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15",
-        still=(0.14, 0.28),
+        still=(1, 2),
     )
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
     tilt_window: float = number(1.5, "s", "over which that direction is averaged")
     steadiest_tilt: float = number(
-        0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.48, 0.96)
+        0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.5, 1)
     )
 
 
@@ -122,17 +122,17 @@ class CandidatePriors(Table):
 class BoutPriors(Table):
     """When candidate landings become steps."""
 
-    closest_share: float = number(0.55, "steps", "least interval between two landings", still=(0.275, 0.55))
+    closest_share: float = number(0.55, "steps", "least interval between two landings", still=(0.5, 1))
     start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start")
     go_on: float = number(0.1, "correlation", "the same to go on")
     vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing")
     vigorous_start: float = number(
-        0.5, "correlation", "least correlation to start with such an amplitude", still=(0.25, 0.5)
+        0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
     )
     push_off: float = number(
-        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(0.6, 0.6)
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
-    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(4, 4))
+    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
     late: float = number(6.0, "s", "after which it is too late to report a step")
     past: float = number(8.0, "s", "samples before a landing on which it may depend")
     future: float = number(3.0, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
@@ -142,17 +142,13 @@ class BoutPriors(Table):
 class StridePriors(Table):
     """Lengths of steps."""
 
-    shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.1, 0.4))
-    longest: float = number(1.2, "m", "longest length of a step, by any model", still=(1.2, 2.4))
+    shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
+    longest: float = number(1.2, "m", "longest length of a step, by any model", still=(1, 2))
     sigma: float = number(
-        0.3,
-        "share",
-        "sigma of a step's length",
-        "fit of the 90 % regions: scripts/reproduce settings",
-        still=(0.15, 0.6),
+        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(0.5, 2)
     )
     turn_shortens: float = number(
-        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.562, 1.124)
+        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(
@@ -160,9 +156,9 @@ class StridePriors(Table):
         "m",
         "constant part of a step: half of it",
         "fit: 15 walks in two malls, scripts/reproduce steps",
-        still=(0.34, 0.34),
+        still=(1, 1),
     )
-    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", still=(0.29, 0.29))
+    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
 
 
 @dataclass(frozen=True)
@@ -182,19 +178,13 @@ class MotionPriors(Table):
     turn: float = number(0.02, "rad", "sigma of the heading error that one step adds: the body sways about the phone")
     unmeasured_turn: float = number(0.3, "rad", "the same without a gyroscope: a corner every thirty steps")
     lateral: float = number(
-        0.25,
-        "m",
-        "sway of one step to the side",
-        "fit of the 90 % regions: scripts/reproduce settings",
-        still=(0.25, 0.25),
+        0.25, "m", "sway of one step to the side", "fit of the 90 % regions: scripts/reproduce settings", still=(1, 1)
     )
-    standing_turn: float = number(
-        0.02, "rad", "change between walking direction and phone in a pause", still=(0.01, 0.04)
-    )
+    standing_turn: float = number(0.02, "rad", "change between walking direction and phone in a pause", still=(0.5, 2))
     gap_speed: float = number(1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks")
     gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient")
     steps_per_keyframe: int = number(
-        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", still=(5, 20)
+        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", still=(0.5, 2)
     )
     steps_per_segment: int = number(100, "steps", "for which the calibration is constant", "design, section 3")
 
@@ -213,15 +203,13 @@ class ForwardPriors(Table):
         "fit: docs/results/heading.md",
     )
     band: float = number(0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it")
-    window_steps: int = number(16, "steps", "length of a window", still=(8, 32))
-    least_windows: int = number(3, "windows", "least number of windows of walking", still=(2, 6))
+    window_steps: int = number(16, "steps", "length of a window", still=(0.5, 2))
+    least_windows: int = number(3, "windows", "least number of windows of walking", still=(0.5, 2))
     least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait")
     gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway")
-    reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", still=(0.085, 0.34))
+    reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", still=(0.5, 2))
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
-    steady: float = number(
-        0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.475, 1.9)
-    )
+    steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 2))
     opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read")
     early_steps: int = number(8, "steps", "length of a window live")
     early_coherence: float = number(0.45, "share", "least coherence in such a window")
@@ -235,7 +223,7 @@ class ForwardPriors(Table):
     )
     confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it")
     unconfirmed: float = number(
-        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.175, 0.7)
+        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.5, 2)
     )
 
     @property
@@ -272,14 +260,14 @@ class CompassPriors(Table):
         "rad",
         "error that a walk shares: the phone's own iron, a building's axis",
         "fit: scripts/reproduce compass",
-        still=(0.1, 0.4),
+        still=(0.5, 2),
     )
     longest_stretch: float = number(
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
-    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(1.0, 4.0))
+    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(0.5, 2))
     least_certain: float = number(
-        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.35, 1.4)
+        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.5, 2)
     )
     off: float = number(float(np.pi / 4), "rad", "of a compass that is off throughout")
 
@@ -342,17 +330,17 @@ class MagnetometerPriors(Table):
 class NorthPriors(Table):
     """The filter of north."""
 
-    interval: float = number(1.0, "s", "between observations", still=(0.5, 2.0))
-    drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.002, 0.008))
-    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.06, 0.24))
+    interval: float = number(1.0, "s", "between observations", still=(0.5, 2))
+    drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
+    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
     alike: float = number(
-        2.5, "s", "for which a walker stays in the same disturbance: about three metres", still=(1.25, 5.0)
+        2.5, "s", "for which a walker stays in the same disturbance: about three metres", still=(0.5, 2)
     )
     disturbed: float = number(
-        0.35, "rad", "largest error in either test; other observations are not used", still=(0.175, 0.7)
+        0.35, "rad", "largest error in either test; other observations are not used", still=(0.5, 2)
     )
     weakest: float = number(
-        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.15, 0.6)
+        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
     )
     huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used")
@@ -402,10 +390,11 @@ class LossPriors(Table):
     """Widths of robust losses."""
 
     huber: float = number(
-        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", still=(1.225, 2.45)
-    )
-    geman_mcclure: float = number(
-        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", still=(1.225, 4.9)
+        2.45,
+        "σ",
+        "full weight up to here: 95 % of inliers in the plane; beyond it outliers lose most of theirs",
+        "χ² of 2 degrees: 5.99",
+        still=(0.5, 1),
     )
     closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres")
 
@@ -415,20 +404,17 @@ class WalkerPriors(Table):
     """The walker's calibration (R_s, R_d, b)."""
 
     mean: tuple[float, float, float] = number(
-        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", still=((1.0, 1.0, 0.0), (1.0, 1.0, 0.0))
+        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", still=(1, 1)
     )
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
         "fit of b: scripts/reproduce drift; JUDGEMENT",
-        still=((0.15, 0.03, 0.003), (0.15, 0.03, 0.003)),
+        still=(1, 1),
     )
     change: tuple[float, float, float] = number(
-        (0.03, 0.005, 0.0005),
-        "-, -, rad/s",
-        "sigma of the change from segment to segment",
-        still=((0.015, 0.0025, 0.00025), (0.06, 0.01, 0.001)),
+        (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
     )
     between_walks: tuple[float, float, float] = number(
         (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person"
@@ -440,13 +426,13 @@ class WallPriors(Table):
     """Walls along a walk: graph and particles."""
 
     margin: float = number(
-        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(0.8, 0.8)
+        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(1, 1)
     )
-    sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 1.0))
-    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.075, 0.3))
-    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.05, 0.2))
+    sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 1))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 2))
+    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
     loose: float = number(
-        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(1.5, 6.0)
+        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(0.5, 2)
     )
 
 
@@ -457,7 +443,7 @@ class RegionPriors(Table):
     stray: float = number(0.5, "m", "sigma of a track")
     outside_cost: float = number(4.0, "nats", "of a point in no region: within 1.4 m it belongs to one")
     outside_price: float = number(
-        0.15, "log-odds", "of a point in no region: shops are entered, plans end", still=(0.075, 0.3)
+        0.15, "log-odds", "of a point in no region: shops are entered, plans end", still=(0.5, 2)
     )
     at_door: float = number(1.5, "m", "from a door within which it may be used")
     wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors")
@@ -513,9 +499,10 @@ class FixPriors(Table):
 
     longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording")
     walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows")
-    outlier: float = number(5.0, "σ", "from a first optimum beyond which a fix is an outlier")
-    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say")
-    within: float = number(5.0, "σ", "of both fixes, within reach of one another")
+    outlier: float = number(
+        5.0, "σ", "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter"
+    )
+    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say, or shorter")
     driven: float = number(30.0, "m/s", "reached during a gap in the recording")
     patience: int = number(
         4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged"
@@ -544,8 +531,6 @@ class ReceiverPriors(Table):
     lag: float = number(1.0, "s", "sigma of the lag")
     lag_change: float = number(0.02, "s/√s", "random walk of the lag")
     lately: float = number(2.0, "s", "over which the velocity is averaged")
-    amble: float = number(1.0, "m/s", "assumed after the last step, until the next node")
-    usually_worse: float = number(2.0, "factor", "of what it states, up to which a user need not check a receiver")
     scattered: float = number(1.1, "σ", "root mean square residual from which all errors may be larger than stated")
 
 
@@ -569,12 +554,13 @@ class BeaconPriors(Table):
     range: float = number(
         60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
     )
-    anywhere: float = number(30.0, "m", "sigma of an unsurveyed beacon about the place of its strongest level")
+    anywhere: float = number(
+        30.0, "m", "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list"
+    )
     most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved")
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
     )
-    origin_sigma: float = number(30.0, "m", "of the displacement of a whole list")
     displaced: float = number(8.0, "m", "between the walks by the list and by all else, from which that is assumed")
 
 
@@ -587,7 +573,7 @@ class RangePriors(Table):
     bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
     near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
     bin: float = number(5.0, "s", "of ranges that make a rough position")
-    fewest: int = number(3, "anchors", "for a trilaterated rough position")
+    fewest: int = number(3, "anchors", "or beacons that determine a position")
 
 
 # Initialisation and search
@@ -597,13 +583,12 @@ class RangePriors(Table):
 class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
-    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(1.5, 6.0))
-    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.1, 0.2))
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
+    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 1))
     any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
     scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite")
     huber: float = number(2.0, "σ", "width of Huber's weight")
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
-    longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes")
     beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked")
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
@@ -732,31 +717,23 @@ class ParticlePriors(Table):
     """The particle filter on a plan."""
 
     fewest: int = number(1000, "particles", "least number")
-    most: int = number(8000, "particles", "largest number, of the batch", still=(4000, 16000))
+    most: int = number(8000, "particles", "largest number, of the batch", still=(0.5, 2))
     per_bin: int = number(
-        20, "particles", "per occupied bin of position and direction; scales with the most", still=(10, 40)
+        20, "particles", "per occupied bin of position and direction; scales with the most", still=(0.5, 2)
     )
-    bin: float = number(1.0, "m", "of position", still=(0.5, 2.0))
-    bin_angle: float = number(np.pi / 8, "rad", "of direction", still=(0.1963, 0.7854))
-    resample: float = number(0.5, "share", "effective share below which they are resampled", still=(0.25, 1.0))
-    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", still=(0.1, 0.4))
+    bin: float = number(1.0, "m", "of position", still=(0.5, 2))
+    bin_angle: float = number(np.pi / 8, "rad", "of direction", still=(0.5, 2))
+    resample: float = number(0.5, "share", "effective share below which they are resampled", still=(0.5, 2))
+    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", still=(0.5, 2))
     wide: tuple[float, ...] = number(
-        (1.5, 1.5, 2.0),
-        "factor",
-        "of the prior's sigmas: rare calibrations",
-        still=((0.75, 0.75, 1.0), (3.0, 3.0, 4.0)),
+        (1.5, 1.5, 2.0), "factor", "of the prior's sigmas: rare calibrations", still=(0.5, 2)
     )
     calm: tuple[float, ...] = number(
-        (0.7, 0.7, 1.0),
-        "factor",
-        "of length, sway, turn: parts are common errors",
-        still=((0.35, 0.35, 0.5), (1.4, 1.4, 2.0)),
+        (0.7, 0.7, 1.0), "factor", "of length, sway, turn: parts are common errors", still=(0.5, 2)
     )
-    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2.0))
+    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2))
     least_sigma_direction: float = number(0.1, "rad", "at the start")
-    far: float = number(4.0, "σ", "of a fix from all particles, from which some move there")
     sought: int = number(5, "particles", "of which one moves to such a fix")
-    lost_price: float = number(4.0, "log-odds", "of such a move")
     outlier_price: float = number(8.0, "log-odds", "largest of an outlier")
     doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
     rare: int = number(4, "particles", "of which one draws any turn then")
@@ -774,7 +751,6 @@ class ParticlePriors(Table):
 class KalmanPriors(Table):
     """The causal Kalman filter."""
 
-    gate: float = number(5.0, "σ", "beyond which a measurement is rejected: χ² of 25, as outliers in the graph")
     hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
     same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
     patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
@@ -785,7 +761,6 @@ class LinePriors(Table):
     """A calibration walk along a known line."""
 
     most_laps: int = number(5, "laps", "on a closed line")
-    plausible: float = number(1.5, "ratio", "largest of stated to true length, or inverse", "0.86 to 1.4 on real walks")
     farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4")
     strays: float = number(2.0, "m", "along the line by which a step may move from round to round")
     sway: float = number(0.3, "m", "lateral sigma of people who follow a line")
@@ -829,7 +804,9 @@ class ScanPriors(Table):
     neighbours: int = number(8, "fingerprints", "averaged for a position")
     agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown")
     least_sure: float = number(3.0, "m", "largest sigma of a walk at its fingerprints")
-    near: float = number(5.0, "m", "from a fingerprint within which a place is mapped")
+    near: float = number(
+        5.0, "m", "from a fingerprint within which a place is mapped; σ of a closure where there are few pairs"
+    )
     accepted: tuple[float, float] = number(
         (0.05, 0.95), "quantile", "of the distance at mapped places: limits of σ and fix"
     )
@@ -842,14 +819,15 @@ class ScanPriors(Table):
     later: float = number(60.0, "s", "after which a return to a place is a revisit")
     accepted_pairs: float = number(0.8, "quantile", "of the distance of near pairs, beyond which they are dropped")
     usually_alike: float = number(0.3, "distance", "that quantile where there are few pairs", "fit: two malls")
-    usually_apart: float = number(5.0, "m", "σ of a closure where there are few pairs", "fit: two malls")
 
 
 @dataclass(frozen=True)
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(15.0, "s", "between samples: shorter ones accumulate the receiver's noise")
+    grid: float = number(
+        15.0, "s", "between samples, and least window of a speed: shorter ones accumulate the receiver's noise"
+    )
     path: float = number(100.0, "m", "of path for walks")
     ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     crooked: float = number(0.6, "share", "below which a path leads nowhere: half a circle is 0.64", "geometry")
@@ -859,19 +837,18 @@ class TravelPriors(Table):
     widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
     epoch: float = number(10.0, "s", "of the hidden Markov model")
     window: float = number(40.0, "s", "over which net speeds are computed for the modes")
-    narrow: float = number(15.0, "s", "the same for the times of their changes")
     lasts: float = number(300.0, "s", "usual duration of a mode")
     shuffling: float = number(0.05, "m/s", "speed while standing")
     walk: float = number(1.2, "m/s", "net speed of walkers, with turns and stops")
     walk_spread: float = number(0.4, "m/s", "its sigma")
     ride: float = number(7.0, "m/s", "net speed from bicycles to cars")
     ride_spread: float = number(0.9, "log", "its sigma")
-    dawdling: float = number(0.1, "share", "of a walk with turns and short stops, at any lower speed")
+    exceptions: float = number(
+        0.1, "share", "of larger errors of a receiver, of a walk with turns and stops, of paths of any straightness"
+    )
     waiting: float = number(0.15, "share", "of a ride in which it hardly moves")
     creeping: float = number(0.5, "m/s", "speed then")
-    outliers: float = number(0.1, "share", "of larger errors of a receiver")
-    outlier_scale: float = number(3.0, "factor", "of these errors")
-    bends: float = number(0.1, "share", "of paths of any straightness")
+    outlier_scale: float = number(3.0, "factor", "of these larger errors")
     shortest_ride: int = number(3, "epochs", "shorter ones are jumps of the receiver")
 
 
@@ -888,7 +865,6 @@ class TrackPriors(Table):
     free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
     first_scales: tuple[float, ...] = number((8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass")
     final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second")
-    at_rest: float = number(1.0, "m/s", "sigma of the velocity of a single fix")
 
 
 # Live
@@ -996,10 +972,9 @@ class ReportPriors(Table):
 
     sure: float = number(0.9, "probability", "below which a user is warned")
     least_reported: float = number(0.01, "probability", "below which another walk is not reported")
-    full_weight: float = number(0.9, "weight", "above which a fix is reported as such")
     rejected: float = number(0.1, "weight", "below which a fix counts as rejected")
     many: float = number(0.1, "share", "of rejected fixes at which a user is warned")
-    detour: float = number(0.5, "weight", "below which a range is reported as one without line of sight")
+    accepted: float = number(0.5, "weight", "below which a range has no line of sight, above which a fix is accepted")
     stride: tuple[float, float] = number((0.8, 1.2), "ratio", "stride scale R_s of usual walkers")
     crossed_anyway: float = number(
         0.01, "share", "of rows, beside one, through walls on right routes", "at most 1 of 15 to 222 rows of real walks"
@@ -1010,25 +985,18 @@ class ReportPriors(Table):
 class VerdictPriors(Table):
     """When a walk is doubtful or failed."""
 
-    failed: float = number(0.5, "share", "of rejected fixes of a failed walk", VERDICT_SEEDS)
+    most: float = number(0.5, "share", "of a source that fails, with which it, or the walk, fails", VERDICT_SEEDS)
     doubtful: float = number(
         0.3, "share", "of rejected fixes of a doubtful walk; 0.3 still determine it", VERDICT_SEEDS
     )
     fix_median: float = number(1.18, "σ", "median distance of honest fixes", "Rayleigh's distribution")
-    fix_spread: float = number(0.85, "σ", "sigma of that median × √n", "Rayleigh's distribution")
     heading_median: float = number(0.67, "σ", "median of the residuals of honest headings", "normal distribution")
     heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
     distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
-    checked: int = number(3, "fixes", "that determine a stride scale and check one another", VERDICT_SEEDS)
     seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
-    moved: float = number(0.5, "share", "of beacons elsewhere at which the list is of another place", VERDICT_SEEDS)
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
-    lost: float = number(0.5, "share", "of rows through walls of a failed walk", VERDICT_SEEDS)
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
-    accepted: float = number(0.5, "weight", "above which a fix is accepted", VERDICT_SEEDS)
-    transmitters: int = number(3, "beacons", "or anchors that determine positions", "geometry")
-    overruled: float = number(0.5, "share", "of rejected measurements above which a source is overruled")
 
 
 STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()

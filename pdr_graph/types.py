@@ -72,6 +72,15 @@ class OneLineRepr:
         return [count(len(getattr(self, "time", getattr(self, "position", ()))), self._row), *time_span(self)]
 
 
+class Rows(OneLineRepr):
+    """Base of tables with a row for each time."""
+
+    time: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
 def time_span(record: object) -> list[str]:
     """The first and last time of a record's rows as a text, ``0.0 to 243.1 s``; empty without rows."""
     time = np.asarray(getattr(record, "time", ()))
@@ -158,7 +167,7 @@ def unknown_sensor(value: object) -> str:
 
 
 @dataclass(frozen=True)
-class Signal(OneLineRepr):
+class Signal(Rows):
     """The samples of one sensor.
 
     time: ``(n,)`` [s], increasing; values: ``(n, 3)``, in the unit of the sensor (m/s² with gravity, rad/s, µT), on the
@@ -174,9 +183,6 @@ class Signal(OneLineRepr):
             shapes = f"{np.shape(self.time)} and {np.shape(self.values)}"
             raise ValueError(f"Signal: found times and values of shapes {shapes}, expected (n,) and (n, 3) or (n, 1)")
 
-    def __len__(self) -> int:
-        return len(self.time)
-
     @cached_property
     def rate(self) -> float:
         """Sampling rate from the median interval; gaps do not lower it. [Hz]"""
@@ -187,7 +193,7 @@ class Signal(OneLineRepr):
 
 
 @dataclass(frozen=True)
-class Sightings(OneLineRepr, row="reception"):
+class Sightings(Rows, row="reception"):
     """Received signal strengths of Bluetooth beacons or Wi-Fi access points.
 
     time: ``(n,)`` of each reception [s]; transmitter: its identifier, one per row; rssi: ``(n,)`` received power [dBm];
@@ -198,9 +204,6 @@ class Sightings(OneLineRepr, row="reception"):
     transmitter: tuple[str, ...]
     rssi: Array
     minor: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.time)
 
 
 @dataclass(frozen=True)
@@ -230,7 +233,7 @@ def minor_number(label: str) -> str:
 
 
 @dataclass(frozen=True)
-class Fixes(OneLineRepr, row="fix"):
+class Fixes(Rows, row="fix"):
     """Position fixes: from GNSS, BLE, Wi-Fi or the user.
 
     time: ``(n,)`` [s].
@@ -268,18 +271,12 @@ class Fixes(OneLineRepr, row="fix"):
     def concatenate(cls, parts: Sequence[Fixes]) -> Fixes:
         """The fixes of all parts, which are in one frame, sorted by time."""
         some = [part for part in parts if len(part)]
-        if len(some) < 2:
-            return some[0] if some else cls.none()
-        time, position, sigma = (np.concatenate([getattr(p, n) for p in some]) for n in ("time", "position", "sigma"))
-        floor, source = (tuple(x for p in some for x in getattr(p, n)) for n in ("floor", "source"))
-        return cls(time, position, sigma, floor, some[0].epsg, source)[np.argsort(time, kind="stable")]
+        whole = concatenate(some or [cls.none()])
+        return whole if len(some) < 2 else whole[np.argsort(whole.time, kind="stable")]
 
     def shifted(self, seconds: float) -> Fixes:
         """The fixes at times that are `seconds` later."""
         return replace(self, time=self.time + seconds)
-
-    def __len__(self) -> int:
-        return len(self.time)
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Fixes:
         """A selection of rows as ``Fixes``: ``fixes[0]``, ``fixes[2:5]``, ``fixes[mask]``."""
@@ -287,7 +284,7 @@ class Fixes(OneLineRepr, row="fix"):
 
 
 @dataclass(frozen=True)
-class Headings(OneLineRepr, row="heading"):
+class Headings(Rows, row="heading"):
     """Measured walking directions: from a compass or the user.
 
     time: ``(n,)`` [s], increasing; heading: ``(n,)`` counter-clockwise from +x of the output frame [rad].
@@ -319,19 +316,15 @@ class Headings(OneLineRepr, row="heading"):
     @classmethod
     def concatenate(cls, parts: Sequence[Headings]) -> Headings:
         """The headings of all parts, in the order of the parts."""
-        of = ([getattr(part, name) for part in (cls.none(), *parts)] for name in ("time", "heading", "sigma"))
-        return cls(*map(np.concatenate, of), source=sum((part.source for part in parts), ()))
+        return concatenate([cls.none(), *parts])
 
     def shifted(self, seconds: float) -> Headings:
         """The headings at times that are `seconds` later."""
         return replace(self, time=self.time + seconds)
 
-    def __len__(self) -> int:
-        return len(self.time)
-
 
 @dataclass(frozen=True)
-class Trajectory(OneLineRepr):
+class Trajectory(Rows):
     """A path over time: an estimate or ground truth.
 
     time: ``(n,)`` [s]; position: ``(n, 2)`` [m]; heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
@@ -354,9 +347,6 @@ class Trajectory(OneLineRepr):
             found = f"shapes {np.shape(self.position)} and {np.shape(self.heading)}"
             raise ValueError(f"Trajectory: found {found} at {rows} times, expected ({rows}, 2) and ({rows},)")
         fill_labels(self, "floor")
-
-    def __len__(self) -> int:
-        return len(self.time)
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
         """A selection of rows as a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
@@ -422,7 +412,7 @@ STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_lengt
 
 
 @dataclass(frozen=True)
-class Steps(OneLineRepr):
+class Steps(Rows):
     """The steps of a walk: the output of the front end and the odometry input of the estimators.
 
     start, end: first and last sample of the recording [s].
@@ -463,9 +453,6 @@ class Steps(OneLineRepr):
         check_each("Steps.sigma_length", self.sigma_length > 0, self.sigma_length, "standard deviations above 0 m")
         check_each("Steps.sigma_turn", self.sigma_turn > 0, self.sigma_turn, "standard deviations above 0 rad")
 
-    def __len__(self) -> int:
-        return len(self.time)
-
     @property
     def is_gap(self) -> Mask:
         """``(n,)``: True for rows that are gaps in the recording."""
@@ -485,7 +472,7 @@ class Measured(Protocol):
 
 
 @dataclass(frozen=True)
-class Levels(OneLineRepr, row="level"):
+class Levels(Rows, row="level"):
     """Mean signal strengths of beacons over parts of a walk; ``l`` levels, ``m`` beacons.
 
     time: ``(l,)`` [s]; beacon: ``(l,)`` its row in the table of beacons; rssi: ``(l,)`` mean [dBm].
@@ -508,12 +495,9 @@ class Levels(OneLineRepr, row="level"):
     }
     most: ClassVar[None] = None  # as many as there are beacons
 
-    def __len__(self) -> int:
-        return len(self.time)
-
 
 @dataclass(frozen=True)
-class Closures(OneLineRepr, row="closure"):
+class Closures(Rows, row="closure"):
     """Loop closures: ``l`` pairs of times at which the walker was at one place. Some may be wrong.
 
     time: ``(l, 2)`` both times of each pair [s]; sigma: ``(l,)`` per axis of the distance between both places [m].
@@ -537,19 +521,15 @@ class Closures(OneLineRepr, row="closure"):
     @classmethod
     def concatenate(cls, parts: Sequence[Closures]) -> Closures:
         """The closures of all parts, in their order; 0 rows for an empty list."""
-        names, parts = ("time", "sigma", "walk"), (cls.of([]), *parts)
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return concatenate([cls.of([]), *parts])
 
     def shifted(self, begins: Array) -> Closures:
         """Closures of one walk: the times of walk ``w`` are ``begins[w]`` [s] later, and every walk number is 0."""
         return replace(self, time=self.time + begins[self.walk], walk=np.zeros_like(self.walk))
 
-    def __len__(self) -> int:
-        return len(self.time)
-
 
 @dataclass(frozen=True)
-class Ranges(OneLineRepr, row="range"):
+class Ranges(Rows, row="range"):
     """Distances to anchors: UWB, Wi-Fi RTT, BLE ranging; ``n`` ranges, ``m`` anchors.
 
     time: ``(n,)`` [s]; anchor: ``(n,)`` its row in the table of anchors; range: ``(n,)`` [m]; sigma: ``(n,)`` with line
@@ -582,9 +562,6 @@ class Ranges(OneLineRepr, row="range"):
                 raise ValueError(f"Ranges.{name}: found a value that is not finite, expected finite numbers")
         if (self.sigma <= 0).any() or (self.range < 0).any() or (self.position_sigma <= 0).any():
             raise ValueError("Ranges: found a range below 0 m or a sigma not above 0 m, expected distances and sigmas")
-
-    def __len__(self) -> int:
-        return len(self.time)
 
 
 @dataclass(frozen=True)

@@ -252,12 +252,19 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
     frame, listed_fixes, recorded = _in_one_frame(building, radio_map, listed_fixes, recorded, notes, options.fixes)
     fixes = Fixes.concatenate([listed_fixes, recorded])
     if radio_map is not None:
-        fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
+        if radio_map.frame != frame.describe():
+            expected = f"that of the walk, {frame.describe()}"
+            raise InputError(options.radio_map or "--radio-map", "frame", f"{radio_map.frame}", expected)
+        if not len(located := radio_map.fixes(walk)):
+            notes.append("radio map: no scan resembles its fingerprints, so it gives no fix")
+        fixes = Fixes.concatenate([fixes, located])
     places = Plausibility.of(walk, frame, fixes, building, fastest)
     places.check_fixes(options.plan, options.fixes, listed_fixes, recorded, metric)
-    fixes = _thinned(fixes, places.span, notes)
-    beacons = _placed_beacons(walk, frame, notes)
-    beacons = _plausible(beacons, walk, options.beacons, listed, places, notes)
+    begin, end = places.span
+    if (every := int(np.ceil(len(fixes) / (FASTEST_FIXES * (end - begin + 1))))) > 1:
+        notes.append(f"{len(fixes)} fixes: more than {FASTEST_FIXES:.0f} per second, so one in {every} is used")
+        fixes = fixes[np.arange(0, len(fixes), every)]
+    beacons = _placed_beacons(walk, frame, options.beacons, listed, places, notes)
     if options.ranges is not None:
         frame, anchors = _anchors(walk, options.ranges, frame, located=len(fixes) > 0 or building is not None)
         ranges = read_ranges(options.ranges, walk, anchors)
@@ -268,40 +275,27 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         places.check_truth(options.truth, truth)
         walk = replace(walk, truth=truth)
     evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
-    return replace(evidence, start_heading=_start_heading(evidence))
+    if (bearing := options.start_heading) is None:
+        return evidence
+    east = frame.bearing_of_east(evidence.near) if frame.georeferenced else 0.0
+    return replace(evidence, start_heading=float(wrap_angle(np.pi / 2 - np.radians(bearing) + east)))
 
 
-def _thinned(fixes: Fixes, span: tuple[float, float], notes: list[str]) -> Fixes:
-    """The fixes, of which every k-th is kept if they are more than FASTEST_FIXES allows in the time of the walk [s]."""
-    every = int(np.ceil(len(fixes) / (FASTEST_FIXES * (span[1] - span[0] + 1))))
-    if every <= 1:
-        return fixes
-    notes.append(f"{len(fixes)} fixes: more than {FASTEST_FIXES:.0f} per second, so one in {every} is used")
-    return fixes[np.arange(0, len(fixes), every)]
-
-
-def _start_heading(evidence: Evidence) -> float | None:
-    """The compass bearing of the first step as a heading in the output frame [rad]; None if it is not stated."""
-    if (bearing := evidence.options.start_heading) is None:
-        return None
-    east = evidence.frame.bearing_of_east(evidence.near) if evidence.frame.georeferenced else 0.0
-    return float(wrap_angle(np.pi / 2 - np.radians(bearing) + east))
-
-
-def _plausible(
-    beacons: Beacons | None,
-    walk: Recording,
-    option: Path | None,
-    listed: Path | None,
-    places: Plausibility,
-    notes: list[str],
+def _placed_beacons(
+    walk: Recording, frame: Frame, option: Path | None, listed: Path | None, places: Plausibility, notes: list[str]
 ) -> Beacons | None:
-    """The beacons, unless those received lie out of reach: raises InputError if ``option`` names their list.
+    """The beacons of a walk in the output frame; None if none was received, or if the frame has no latitude.
 
-    A list beside the recording is left out with a note; beacons of the plan are where the plan is.
+    Where those received lie out of reach, it raises InputError if ``option`` names their list. A list beside the
+    recording is left out with a note; beacons of the plan are where the plan is.
     """
-    source = option or listed
-    if beacons is None or walk.bluetooth is None or source is None:
+    if walk.beacons is None or walk.bluetooth is None:
+        return None
+    if walk.beacons.epsg is not None and not frame.georeferenced:
+        notes.append(f"{len(walk.beacons)} beacons were left out: no latitude in the plan or in --fixes")
+        return None
+    beacons, source = frame.place(walk.beacons), option or listed
+    if source is None:
         return beacons
     received = np.isin(np.array(beacons.name), walk.bluetooth.transmitter) & np.isfinite(beacons.position).all(axis=1)
     try:
@@ -312,16 +306,6 @@ def _plausible(
         notes.append(f"beacons were left out: {error}")
         return None
     return beacons
-
-
-def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
-    """The beacons of a walk in the output frame; None if none was received, or if the frame has no latitude."""
-    if walk.beacons is None or walk.bluetooth is None:
-        return None
-    if walk.beacons.epsg is not None and not frame.georeferenced:
-        notes.append(f"{len(walk.beacons)} beacons were left out: no latitude in the plan or in --fixes")
-        return None
-    return frame.place(walk.beacons)
 
 
 def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tuple[Frame, Beacons]:
@@ -375,16 +359,6 @@ def read_radio_map(options: Options, building: Building | None) -> RadioMap | No
         expected = "--map, the plan of the walks that it was learnt from"
         raise InputError(options.radio_map, "frame", "that of a floor plan", expected)
     return radio_map
-
-
-def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
-    """The fixes of a radio map along a walk; the output frame must be that of the map."""
-    if radio_map.frame != frame.describe():
-        raise InputError(path or "--radio-map", "frame", f"{radio_map.frame}", f"that of the walk, {frame.describe()}")
-    fixes = radio_map.fixes(walk)
-    if not len(fixes):
-        notes.append("radio map: no scan resembles its fingerprints, so it gives no fix")
-    return fixes
 
 
 def _in_one_frame(
@@ -507,8 +481,11 @@ def estimate(evidence: Evidence) -> Result:
     elif method == "rts":
         walk = kalman_smoother(graph)
     walk = walk or kalman_filter(graph)
-    if "headings" not in walk.reports:
-        walk = _with_headings(walk, graph.headings.headings)
+    if "headings" not in walk.reports:  # their residuals along an estimate that does not report them itself
+        headings, track = graph.headings.headings, walk.trajectory
+        heading = np.interp(headings.time, track.time, np.unwrap(track.heading))
+        reports = heading_reports(headings, heading, np.ones(len(headings)))
+        walk = replace(walk, reports={**walk.reports, "headings": reports})
     missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     causal = partial(_filter_track, graph) if method in SMOOTHED else dict
     return Result(evidence, walk, (*graph.steps.unknown, *missing), graph, causal=causal)
@@ -530,14 +507,6 @@ def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:
     return {} if graph.unplaced else {"filter": kalman_filter(graph).trajectory}
 
 
-def _with_headings(walk: Estimate, headings: Headings) -> Estimate:
-    """Report the residuals of headings along an estimate that does not report them itself."""
-    track = walk.trajectory
-    heading = np.interp(headings.time, track.time, np.unwrap(track.heading))
-    reports = heading_reports(headings, heading, np.ones(len(headings)))
-    return replace(walk, reports={**walk.reports, "headings": reports})
-
-
 def _dead_reckoned(graph: WalkGraph) -> Estimate:
     """Dead reckoning through the first fix, neither rotated nor scaled: the graph with that fix alone."""
     used, fixes = graph.positions.used, graph.positions.fixes
@@ -546,15 +515,11 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     track = alone.trajectory
     at = interpolate(fixes.time, track.time, track.position)
     distance = np.hypot(*(fixes.position - at).T)
-    reports = [
-        FixReport(t, x, y, sigma, d, 0.0, FIRST_ONLY)
-        for t, (x, y), sigma, d in zip(
-            fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist(), distance.tolist(), strict=True
-        )
-    ]
+    columns = (fixes.time, *fixes.position.T, fixes.sigma, distance, np.zeros(len(fixes)))
+    reports = list(map(FixReport, *(column.tolist() for column in columns), [FIRST_ONLY] * len(fixes)))
     reports[first : first + 1] = alone.fixes
     track = replace(track, floor=graph.floors)
     direction = Contradiction("route", "other directions", 2 * np.pi, "rad", UNDECIDED, "--method graph uses all fixes")
     found = (*alone.contradictions, direction)
-    reports_of_kinds = {"fixes": tuple(reports)}
-    return replace(alone, trajectory=track, reports=reports_of_kinds, probability=float("nan"), contradictions=found)
+    of_kinds = {"fixes": tuple(reports)}
+    return replace(alone, trajectory=track, reports=of_kinds, probability=float("nan"), contradictions=found)

@@ -457,7 +457,7 @@ def losses():
     s, M = np.linspace(0, 10, 400), gtsam.noiseModel.mEstimator
     laws = {
         f"Huber, {LOSSES.huber} σ": (M.Huber.Create(LOSSES.huber), BLUE, "-"),
-        f"Geman–McClure, {LOSSES.geman_mcclure} σ": (M.GemanMcClure.Create(LOSSES.geman_mcclure), ORANGE, "-"),
+        f"Geman–McClure, {LOSSES.huber} σ": (M.GemanMcClure.Create(LOSSES.huber), ORANGE, "-"),
         f"Geman–McClure, {LOSSES.closure} σ (closures)": (
             M.GemanMcClure.Create(LOSSES.closure),
             PURPLE,

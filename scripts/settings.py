@@ -135,7 +135,7 @@ def measured(name, data):
                 yield entry, [UNUSED, UNUSED], None
                 continue
             same = [is_same(before, one) for one in after]
-            ends = tuple(scaled(entry.value, f) if s else entry.value for f, s in zip((0.5, 2.0), same, strict=True))
+            ends = tuple(f if s else 1 for f, s in zip((0.5, 2), same, strict=True))
             cells = [change(before, one) for one in after]
             print(f"  {entry}", *cells, ends, file=sys.stderr, flush=True)
             yield entry, cells, ends
@@ -165,7 +165,7 @@ def settings(data, names=None):
         still = ranges.get(str(entry)) or entry.still
         said = SAID_ONLY if entry.table in ("REPORTS", "VERDICTS") else NOT_MEASURED
         said = UNUSED if UNUSED in figures.get(f"`{entry}`", []) else said
-        within = said if still is None else f"{shown(still[0])} to {shown(still[1])}"
+        within = said if still is None else " to ".join(shown(scaled(entry.value, factor)) for factor in still)
         cells = figures.get(f"`{entry}`", ["", ""])
         rows.append([f"`{entry}`", shown(entry.value), entry.unit, entry.meaning, entry.source, *cells, within])
     publish("results/settings.md", "settings", table(HEADER, rows).replace("|a|", "abs a"))
@@ -183,7 +183,7 @@ def shown(value):
 
 
 def write_ranges(ranges):
-    """Put the ranges ``{"TABLE.name": (low, high)}`` into priors.py, as the argument ``still`` of `number`."""
+    """Put the factors ``{"TABLE.name": (least, most)}`` into priors.py, as the argument ``still`` of `number`."""
     path = Path(priors.__file__)
     text = path.read_text(encoding="utf-8")
     lines, classes = text.encode().splitlines(keepends=True), {type(t).__name__: name for name, t in tables().items()}
@@ -198,14 +198,8 @@ def write_ranges(ranges):
         before, last = call.args[-1], [*call.args, *(old.value for old in call.keywords)][-1]
         row, column = before.end_lineno - 1, before.end_col_offset
         tail = lines[last.end_lineno - 1][last.end_col_offset :]
-        lines[row : last.end_lineno] = [lines[row][:column] + f", still={rounded(ends)}".encode() + tail]
+        lines[row : last.end_lineno] = [lines[row][:column] + f", still={ends}".encode() + tail]
     path.write_bytes(b"".join(lines))
-
-
-def rounded(ends):
-    return tuple(
-        rounded(one) if isinstance(one, tuple) else one if isinstance(one, int) else float(f"{one:.4g}") for one in ends
-    )
 
 
 if __name__ == "__main__":

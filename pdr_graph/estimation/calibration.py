@@ -9,6 +9,7 @@ covariance, not three numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -20,7 +21,7 @@ from pdr_graph.estimation.results import verdict
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
-from pdr_graph.priors import LINE, WALKER
+from pdr_graph.priors import FIXES, LINE, WALKER
 from pdr_graph.types import Array, Estimate, Fixes, Steps
 
 
@@ -81,7 +82,9 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     """
     if len(steps) < 20:
         raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
-    likely = _possible_laps(steps, route)
+    closes = np.hypot(*(route[-1] - route[0])) < LINE.strays
+    reached, most = steps.length.sum() / _line(route, 1).length, LINE.most_laps if closes else 1
+    likely = [n for n in range(1, most + 1) if reached / FIXES.stretched < n < reached * FIXES.stretched]
     if not likely:
         expected = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
         raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", expected)
@@ -102,17 +105,6 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     return replace(profile, residual=best.apart), estimate, best.laps
 
 
-def _possible_laps(steps: Steps, route: Array) -> list[int]:
-    """Numbers of laps that fit the length of the steps: up to LINE.most_laps on a closed line, else one or none."""
-    closes = np.hypot(*(route[-1] - route[0])) < LINE.strays
-    reached = steps.length.sum() / _line(route, 1).length
-    return [
-        n
-        for n in range(1, LINE.most_laps + 1 if closes else 2)
-        if reached / LINE.plausible < n < reached * LINE.plausible
-    ]
-
-
 def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     """Fit the walk's shape to the line: its start, direction, and the three coefficients."""
     from scipy.optimize import least_squares  # here, since few walks need it and it takes time to load
@@ -124,13 +116,18 @@ def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     scale = np.clip(line.length / walked[-1] - 1, -0.5, 0.5)
     fit = np.array([*first[0], np.arctan2(*(first[1] - first[0])[::-1]), scale, 0.0, 0.0])
     widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * np.array(LINE.usual)[1], 3 * np.array(LINE.usual)[2]])
+    tried = np.linspace(-LINE.strays, LINE.strays, 41)
     for _ in range(ROUNDS):
-        place, across = _at(line, along), _normals(line, along)
-        solution = least_squares(
-            _misfit, fit, bounds=(-widest, widest), args=(steps, place, across), loss="soft_l1", f_scale=2 * LINE.sway
-        )
-        fit = solution.x
-        along = _nearest_along(line, _track(fit, steps), along)
+        place = _at(line, along)
+        ahead = _at(line, np.minimum(along + 0.2, line.length)) - _at(line, np.maximum(along - 0.2, 0.0))
+        across = unit(np.arctan2(ahead[:, 1], ahead[:, 0]) + np.pi / 2)
+        misfit = partial(_misfit, steps=steps, place=place, across=across)
+        fit = least_squares(misfit, fit, bounds=(-widest, widest), loss="soft_l1", f_scale=2 * LINE.sway).x
+        # The points of the line nearest to the track, within LINE.strays of those before
+        candidates = np.clip(along[:, None] + tried, 0, line.length)
+        off = _at(line, candidates.ravel()).reshape(len(along), len(tried), 2) - _track(fit, steps)[:, None]
+        best = np.argmin(np.sum(off**2, axis=2) + 1e-3 * tried**2, axis=1)
+        along = candidates[np.arange(len(along)), best]
     apart = np.sum((_track(fit, steps) - _at(line, along)) ** 2, axis=1)
     return Followed(np.maximum.accumulate(along), laps, float(np.sqrt(np.mean(apart))))
 
@@ -155,20 +152,3 @@ def _line(route: Array, laps: int) -> shapely.LineString:
 
 def _at(line: shapely.LineString, along: Array) -> Array:
     return shapely.get_coordinates(shapely.line_interpolate_point(line, along))
-
-
-def _normals(line: shapely.LineString, along: Array) -> Array:
-    """Unit vectors ``(n, 2)`` across the line."""
-    ahead = _at(line, np.minimum(along + 0.2, line.length)) - _at(line, np.maximum(along - 0.2, 0.0))
-    return unit(np.arctan2(ahead[:, 1], ahead[:, 0]) + np.pi / 2)
-
-
-def _nearest_along(line: shapely.LineString, track: Array, along: Array) -> Array:
-    """Distance along the line ``(n,)`` [m] of the point nearest to each position, within LINE.strays of ``along
-    (n,)``.
-    """
-    tried = np.linspace(-LINE.strays, LINE.strays, 41)
-    candidates = np.clip(along[:, None] + tried, 0, line.length)
-    apart = _at(line, candidates.ravel()).reshape(len(along), len(tried), 2) - track[:, None]
-    best = np.argmin(np.sum(apart**2, axis=2) + 1e-3 * tried**2, axis=1)
-    return candidates[np.arange(len(along)), best]

@@ -27,7 +27,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, length_along, nearest
 from pdr_graph.io.source import Source
 from pdr_graph.priors import SCANS
-from pdr_graph.types import Array, Closures, Fixes, Index, Mask, Recording, Sightings, Trajectory
+from pdr_graph.types import Array, Closures, Fixes, Index, Mask, Recording, Sightings, Trajectory, appended, take
 from pdr_graph.whole_files import write_file
 
 MOST_LEVELS = 20_000  # that are stored: some minutes where 100 transmitters are heard
@@ -90,17 +90,6 @@ def scans_in(parts: Sequence[Sightings]) -> Scans:
     return scans[(count > 0).sum(axis=1) >= SCANS.fewest]
 
 
-@dataclass(frozen=True)
-class Matches:
-    """Positions of n scans. position: ``(n, 2)`` [m]; floor: label, empty where neighbours do not agree; distance:
-    ``(n,)`` to the most similar fingerprint, 0 (the same) to 1 (nothing in common).
-    """
-
-    position: Array
-    floor: tuple[str, ...]
-    distance: Array
-
-
 def unlikeness(first: Array, second: Array) -> Array:
     """Distances ``(q, n)`` from 0 to 1 of scans ``(q, m)`` from others ``(n, m)``: Σ|a − b| / Σ(a + b).
 
@@ -113,11 +102,12 @@ def unlikeness(first: Array, second: Array) -> Array:
     return np.nan_to_num(distance, nan=1.0)
 
 
-def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
+def matched(distance: Array, position: Array, floor: Sequence[str]) -> tuple[Array, tuple[str, ...], Array]:
     """Positions of scans as the mean of the most similar of n fingerprints, weighted by 1 / distance².
 
     distance: ``(q, n)``; position ``(n, 2)`` and floor of the fingerprints. Neighbours that are not on the most
-    frequent floor have weight 0.
+    frequent floor have weight 0. Returns positions ``(q, 2)`` [m]; labels of floors, empty where neighbours do not
+    agree; distances ``(q,)`` to the most similar fingerprint, 0 (the same) to 1 (nothing in common).
     """
     near = np.argsort(distance, axis=1)[:, : SCANS.neighbours]
     alike = np.take_along_axis(distance, near, axis=1)
@@ -128,11 +118,8 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
     agreed = share.max(axis=1) >= SCANS.agreed * weight.sum(axis=1)
     weight = weight * (code[near] == here[:, None])
     weight /= weight.sum(axis=1, keepdims=True).clip(1e-12)
-    return Matches(
-        np.einsum("qk,qkd->qd", weight, position[near]),
-        tuple(str(labels[n]) if sure else "" for n, sure in zip(here, agreed, strict=True)),
-        alike[:, 0],
-    )
+    floors = tuple(str(labels[n]) if sure else "" for n, sure in zip(here, agreed, strict=True))
+    return np.einsum("qk,qkd->qd", weight, position[near]), floors, alike[:, 0]
 
 
 MOST_CHECKED = 1000  # scans for that, evenly chosen
@@ -195,16 +182,16 @@ class RadioMap:
         """The fixes of scans, see `fixes`."""
         if not len(scans):
             return Fixes.none()
-        matches = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
-        best = [
-            block[np.argmin(matches.distance[block])]
-            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // SCANS.window)) + 1)
-        ]
-        best = np.array([n for n in best if matches.distance[n] <= self.range[1]], dtype=int)
-        variance = self.variance[0] + self.variance[1] * matches.distance[best].clip(self.range[0]) ** 2
+        position, floor, distance = matched(
+            unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor
+        )
+        blocks = np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // SCANS.window)) + 1)
+        best = np.array([block[np.argmin(distance[block])] for block in blocks], dtype=int)
+        best = best[distance[best] <= self.range[1]]
+        variance = self.variance[0] + self.variance[1] * distance[best].clip(self.range[0]) ** 2
         sigma = SCANS.shared * np.sqrt(variance.clip(SCANS.finest**2))
-        floor, source = tuple(matches.floor[n] for n in best), (self.source,) * len(best)
-        return Fixes(scans.time[best], matches.position[best], sigma, floor, source=source)
+        floors, source = tuple(floor[n] for n in best), (self.source,) * len(best)
+        return Fixes(scans.time[best], position[best], sigma, floors, source=source)
 
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive."""
@@ -266,10 +253,10 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
             break
     else:
         near = without.min(axis=1) < 1  # a walk that visits no place twice: all scans with something in common
-    matches = matched(without, position, floor)
-    limits = np.quantile(matches.distance[near], SCANS.accepted) if near.any() else np.zeros(2)
-    accepted = matches.distance <= limits[1]
-    at, error = matches.distance[accepted].clip(limits[0]), (matches.position - position[some])[accepted]
+    place, _, closest = matched(without, position, floor)
+    limits = np.quantile(closest[near], SCANS.accepted) if near.any() else np.zeros(2)
+    accepted = closest <= limits[1]
+    at, error = closest[accepted].clip(limits[0]), (place - position[some])[accepted]
     return limits, variance_by_distance(at, error)
 
 
@@ -318,6 +305,28 @@ class _WalkScans:
     position: Array
     floor: tuple[str, ...]
 
+    @classmethod
+    def of(cls, walks: Sequence[tuple[Trajectory, Scans]]) -> _WalkScans:
+        """The scans of all walks, one per SCANS.scan_spacing."""
+        thinned, way, position, floor = list[Scans](), list[Array](), list[Array](), list[str]()
+        for track, scans in walks:
+            inside = scans[(scans.time >= track.time[0]) & (scans.time <= track.time[-1])]
+            along = np.interp(inside.time, track.time, length_along(track.position))
+            kept = np.unique(np.floor(along / SCANS.scan_spacing), return_index=True)[1]
+            thinned.append(inside[kept])
+            way.append(along[kept])
+            position.append(interpolate(inside.time[kept], track.time, track.position))
+            floor += [track.floor[row] for row in nearest(track.time, inside.time[kept]).tolist()]
+        names = sorted({name for scans in thinned for name in scans.transmitter})
+        return cls(
+            walk=np.repeat(np.arange(len(walks)), [len(scans) for scans in thinned]),
+            time=np.concatenate([scans.time for scans in thinned]),
+            way=np.concatenate(way),
+            level=np.concatenate([scans.of(names) for scans in thinned]),
+            position=np.concatenate(position),
+            floor=tuple(floor),
+        )
+
 
 def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Closures:
     """Closures between moments at one place, by similar scans of walks in one frame.
@@ -327,7 +336,7 @@ def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Closures:
     """
     if not any(len(scans) for _, scans in walks):
         return Closures.of([])
-    scans = _walk_scans(walks)
+    scans = _WalkScans.of(walks)
     pairs = np.array([pair for pair in _most_alike(scans)]).reshape(-1, 3)
     first, second, distance = pairs[:, 0].astype(int), pairs[:, 1].astype(int), pairs[:, 2]
     apart = scans.position[second] - scans.position[first]
@@ -349,7 +358,7 @@ def _accepted(distance: Array, apart: Array) -> tuple[Mask, Array]:
     near = np.hypot(*apart.T) < SCANS.near
     if near.sum() < SCANS.enough:
         accepted = distance < SCANS.usually_alike
-        return accepted, np.full(np.count_nonzero(accepted), SCANS.usually_apart)
+        return accepted, np.full(np.count_nonzero(accepted), SCANS.near)
     least, most = np.quantile(distance[near], [1 - SCANS.accepted_pairs, SCANS.accepted_pairs])
     accepted = distance <= most
     at = distance[accepted].clip(least)
@@ -367,35 +376,6 @@ def _alike(pair: Index, way: Array) -> Array:
     for own in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
         number[own] = (np.abs(way[own, None] - way[own]) < SCANS.along).sum(axis=1)
     return number
-
-
-def _walk_scans(walks: Sequence[tuple[Trajectory, Scans]]) -> _WalkScans:
-    """The scans of all walks, one every few metres."""
-    thinned = [_thinned(track, scans) for track, scans in walks]
-    names = sorted({name for scans in thinned for name in scans.transmitter})
-    position = [interpolate(s.time, track.time, track.position) for (track, _), s in zip(walks, thinned, strict=True)]
-    rows = [nearest(track.time, s.time) for (track, _), s in zip(walks, thinned, strict=True)]
-    return _WalkScans(
-        walk=np.repeat(np.arange(len(walks)), [len(scans) for scans in thinned]),
-        time=np.concatenate([scans.time for scans in thinned]),
-        way=np.concatenate([_way(track, scans) for (track, _), scans in zip(walks, thinned, strict=True)]),
-        level=np.concatenate([scans.of(names) for scans in thinned]),
-        position=np.concatenate(position),
-        floor=tuple(
-            track.floor[r] for (track, _), nearest_rows in zip(walks, rows, strict=True) for r in nearest_rows.tolist()
-        ),
-    )
-
-
-def _thinned(track: Trajectory, scans: Scans) -> Scans:
-    """One scan per SCANS.scan_spacing of the walk."""
-    scans = scans[(scans.time >= track.time[0]) & (scans.time <= track.time[-1])]
-    return scans[np.unique(np.floor(_way(track, scans) / SCANS.scan_spacing), return_index=True)[1]]
-
-
-def _way(track: Trajectory, scans: Scans) -> Array:
-    """Distance along the walk of each scan. [m]"""
-    return np.interp(scans.time, track.time, length_along(track.position))
 
 
 def _most_alike(scans: _WalkScans) -> Iterator[tuple[int, int, float]]:
@@ -422,17 +402,14 @@ class ScanCollector:
 
     def __init__(self, radio_map: RadioMap, listener: Callable[[Fixes], None]):
         self._map, self._listener = radio_map, listener
-        self._names: dict[str, int] = {name: n for n, name in enumerate(radio_map.transmitter)}
-        self._received = np.empty((0, 3))  # time [s], transmitter number, rssi [dBm]
+        self._received = Sightings(np.empty(0), (), np.empty(0))
         self._block = -np.inf  # the last block with a fix
 
     def collect(self, received: Sightings, radio: str) -> bool:
         """Store the levels of all transmitters of either radio; True if there are any."""
-        names = [self._names.setdefault(name, len(self._names)) for name in received.transmitter]
-        rows = np.column_stack([received.time, names, received.rssi])
-        self._received = np.concatenate([self._received, rows[np.isfinite(rows).all(axis=1)]])[-MOST_LEVELS:]
-        if len(self._names) > len(self._map.transmitter) + MOST_LEVELS:
-            self._forget_names()
+        levels = Sightings(received.time, received.transmitter, received.rssi)
+        finite = take(levels, np.isfinite(levels.time) & np.isfinite(levels.rssi))
+        self._received = take(appended(self._received, finite), slice(-MOST_LEVELS, None))
         return len(received) > 0
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
@@ -442,9 +419,7 @@ class ScanCollector:
         complete = (until - 1.5 * SCANS.window + SCANS.interval) // SCANS.window
         if complete <= self._block or not len(self._received):
             return
-        time, transmitter, rssi = self._received.T
-        names = list(self._names)
-        scans = scans_in([Sightings(time, tuple(names[n] for n in transmitter.astype(int).tolist()), rssi)])
+        scans = scans_in([self._received])
         block = scans.time // SCANS.window
         fixes = self._map.located(scans[(block > self._block) & (block <= complete)])
         self._block = min(complete, block.max(initial=self._block))
@@ -459,11 +434,4 @@ class ScanCollector:
 
     def forget(self, before: float) -> None:
         """Drop levels received before ``before`` [s]."""
-        self._received = self._received[self._received[:, 0] >= before]
-
-    def _forget_names(self) -> None:
-        """Drop the transmitters that are neither in the map nor among the stored levels."""
-        stored, names = set(self._received[:, 1].astype(int).tolist()), list(self._names)
-        kept = [n for n in range(len(names)) if n < len(self._map.transmitter) or n in stored]
-        self._received[:, 1] = np.searchsorted(kept, self._received[:, 1])
-        self._names = {names[n]: row for row, n in enumerate(kept)}
+        self._received = take(self._received, self._received.time >= before)

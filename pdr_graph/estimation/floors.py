@@ -54,13 +54,6 @@ class Storeys:
     cost: float = 0.0
 
 
-def of_building(building: FloorHeights, start: str) -> list[Storeys]:
-    """The floors of a plan with several scales of their heights, since plan and barometer have scale errors."""
-    labels, heights = building.labels, np.asarray(building.heights, dtype=float)
-    begin = labels.index(start) if start in labels else None
-    return [Storeys(labels, s * heights, begin, float(0.5 * ((s - 1) / STOREYS.scale_spread) ** 2)) for s in SCALES]
-
-
 def unknown(start: str, reported: tuple[str, ...], reach: float) -> list[Storeys]:
     """Storeys of several heights, numbered in the style of the start's label or else of the first reported one.
 
@@ -153,7 +146,10 @@ def floors_along(
 
     # The storey between climbs
     if building is not None:
-        likely = of_building(building, start)
+        # Several scales of the plan's heights, since plan and barometer have scale errors
+        labels, heights = building.labels, np.asarray(building.heights, dtype=float)
+        begin, costs = labels.index(start) if start in labels else None, ((SCALES - 1) / STOREYS.scale_spread) ** 2 / 2
+        likely = [Storeys(labels, s * heights, begin, float(cost)) for s, cost in zip(SCALES, costs, strict=True)]
     else:
         likely = unknown(start, fixes.floor, float(np.abs(np.cumsum(used.height)).max(initial=0.0)))
     alike = [list(group) for _, group in groupby(likely, key=lambda s: s.labels)]
@@ -179,7 +175,9 @@ def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Step
     Path: heights ``(c + 1,)`` [m] of floors or landings before, between and after the climbs.
     """
     hypothesis = alike[0]
-    place = np.stack([_floors_and_landings(s.heights) for s in alike])
+    last = len(hypothesis.labels) - 1
+    landings = np.arange(LANDINGS * last + 1) / LANDINGS  # and floors
+    place = np.stack([np.interp(landings, np.arange(last + 1), s.heights) for s in alike])
     nearest = np.stack([_nearest(s.heights, at) for s, at in zip(alike, place, strict=True)])
     floor = np.take_along_axis(np.stack([s.heights for s in alike]), nearest, axis=1)
     landing = np.abs(place - floor) > 1e-9
@@ -196,17 +194,14 @@ def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Step
     costs[0] = costs[0] + STOREYS.most_landing * landing  # walks begin on floors
     moved, passed = place[:, None] - place[:, :, None], np.abs(nearest[:, None] - nearest[:, :, None])
     further = STOREYS.change * (passed > 0) + STOREYS.further * passed
-    moves = [_of_climb(moved, h, s) + further for h, s in zip(used.height, used.sigma, strict=True)]
+    moves = []
+    for height, sigma in zip(used.height, used.sigma, strict=True):
+        variance = STOREYS.off**2 + sigma**2 + (STOREYS.off_share * moved) ** 2
+        moves.append(0.5 * ((height - moved) ** 2 / variance + np.log(variance)) + further)
     states, cost = viterbi(costs, moves)
     total = cost + [s.cost for s in alike]
     best = int(np.argmin(total))
     return alike[best], place[best, states[best]], float(total[best])
-
-
-def _of_climb(moved: Array, height: float, sigma: float) -> Array:
-    """Cost of a height change ``moved`` [m] for a climb of ``height`` with ``sigma`` [m]."""
-    variance = STOREYS.off**2 + sigma**2 + (STOREYS.off_share * moved) ** 2
-    return 0.5 * ((height - moved) ** 2 / variance + np.log(variance))
 
 
 def _of_fixes(stated: Index, time: Array, count: int, begin: float, end: float) -> Array:
@@ -231,12 +226,6 @@ def _where_fixes_change(fixes: Fixes) -> Climbs:
     other = label[:-1] != label[1:]
     start, end = fixes.time[labelled[:-1][other]], fixes.time[labelled[1:][other]]
     return Climbs(start, end, np.zeros(len(start)), np.full(len(start), STOREYS.unseen))
-
-
-def _floors_and_landings(heights: Array) -> Array:
-    """Heights ``(4 (f - 1) + 1,)`` [m] of all floors and of the landings between."""
-    last = len(heights) - 1
-    return np.interp(np.arange(LANDINGS * last + 1) / LANDINGS, np.arange(last + 1), heights)
 
 
 def _nearest(heights: Array, at: Array) -> Index:

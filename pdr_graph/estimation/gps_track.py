@@ -47,6 +47,8 @@ from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, M
 SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
 FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
+ROW, COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
+LOWER_ROW, LOWER_COLUMN = np.tril_indices(3)
 
 
 @dataclass(frozen=True)
@@ -95,12 +97,9 @@ class SmoothTrack:
     def variances(self) -> Array:
         """Variances of position [m²] and velocity [m²/s²] per axis ``(n, 2)``, by Takahashi's sparse inverse."""
         knots = self.root.shape[1] // 3
-        diagonal, next_ = np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
-        for i in range(3):
-            for j in range(3):
-                if i >= j:
-                    diagonal[:, i, j] = self.root[i - j, j::3]
-                next_[:, i, j] = self.root[3 + i - j, j : 3 * (knots - 1) : 3]
+        root, diagonal, next_ = self.root.reshape(6, knots, 3), np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
+        diagonal[:, LOWER_ROW, LOWER_COLUMN] = root[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN].T
+        next_[:, ROW, COLUMN] = root[3 + ROW - COLUMN, :-1, COLUMN].T
         inverse = np.linalg.inv(diagonal)
         alone = inverse.transpose(0, 2, 1) @ inverse
         gain = next_ @ inverse[:-1]
@@ -140,13 +139,10 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
     information = prior_information + trust[:, None, None] * design[:, :, None] * design[:, None, :]
     origin = gps.position[0]  # the first knot is a fix; digits are lost far from it
     right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
-    band = np.zeros((6, 3 * knots))
-    for i in range(3):
-        for j in range(3):
-            if i >= j:
-                band[i - j, j::3] = information[:, i, j]
-            band[3 + i - j, j : 3 * (knots - 1) : 3] = to_next[:, i, j]
-    root = cholesky_banded(band, lower=True)
+    band = np.zeros((6, knots, 3))
+    band[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN] = information[:, LOWER_ROW, LOWER_COLUMN].T
+    band[3 + ROW - COLUMN, :-1, COLUMN] = to_next[:, ROW, COLUMN].T
+    root = cholesky_banded(band.reshape(6, -1), lower=True)
     state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
     return SmoothTrack(origin + state[:, P], state[:, V], weight, root), state[:, G]
 
@@ -154,33 +150,27 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
 def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the one before."""
     span = np.maximum(np.diff(gps.time), SHORTEST_INTERVAL)
-    leads, kept, noise = _moves(span, motion)
+    tau, variance, changed = motion.tau, motion.speed**2, motion.changed
+    kept, along = np.exp(-span / tau), span / tau
+    leads = tau * (1 - kept)  # displacement per velocity [s]
+    far = 2 * along - 3 + 4 * kept - kept**2
+    far = np.where(along < 1e-2, 2 / 3 * along**3, far)  # its digits cancel
+    first = np.where(changed, variance, 0.0)  # of a velocity that begins with the interval
+    pp = variance * tau**2 * far + first * leads**2
+    pv, vv = variance * leads**2 / tau + first * leads * kept, variance * (1 - kept**2) + first * kept**2
+    noise = np.array([[pp, pv], [pv, vv]]).transpose(2, 0, 1)
     still = np.exp(-span / RECEIVERS.standing)
     F, inverse = np.zeros((2, len(span), 3, 3))
-    F[:, P, P], F[:, P, V], F[:, V, V], F[:, G, G] = 1.0, leads, kept, still
+    F[:, P, P], F[:, G, G] = 1.0, still
+    F[:, P, V], F[:, V, V] = np.where(changed, 0.0, leads), np.where(changed, 0.0, kept)
     inverse[:, :2, :2] = np.linalg.inv(noise)
     inverse[:, G, G] = 1 / (1 - still**2)
     back = F.transpose(0, 2, 1) @ inverse
     diagonal = np.zeros((len(gps.time), 3, 3))
     diagonal[1:] += inverse
     diagonal[:-1] += back @ F
-    diagonal[0] += np.diag([FIRST_INFORMATION, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
+    diagonal[0] += np.diag([FIRST_INFORMATION, np.append(motion.speed, TRACK.speed[LOST])[0] ** -2, 1.0])
     return diagonal, -back.transpose(0, 2, 1)
-
-
-def _moves(span: Array, motion: Motion) -> tuple[Array, Array, Array]:
-    """Motion over spans ``(m,)`` [s]: displacement per velocity [s], share of velocity kept, noise ``(m, 2, 2)``."""
-    tau, variance = motion.tau, motion.speed**2
-    kept = np.exp(-span / tau)
-    leads = tau * (1 - kept)
-    along = span / tau
-    far = 2 * along - 3 + 4 * kept - kept**2
-    far = np.where(along < 1e-2, 2 / 3 * along**3, far)  # its digits cancel
-    pp, pv, vv = variance * tau**2 * far, variance * leads**2 / tau, variance * (1 - kept**2)
-    first = np.where(motion.changed, variance, 0.0)  # of a velocity that begins with the interval
-    pp, pv, vv = pp + first * leads**2, pv + first * leads * kept, vv + first * kept**2
-    noise = np.stack([np.stack([pp, pv], axis=-1), np.stack([pv, vv], axis=-1)], axis=-2)
-    return np.where(motion.changed, 0.0, leads), np.where(motion.changed, 0.0, kept), noise
 
 
 @dataclass(frozen=True)
@@ -204,7 +194,15 @@ def straightness(time: Array, way: Array, begins: Array, ends: Array) -> Straigh
     way = interpolate(at, time, way)
     along = length_along(way) + 1e-6 * np.arange(len(at))  # strictly increasing even where nobody moves
     (walk, lasts), (ride, _) = (_net(at, way, along, length) for length in (TRAVEL.path, TRAVEL.ride_path))
-    return Straightness(at, walk, ride, lasts, _wander(at, way, walk))
+    # The difference over TRAVEL.lag of a Gauss–Markov error of variance σ² is Rayleigh distributed with
+    # 2σ² (1 − e^(−TRAVEL.lag/RECEIVERS.standing)); where most of the path leads somewhere, no error is seen
+    half, context = int(TRAVEL.lag / 2 / TRAVEL.grid), int(TRAVEL.context / 2 / TRAVEL.grid)
+    before, after = (np.clip(np.arange(len(at)) + k, 0, len(at) - 1) for k in (-half, half))
+    nowhere = (walk < TRAVEL.crooked) & (at[after] - at[before] < TRAVEL.lag + TRAVEL.grid)  # not over a gap
+    apart = np.hypot(*(way[after] - way[before]).T) * nowhere
+    usual = percentile_filter(apart, TRAVEL.percentile, 1 + 2 * context, mode="nearest")
+    wander = usual / np.sqrt(2 * np.log(2) * 2 * (1 - np.exp(-TRAVEL.lag / RECEIVERS.standing)))
+    return Straightness(at, walk, ride, lasts, wander)
 
 
 def _net(time: Array, way: Array, along: Array, length: float) -> tuple[Array, Array]:
@@ -212,32 +210,6 @@ def _net(time: Array, way: Array, along: Array, length: float) -> tuple[Array, A
     first, last = np.maximum(along - length / 2, 0.0), np.minimum(along + length / 2, along[-1])
     net = np.hypot(*(interpolate(last, along, way) - interpolate(first, along, way)).T)
     return net / np.maximum(last - first, 1.0), np.interp(last, along, time) - np.interp(first, along, time)
-
-
-def _wander(time: Array, way: Array, straight: Array) -> Array:
-    """Standard deviation per axis [m] of the receiver's error; 0 where most of the path leads somewhere.
-
-    The difference over TRAVEL.lag of a Gauss–Markov error of variance σ² is Rayleigh distributed with
-    2σ² (1 − e^(−TRAVEL.lag/CORRELATED)).
-    """
-    index = np.arange(len(time))
-    before, after = (
-        np.clip(index + k, 0, len(time) - 1) for k in (-_samples(TRAVEL.lag / 2), _samples(TRAVEL.lag / 2))
-    )
-    apart = np.hypot(*(way[after] - way[before]).T)
-    nowhere = (straight < TRAVEL.crooked) & (time[after] - time[before] < TRAVEL.lag + TRAVEL.grid)  # not over a gap
-    usual = percentile_filter(apart * nowhere, TRAVEL.percentile, 1 + 2 * _samples(TRAVEL.context / 2), mode="nearest")
-    return usual / np.sqrt(2 * np.log(2) * 2 * (1 - np.exp(-TRAVEL.lag / RECEIVERS.standing)))
-
-
-def _samples(span: float) -> int:
-    """Number of grid samples in a time span [s]."""
-    return int(span / TRAVEL.grid)
-
-
-def nearest_sample(straight: Straightness, time: Array) -> Index:
-    """Index of the last sample before or at each time ``(m,)`` [s]; 0 for earlier times."""
-    return np.maximum(np.searchsorted(straight.time, time, side="right") - 1, 0)
 
 
 STANDS, WALKS, RIDES = MODES = range(3)  # transport modes: the hidden states
@@ -280,9 +252,18 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
     # The times of changes, by speeds over a shorter window around each change
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
     open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
-    cost = _by_speed(epochs, knots, way, TRAVEL.narrow) + lead
+    cost = _by_speed(epochs, knots, way, TRAVEL.grid) + lead
     decided = np.where(np.array(MODES) == state[:, None], 0.0, np.inf)
-    state = _without_jumps(_most_probable(np.where(open_[:, None], cost, decided), epochs), epochs)
+    state = _most_probable(np.where(open_[:, None], cost, decided), epochs)
+
+    # Short rides are jumps of the receiver: they get the mode after or before them
+    first = np.flatnonzero(epochs.begins | np.append(True, np.diff(state) != 0))
+    runs = [(a, b) for a, b in pairwise([*first, len(state)]) if state[a] == RIDES and b - a < TRAVEL.shortest_ride]
+    for a, b in runs:
+        if b < len(state) and not epochs.begins[b]:
+            state[a:b] = state[b]
+        elif not epochs.begins[a]:
+            state[a:b] = state[a - 1]
     at = np.searchsorted(epochs.start, (knots.time[1:] + knots.time[:-1]) / 2, side="right") - 1
     return state[at]
 
@@ -291,21 +272,6 @@ def _most_probable(cost: Array, epochs: Epochs) -> Index:
     """The states ``(e,)`` of least cost; stretches are independent."""
     change = -np.log(TRAVEL.epoch / TRAVEL.lasts / (len(MODES) - 1)) * (1 - np.eye(len(MODES)))
     return viterbi(cost, change * ~epochs.begins[1:, None, None])[0]
-
-
-def _without_jumps(state: Index, epochs: Epochs) -> Index:
-    """Replace rides shorter than TRAVEL.shortest_ride by the mode after or before them: they are jumps of the
-    receiver.
-    """
-    first = np.flatnonzero(epochs.begins | np.append(True, np.diff(state) != 0))
-    runs = [(a, b) for a, b in pairwise([*first, len(state)]) if state[a] == RIDES and b - a < TRAVEL.shortest_ride]
-    state = state.copy()
-    for a, b in runs:
-        if b < len(state) and not epochs.begins[b]:
-            state[a:b] = state[b]
-        elif not epochs.begins[a]:
-            state[a:b] = state[a - 1]
-    return state
 
 
 def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Array:
@@ -317,35 +283,24 @@ def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Arr
     slow, white = (np.interp(epochs.middle, knots.time, error) for error in (knots.slow, knots.white))
     # [m/s] while standing
     noise = np.sqrt(2 * slow**2 * (1 - np.exp(-span / RECEIVERS.standing)) + 2 * white**2) / span
-    likelihood = np.stack(_of_speeds(np.maximum(speed, TRAVEL.shuffling), np.hypot(noise, TRAVEL.shuffling)), axis=1)
+    speed, noise = np.maximum(speed, TRAVEL.shuffling), np.hypot(noise, TRAVEL.shuffling)
+    larger, rare = TRAVEL.outlier_scale * noise, TRAVEL.exceptions
+    stands = (1 - rare) * _rayleigh(speed, noise) + rare * _rayleigh(speed, larger)
+    of_walks = _normal(speed - TRAVEL.walk, np.hypot(TRAVEL.walk_spread, noise))
+    walks = (1 - rare) * of_walks + rare / TRAVEL.walk * (speed < TRAVEL.walk)
+    spread = np.hypot(TRAVEL.ride_spread, noise / np.maximum(speed, TRAVEL.creeping))
+    waits = _rayleigh(speed, np.hypot(noise, TRAVEL.creeping))
+    rides = (1 - TRAVEL.waiting) * _normal(np.log(speed / TRAVEL.ride), spread) / speed + TRAVEL.waiting * waits
     # Windows overlap: each counts once
-    return -np.log(likelihood + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
-
-
-def _of_speeds(speed: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Likelihoods ``(e,)`` of net speeds [m/s] while standing, walking, riding; noise: of speeds per axis [m/s]."""
-    stands = (1 - TRAVEL.outliers) * _rayleigh(speed, noise) + TRAVEL.outliers * _rayleigh(
-        speed, TRAVEL.outlier_scale * noise
-    )
-    walks = (1 - TRAVEL.dawdling) * _normal(
-        speed - TRAVEL.walk, np.hypot(TRAVEL.walk_spread, noise)
-    ) + TRAVEL.dawdling / TRAVEL.walk * (speed < TRAVEL.walk)
-    rides = (
-        _normal(np.log(speed / TRAVEL.ride), np.hypot(TRAVEL.ride_spread, noise / np.maximum(speed, TRAVEL.creeping)))
-        / speed
-    )
-    return (
-        stands,
-        walks,
-        (1 - TRAVEL.waiting) * rides + TRAVEL.waiting * _rayleigh(speed, np.hypot(noise, TRAVEL.creeping)),
-    )
+    return -np.log(np.stack([stands, walks, rides], axis=1) + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
 
 
 def _by_straightness(epochs: Epochs, straight: Straightness) -> Array:
     """Costs ``(e, 3)`` of the modes by straightness, which walks and even more rides have."""
-    at = nearest_sample(straight, epochs.middle)
+    at = np.maximum(np.searchsorted(straight.time, epochs.middle, side="right") - 1, 0)  # the last sample before
     walk, ride = (
-        -np.log(TRAVEL.bends + (1 - TRAVEL.bends) * 5 * net[at] ** 4) for net in (straight.walk, straight.ride)
+        -np.log(TRAVEL.exceptions + (1 - TRAVEL.exceptions) * 5 * net[at] ** 4)
+        for net in (straight.walk, straight.ride)
     )
     counts = TRAVEL.epoch / np.maximum(straight.lasts[at], TRAVEL.window)
     return np.stack([np.zeros(len(at)), walk, walk + ride], axis=1) * counts[:, None]
@@ -414,7 +369,7 @@ def _plausible(fixes: Fixes) -> Index:
     order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
     first = fixes[order]
     way = TRACK.fastest * (first.time - first.time[0])
-    return order[longest_consistent_chain(first.position, FIXES.within * _knots(first).white, way, TRACK.jump)[1]]
+    return order[longest_consistent_chain(first.position, FIXES.outlier * _knots(first).white, way, TRACK.jump)[1]]
 
 
 def _knots(fixes: Fixes) -> GpsKnots:
@@ -529,7 +484,18 @@ def follow(fixes: Fixes) -> Estimate:
     weight[way.used] = way.weight
     residual = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)
     reason = np.where(np.isin(fixes.time, fixes.time[way.used]), REPEATED, TOO_FAST).astype(object)
-    reason[way.used] = [_reason(*values) for values in zip((residual / fixes.sigma)[way.used], way.weight, strict=True)]
+    for n, sigmas, share in zip(way.used, (residual / fixes.sigma)[way.used], way.weight, strict=True):
+        trust = "full weight" if share > 1 - REPORTS.rejected else "reduced weight"
+        reason[n] = f"{sigmas:.1f} sigma from the smoothed track: {trust if share >= REPORTS.rejected else 'outlier'}"
+    passed, doubted = int((reason == TOO_FAST).sum()), int((way.weight < REPORTS.rejected).sum())
+    lasts = np.diff(track.time)
+    still, recorded = (float(lasts[which].sum()) for which in (way.kind == STANDS, way.kind != LOST))
+    minutes = f"{still / 60:.0f} of {recorded / 60:.0f} min"
+    warned = {
+        f"{passed} of {len(fixes)} fixes are too far to be reached in time and were not used": passed,
+        f"{doubted} of {len(fixes)} fixes contradict those around them and have weight 0": doubted,
+        f"the positions lead nowhere for {minutes}: classified as standing": still > recorded / 2,
+    }
     columns = (fixes.time, *fixes.position.T, fixes.sigma, residual, weight)
     return Estimate(
         trajectory=track,
@@ -539,25 +505,5 @@ def follow(fixes: Fixes) -> Estimate:
         iterations=0,
         cost=0.0,
         converged=True,
-        warnings=_warnings(way, len(fixes), int((reason == TOO_FAST).sum())),
+        warnings=tuple(text for text, holds in warned.items() if holds),
     )
-
-
-def _reason(sigmas: float, weight: float) -> str:
-    trust = (
-        "full weight" if weight > REPORTS.full_weight else "reduced weight" if weight >= REPORTS.rejected else "outlier"
-    )
-    return f"{sigmas:.1f} sigma from the smoothed track: {trust}"
-
-
-def _warnings(way: Way, fixes: int, passed: int) -> tuple[str, ...]:
-    """Warnings for the user; passed: how many fixes were too far to be reached in time."""
-    lasts, doubted = np.diff(way.trajectory.time), int((way.weight < REPORTS.rejected).sum())
-    still, recorded = (float(lasts[which].sum()) for which in (way.kind == STANDS, way.kind != LOST))
-    holds_for = {
-        f"{passed} of {fixes} fixes are too far to be reached in time and were not used": passed,
-        f"{doubted} of {fixes} fixes contradict those around them and have weight 0": doubted,
-        f"the positions lead nowhere for {still / 60:.0f} of {recorded / 60:.0f} min: classified as standing": still
-        > recorded / 2,
-    }
-    return tuple(text for text, holds in holds_for.items() if holds)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import Directions, Positions, corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import (
     AnyArray,
     Initialized,
@@ -33,6 +32,7 @@ from pdr_graph.estimation.factors.base import (
     initial_state,
 )
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
+from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
@@ -44,6 +44,8 @@ from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Ste
 
 if TYPE_CHECKING:
     import gtsam
+
+    from pdr_graph.estimation.factors import Directions, Positions
 
 MOST_EQUATIONS = 3  # places of blocks that are kept
 Kind = TypeVar("Kind", bound=Measurement)
@@ -94,7 +96,9 @@ class WalkGraph:
         segment = segments(pieces, steps)
         starts = np.searchsorted(pieces.keyframe_time[:-1], np.round([time for time, _ in others], DECIMALS))
         begins = dict(zip(segment[starts].tolist(), [prior for _, prior in others], strict=True)) | {0: self.prior}
-        c = _prior_means(begins, int(segment[-1]) + 1)
+        first = np.array(sorted(begins))
+        means = np.array([begins[s].mean for s in first.tolist()])
+        c = means[np.searchsorted(first, np.arange(int(segment[-1]) + 1), side="right") - 1]
         self.chain = Chain.of(pieces, segment, c)
         self.floors = _labels(floor, floors, len(steps) + 2)
 
@@ -102,18 +106,18 @@ class WalkGraph:
         kinds = [kind.bind(self.chain) for kind in kinds]
         self._measurements: tuple[Measurement, ...] = tuple(kinds)
         self._associated = True
-        initial = initial_walk(self.chain, self.positions, self.headings, steps, c, self.prior.sigma[0])
-        self.sigma_direction = initial.sigma_direction
+        start = initial_walk(self.chain, self.positions, self.headings, steps, c, self.prior.sigma[0])
+        poses, c, self.sigma_direction = start
 
         # All factors; without walls if the walk has no position, or is off the plan
         row = np.searchsorted(pieces.row_end, np.arange(len(pieces.length))) + 1
         floor_of_pieces = [self.floors[r] for r in row.tolist()]
         self.floor_sequence = None if floor is None else FloorSequence.of(floor, floor_of_pieces)
         prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
-        kinds = [kind.initialized(initial.poses) if isinstance(kind, Initialized) else kind for kind in kinds]
-        priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(initial.poses[0, 2]))
+        kinds = [kind.initialized(poses) if isinstance(kind, Initialized) else kind for kind in kinds]
+        priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(poses[0, 2]))
         self._measurements = (steps_between_keyframes(), *kinds, *priors)
-        self.start = initial_state(initial.poses, initial.c, self._measurements)
+        self.start = initial_state(poses, c, self._measurements)
         self.walled, self.optimum = False, cast("State | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
         if self.unplaced and self.floor_sequence is not None:
@@ -334,13 +338,6 @@ def _associated(
 ) -> Measurement:
     """The kind with its instances associated along the walk ``at``; stray, alike: see `OnPlan.associated`."""
     return kind.associated(at, stray, alike) if isinstance(kind, OnPlan) else kind
-
-
-def _prior_means(begins: Mapping[int, Prior], count: int) -> Array:
-    """Prior mean ``(s, 3)`` of the calibration of each segment."""
-    first = np.array(sorted(begins))
-    means = np.array([begins[s].mean for s in first.tolist()])
-    return means[np.searchsorted(first, np.arange(count), side="right") - 1]
 
 
 def _check(

@@ -12,33 +12,23 @@ a banded least-squares problem, re-weighted a few times against outliers. It nee
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from pdr_graph.estimation.factors import Directions, Positions
-from pdr_graph.estimation.factors.base import huber_weight
+from pdr_graph.estimation.factors.base import huber_weight, rotated
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
-from pdr_graph.priors import INITIAL
+from pdr_graph.priors import FIXES, INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
 
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors import Directions, Positions
+
 REWEIGHTINGS = 5
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """A track aligned with fixes.
-
-    position: ``(k,)`` complex, of each keyframe [m]; turned: ``(k,)`` angle to add to each keyframe's heading [rad].
-    scale: ``(s,)`` factor of each segment's length.
-    """
-
-    position: Complex
-    turned: Array
-    scale: Array
 
 
 def align(
@@ -49,8 +39,11 @@ def align(
     sigma: Array,
     gap: Array | None = None,
     lost: Array | None = None,
-) -> Alignment:
+) -> tuple[Complex, Array, Array]:
     """Align a dead-reckoned track with at least two fixes.
+
+    Returns the position of each keyframe ``(k,)`` [m], the angle to add to its heading ``(k,)`` [rad], and the factor
+    of each segment's length ``(s,)``.
 
     track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
     fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
@@ -70,7 +63,7 @@ def align(
         if np.all(residual < INITIAL.huber):
             break
         p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, INITIAL.huber))
-    return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
+    return p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a)
 
 
 def _solve(
@@ -136,7 +129,7 @@ def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
     if len(fixes) > 1:
         rows = as_complex(np.concatenate([track.position, at_fixes]))
         at = np.arange(len(track), len(rows), dtype=np.intp)
-        turn = align(rows, np.zeros(len(rows), dtype=np.intp), at, as_complex(fixes.position), fixes.sigma).turned[0]
+        turn = align(rows, np.zeros(len(rows), dtype=np.intp), at, as_complex(fixes.position), fixes.sigma)[1][0]
     turned = track.position @ rotation(turn).T
     shift = np.mean(fixes.position - at_fixes @ rotation(turn).T, axis=0)
     return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
@@ -147,78 +140,51 @@ def positions_of(track: Trajectory, sigma: float = 1.0) -> Fixes:
     return Fixes(track.time, track.position, np.full(len(track), sigma))
 
 
-@dataclass(frozen=True)
-class InitialWalk:
-    """The start of the search.
-
-    poses: ``(k + 1, 3)`` of the keyframes; c: ``(s, 3)``; sigma_direction: sigma of the direction of the whole walk by
-    fixes and headings [rad].
-    """
-
-    poses: Array
-    c: Array
-    sigma_direction: float
-
-    def rotated(self, angle: float, pivot: Array) -> InitialWalk:
-        """Rotate the poses by ``angle`` [rad] about ``pivot (2,)`` [m]."""
-        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
-        return replace(self, poses=np.column_stack([position, self.poses[:, 2] + angle]))
-
-
 def initial_walk(
     chain: Chain, fixes: Positions, headings: Directions, steps: Steps, c: Array, sigma_stride: float
-) -> InitialWalk:
+) -> tuple[Array, Array, float]:
     """Dead reckoning aligned with the fixes, or with the headings if they determine the direction better.
 
     A start heading may be reversed: it is used only where the fixes leave the direction open.
     c: ``(s, 3)`` prior means of the calibrations; sigma_stride: prior sigma of R_s [-].
+    Returns the poses ``(k + 1, 3)`` of the keyframes, the calibrations ``(s, 3)``, and the sigma [rad] of the direction
+    of the whole walk by fixes and headings.
     """
-    start = _on_fixes(chain, fixes, steps, c, sigma_stride)
-    chosen = np.flatnonzero(~of_start(headings.headings) | (start.sigma_direction >= INITIAL.ambiguous))
+    (track, heading), used = chain.track, fixes.consistent
+    at, sigma = fixes.keyframe[used], fixes.independent_sigma[used]
+    fix, uncertain = as_complex(fixes.fixes.position[used]), sigma_direction(chain, fixes)
+    if len(fix) < 2:
+        track = track + (fix - track[at] if len(fix) else 0.0)
+    else:
+        # Sigmas of the distance [m] and of the turn [rad] in gaps from each segment to the next
+        lost, begins = np.flatnonzero(steps.is_gap), chain.time[chain.segment_first[1:]]
+        after = np.searchsorted(begins, np.round(steps.time[lost], DECIMALS))
+        inside = after < len(begins)  # no segment follows a gap at the end of the recording
+        gap, lost_turn = np.zeros((2, len(begins)))
+        np.maximum.at(gap, after[inside], steps.sigma_length[lost[inside]])
+        np.maximum.at(lost_turn, after[inside], steps.sigma_turn[lost[inside]])
+        segment = np.append(chain.segment[:1], chain.segment)
+        track, turned, scale = align(track, segment, at, fix, sigma, gap, lost_turn)
+        heading = heading + turned
+        if uncertain < INITIAL.ambiguous:
+            c = c.copy()
+            c[:, 0] = np.clip(scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
+    poses = np.stack([track.real, track.imag, heading], axis=1)
+
+    chosen = np.flatnonzero(~of_start(headings.headings) | (uncertain >= INITIAL.ambiguous))
     measured = take(headings.headings, chosen)
-    if not len(measured):
-        return start
     weight = measured.sigma**-2.0
-    sigma = float(weight.sum() ** -0.5)
-    if sigma > start.sigma_direction:
-        return start
-    apart = wrap_angle(measured.heading - start.poses[headings.keyframe[chosen], 2])
+    if not len(measured) or weight.sum() ** -0.5 > uncertain:
+        return poses, c, uncertain
+    apart = wrap_angle(measured.heading - poses[headings.keyframe[chosen], 2])
     turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
-    return replace(start.rotated(turn, pivot(start.poses, fixes)), sigma_direction=sigma)
+    return rotated(poses, turn, pivot(poses, fixes)), c, float(weight.sum() ** -0.5)
 
 
 def pivot(poses: Array, fixes: Positions) -> Array:
     """The point ``(2,)`` [m] about which a start may be rotated without leaving the fixes."""
     held = fixes.keyframe[fixes.consistent] if fixes.used.any() else [0]
     return poses[held, :2].mean(axis=0)
-
-
-def _on_fixes(chain: Chain, fixes: Positions, steps: Steps, c: Array, sigma_stride: float) -> InitialWalk:
-    (track, heading), used = chain.track, fixes.consistent
-    at, sigma = fixes.keyframe[used], fixes.independent_sigma[used]
-    fix = as_complex(fixes.fixes.position[used])
-    uncertain = sigma_direction(chain, fixes)
-    if len(fix) < 2:
-        track = track + (fix - track[at] if len(fix) else 0.0)
-        return InitialWalk(np.stack([track.real, track.imag, heading], axis=1), c, uncertain)
-    aligned = align(track, np.append(chain.segment[:1], chain.segment), at, fix, sigma, *_gaps(chain, steps))
-    if uncertain < INITIAL.ambiguous:
-        c = c.copy()
-        c[:, 0] = np.clip(aligned.scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
-    poses = np.stack([aligned.position.real, aligned.position.imag, heading + aligned.turned], axis=1)
-    return InitialWalk(poses, c, uncertain)
-
-
-def _gaps(chain: Chain, steps: Steps) -> tuple[Array, Array]:
-    """Sigmas ``(s - 1,)`` of the distance [m] and of the turn [rad] in gaps from each segment to the next."""
-    lost = np.flatnonzero(steps.is_gap)
-    begins = chain.time[chain.segment_first[1:]]
-    after = np.searchsorted(begins, np.round(steps.time[lost], DECIMALS))
-    inside = after < len(begins)  # no segment follows a gap at the end of the recording
-    gap, turn = np.zeros((2, len(begins)))
-    for total, sigma in ((gap, steps.sigma_length), (turn, steps.sigma_turn)):
-        np.maximum.at(total, after[inside], sigma[lost[inside]])
-    return gap, turn
 
 
 def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
@@ -228,5 +194,5 @@ def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
     at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])
     to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
     gaps = float(np.sum(steps.sigma_length[steps.is_gap]))
-    far = INITIAL.longer * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
+    far = FIXES.stretched * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
     return place.min(axis=0) - far, place.max(axis=0) + far

@@ -35,14 +35,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors.base import huber_weight
+from pdr_graph.estimation.factors.base import huber_cost, huber_weight
 from pdr_graph.estimation.factors.chain import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import KALMAN, LOSSES, REPORTS, SEARCH
+from pdr_graph.priors import FIXES, KALMAN, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
@@ -117,8 +117,8 @@ def measured(
     expected = cross @ H.T
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
-    weight = np.where(sigmas < KALMAN.gate, huber_weight(sigmas, LOSSES.huber), 0.0)
-    log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
+    weight = np.where(sigmas < FIXES.outlier, huber_weight(sigmas), 0.0)
+    log_weight = bank.log_weight - huber_cost(np.minimum(sigmas, FIXES.outlier)) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
     K = (weight > 0)[:, None, None] * cross.transpose(0, 2, 1) @ np.linalg.inv(weighted)
@@ -160,17 +160,10 @@ def by_direction(wide: GaussianMixture) -> GaussianMixture:
     wider, by_heading = max(V - width**2, 0.0), wide.covariance[0, 2] / V
     narrow = wide.covariance[0] - wider * np.outer(by_heading, by_heading)
     all_round = np.zeros(SEARCH.directions, dtype=np.intp)
-    log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
+    log_weight = -huber_cost(np.minimum(np.abs(off) / np.sqrt(max(wider, EXACT**2)), FIXES.outlier))
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(
         wide.mean + off[:, None] * by_heading, np.tile(narrow, (SEARCH.directions, 1, 1)), log_weight, all_round
-    )
-
-
-def _cost(sigmas: Array) -> Array:
-    """Cost of an innovation [σ]: Huber's loss, constant beyond the gate."""
-    return 0.5 * np.minimum(sigmas, LOSSES.huber) ** 2 + LOSSES.huber * (
-        np.clip(sigmas, LOSSES.huber, KALMAN.gate) - LOSSES.huber
     )
 
 
@@ -211,30 +204,27 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
     expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
-    summaries, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).posterior
-    for moment in moments(graph):
-        last = moment.posterior
-        summaries.append(last.summary())
-        met += moment.met
-    means, covariances = (np.array(column) for column in zip(*summaries, strict=True))
-    return estimate_of(graph, means, covariances, met, last)
+    run = list(moments(graph))
+    means, covariances = zip(*(moment.posterior.summary() for moment in run), strict=True)
+    return _estimate(graph, run, np.array(means), np.array(covariances))
 
 
-def estimate_of(
-    graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: GaussianMixture
-) -> Estimate:
-    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece.
-
-    met: how fixes were used; last: the mixture at the end.
-    """
-    rows = np.concatenate([[0], graph.pieces.row_end + 1])
+def _estimate(graph: WalkGraph, run: list[Moment], means: Array, covariances: Array) -> Estimate:
+    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece."""
+    rows, last = np.concatenate([[0], graph.pieces.row_end + 1]), run[-1].posterior.log_weight
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
     of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
-    probability, walks = (
-        float(np.exp(last.log_weight.max())),
-        int(np.sum(last.log_weight > np.log(REPORTS.least_reported))),
-    )
+    probability, walks = float(np.exp(last.max())), int(np.sum(last > np.log(REPORTS.least_reported)))
+    met = [meeting for moment in run for meeting in moment.met]
+    refused = sum(meeting.weight == 0.0 for meeting in met)
+    resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
+    lost = {
+        f"{count(refused, 'fix')} rejected: more than {FIXES.outlier:.0f} sigma from the expected position": refused
+        > 0,
+        f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
+    }
+    warned = (*warnings(graph, walks, probability, True, calibration), *(text for text, holds in lost.items() if holds))
     estimate = Estimate(
         trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.positions.fixes[graph.positions.consistent]),
@@ -244,7 +234,7 @@ def estimate_of(
         cost=float("nan"),
         converged=True,
         probability=probability,
-        warnings=(*warnings(graph, walks, probability, True, calibration), *_lost(graph, met)),
+        warnings=warned,
         contradictions=plan_contradictions(graph),
     )
     return replace(estimate, probability=stated_probability(estimate, graph.floor))
@@ -252,7 +242,12 @@ def estimate_of(
 
 def moments(graph: WalkGraph) -> Iterator[Moment]:
     """Run the filter; yields the start, then the end of each piece."""
-    fixes_at, headings_at = _by_keyframe(graph)
+    keyframes, fixes = np.arange(1, len(graph.pieces.last) + 1), graph.positions
+    used = np.flatnonzero(fixes.used)
+    used = used[np.argsort(fixes.keyframe[used], kind="stable")]
+    fixes_at = np.split(used, np.searchsorted(fixes.keyframe[used], keyframes))
+    later = graph.headings.keyframe[1:]  # `_start` uses the first
+    headings_at = np.split(1 + np.arange(len(later)), np.searchsorted(later, keyframes))
     heading, sigma = graph.headings.headings.heading, graph.headings.headings.sigma
     moment, refused = _start(graph), 0
     for keyframe in range(len(fixes_at)):
@@ -266,16 +261,6 @@ def moments(graph: WalkGraph) -> Iterator[Moment]:
             mixture = heading_corrected(mixture, OF_HEADING, float(heading[n]), float(sigma[n] ** 2))
         moment = replace(moment, posterior=thinned(mixture))
         yield moment
-
-
-def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
-    """The fixes and the headings of each keyframe, without the first heading, which `_start` uses."""
-    keyframes = np.arange(1, len(graph.pieces.last) + 1)
-    fixes, used = graph.positions, np.flatnonzero(graph.positions.used)
-    used = used[np.argsort(fixes.keyframe[used], kind="stable")]
-    fixes_at = np.split(used, np.searchsorted(fixes.keyframe[used], keyframes))
-    later = graph.headings.keyframe[1:]
-    return fixes_at, np.split(1 + np.arange(len(later)), np.searchsorted(later, keyframes))
 
 
 def _start(graph: WalkGraph) -> Moment:
@@ -293,19 +278,14 @@ def _start(graph: WalkGraph) -> Moment:
     single = np.zeros(1, dtype=np.intp)
     bank = GaussianMixture(mean[None], covariance[None], np.zeros(1), single)
     if has_heading:
-        bank = _first_heading(bank, graph)
+        # The first heading measures θ + R_d turn + b time up to its keyframe
+        pieces, headings = graph.pieces, graph.headings.headings
+        until = pieces.last[: graph.headings.keyframe[0]]
+        H = np.zeros((1, 6))
+        H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
+        on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
+        bank = heading_corrected(bank, H, float(headings.heading[0]), float(headings.sigma[0] ** 2 + on_the_way))
     return Moment(single, np.eye(6)[None], bank, by_direction(bank) if fixed or has_heading else bank, ())
-
-
-def _first_heading(bank: GaussianMixture, graph: WalkGraph) -> GaussianMixture:
-    """Correct the start with the first heading, a measurement of θ + R_d turn + b time up to its keyframe."""
-    pieces = graph.pieces
-    until = pieces.last[: graph.headings.keyframe[0]]
-    H = np.zeros((1, 6))
-    H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
-    on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
-    headings = graph.headings.headings
-    return heading_corrected(bank, H, float(headings.heading[0]), float(headings.sigma[0] ** 2 + on_the_way))
 
 
 def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
@@ -356,53 +336,29 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
     meeting = Meeting(n, distance, float(surprise.sigmas[best]), float(surprise.weight[best]), reset=False)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == KALMAN.patience:
-        moment, refused = _reinitialised(moment), 0
-        bank = moment.posterior
+        # The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle
+        winner = moment.posterior.origin[[moment.posterior.best]]
+        lost = moment.predicted.take(winner)
+        forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
+        anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
+        bank, refused = by_direction(anywhere), 0
+        moment = Moment(moment.parent[winner], moment.motion[winner], anywhere, bank, moment.met)
         updated, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
         meeting = replace(meeting, weight=1.0, reset=True)
     return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
 
 
-def _reinitialised(moment: Moment) -> Moment:
-    """The prediction with an unknown pose: any position, directions around the circle.
-
-    Rejected fixes did not change the prediction.
-    """
-    winner = moment.posterior.origin[[moment.posterior.best]]
-    lost = moment.predicted.take(winner)
-    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
-    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
-    return Moment(moment.parent[winner], moment.motion[winner], anywhere, by_direction(anywhere), moment.met)
-
-
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
     """Reports of all fixes; those outside the recording were not used."""
     distance, sigmas, weight = (np.full(len(graph.positions), fill) for fill in (np.nan, np.nan, 0.0))
-    for meeting in met:
-        distance[meeting.fix], sigmas[meeting.fix], weight[meeting.fix] = (
-            meeting.distance,
-            meeting.sigmas,
-            meeting.weight,
-        )
+    for m in met:
+        distance[m.fix], sigmas[m.fix], weight[m.fix] = m.distance, m.sigmas, m.weight
     reports = list(graph.positions.reported(distance, sigmas, weight, "where it was expected"))
-    for meeting in met:
-        if meeting.reset:
-            reason = (
-                f"{meeting.sigmas:.1f} sigma from where it was expected, as those before: the filter is re-initialised"
-            )
-            reports[meeting.fix] = replace(reports[meeting.fix], reason=reason)
+    again = "sigma from where it was expected, as those before: the filter is re-initialised"
+    for m in met:
+        if m.reset:
+            reports[m.fix] = replace(reports[m.fix], reason=f"{m.sigmas:.1f} {again}")
     return tuple(reports)
-
-
-def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
-    """Warnings about rejected fixes and re-initialisation."""
-    refused = sum(meeting.weight == 0.0 for meeting in met)
-    resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
-    holds_for = {
-        f"{count(refused, 'fix')} rejected: more than {KALMAN.gate:.0f} sigma from the expected position": refused > 0,
-        f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
-    }
-    return tuple(text for text, holds in holds_for.items() if holds)
 
 
 def kalman_smoother(graph: WalkGraph) -> Estimate:
@@ -412,18 +368,6 @@ def kalman_smoother(graph: WalkGraph) -> Estimate:
     """
     expect("kalman_smoother, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
     run = list(moments(graph))
-    means, covariances = _backward(run)
-    met = [meeting for moment in run for meeting in moment.met]
-    estimate = estimate_of(graph, means, covariances, met, run[-1].posterior)
-    track = estimate.trajectory
-    fixes = graph.positions.fixes
-    distance = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)
-    reports = tuple(replace(fix, residual=float(d)) for fix, d in zip(estimate.fixes, distance, strict=True))
-    return replace(estimate, reports={"fixes": reports})
-
-
-def _backward(run: list[Moment]) -> tuple[Array, Array]:
-    """Smoothed states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` along the last, most probable hypothesis."""
     hypothesis = run[-1].posterior.best
     mean, P = run[-1].posterior.mean[hypothesis], run[-1].posterior.covariance[hypothesis]
     means, covariances = [mean], [P]
@@ -436,4 +380,9 @@ def _backward(run: list[Moment]) -> tuple[Array, Array]:
         P = filtered.covariance[hypothesis] + C @ (P - predicted.covariance[n]) @ C.T
         means.append(mean)
         covariances.append(P)
-    return np.array(means[::-1]), np.array(covariances[::-1])
+    estimate = _estimate(graph, run, np.array(means[::-1]), np.array(covariances[::-1]))
+    track = estimate.trajectory
+    fixes = graph.positions.fixes
+    distance = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)
+    reports = tuple(replace(fix, residual=float(d)) for fix, d in zip(estimate.fixes, distance, strict=True))
+    return replace(estimate, reports={"fixes": reports})

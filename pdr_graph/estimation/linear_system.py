@@ -103,7 +103,7 @@ class LinearSystem:
         """
         if self._curved is not None:
             return self.equations.assembled(self._curved, curved=False).solution
-        return Solution(self.state, self._rescued(0.0))
+        return Solution(self.state, self._factorized(0.0))
 
     @property
     def solved(self) -> LinearSystem | Solution:
@@ -113,26 +113,24 @@ class LinearSystem:
     def step(self, damping: float = 0.0) -> dict[str, Array]:
         """A step of the search ``(n, 3)`` of the variables of each symbol; damping: Levenberg and Marquardt's."""
         if damping or self._curved is not None:
-            return Solution(self.state, self._rescued(damping)).moves
+            return Solution(self.state, self._factorized(damping)).moves
         return self.solution.moves
 
     def gain(self, moves: Mapping[str, Array]) -> float:
         """The decrease of the cost by an undamped step, were all factors linear."""
         return float(np.sum(np.concatenate([moves[symbol] for symbol in self.state.arrays]) * self._right)) / 2
 
-    def _rescued(self, damping: float) -> Factorization:
-        """The factorised system; with more damping if it is indeterminate."""
-        for least in RESCUING[:-1]:
-            with suppress(RuntimeError):
-                return self._factorized(max(damping, least))
-        return self._factorized(max(damping, RESCUING[-1]))
-
     def _factorized(self, damping: float) -> Factorization:
-        elimination, blocks = self.equations.elimination, self._blocks
-        if damping:
-            blocks = blocks.copy()
-            blocks[elimination.diagonal] += damping * np.eye(3)
-        return Factorization(elimination, blocks, self._right)
+        """The factorised system; with more damping if it is indeterminate."""
+        elimination = self.equations.elimination
+        for least in RESCUING:
+            blocks = self._blocks
+            if more := max(damping, least):
+                blocks = blocks.copy()
+                blocks[elimination.diagonal] += more * np.eye(3)
+            with suppress(RuntimeError):
+                return Factorization(elimination, blocks, self._right)
+        raise RuntimeError(INDETERMINATE_TEXT)
 
 
 class Solution:
@@ -190,7 +188,6 @@ ROOT = 48  # variables that are eliminated last, as one dense matrix
 FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
 SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
 NEIGHBOUR_QUANTILE = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
-FEW_PLACES = 0.5  # share of all places that occur, below which sums are made for these alone
 INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
 INDETERMINATE_TEXT = "the factors do not determine all variables"
 
@@ -199,7 +196,7 @@ INDETERMINATE_TEXT = "the factors do not determine all variables"
 class Round:
     """Variables ``n`` that are eliminated together.
 
-    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.nothing`; own: ``(n,)`` slot of its
+    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.count`; own: ``(n,)`` slot of its
     block; bound: ``(n, p)`` slots of the blocks of parents and variable, mirrored: of variable and parents; among:
     ``(n, p, p)`` of parents with each other; to_slots, to_variables: sums of all contributions.
     """
@@ -219,41 +216,31 @@ class Sum:
 
     def __init__(self, place: Index, count: int):
         """place: of each contribution, any shape; count: of all places. size: number of contributions."""
-        self.size, column = place.size, place.ravel()
-        self._count = self._rows = count
-        self._places = None
+        self.size, self._count, column = place.size, count, place.ravel()
         occurs = np.zeros(count, dtype=bool)
         occurs[column] = True
-        if np.count_nonzero(occurs) < FEW_PLACES * count:  # sums to these alone
-            self._places, column = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
-            self._rows = len(self._places)
-        matrix = coo_array((np.ones(self.size), (column, np.arange(self.size))), shape=(self._rows, self.size))
+        self._places, row = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
+        matrix = coo_array((np.ones(self.size), (row, np.arange(self.size))), shape=(len(self._places), self.size))
         matrix.has_canonical_format = True  # or it would be sorted
         self._matrix = matrix.tocsr()
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""
-        trailing = total.shape[1:]
-        sums = (self._matrix @ contribution.reshape(self.size, int(np.prod(trailing)))).reshape(self._rows, *trailing)
-        if self._places is None:
-            total += sums
-        else:
-            total[self._places] += sums
+        sums = self._matrix @ contribution.reshape(self.size, int(np.prod(total.shape[1:])))
+        total[self._places] += sums.reshape(-1, *total.shape[1:])
 
     def of(self, contribution: Array) -> Array:
         """The sums ``(count, k)`` of all contributions ``(n, k)``."""
-        sums = self._matrix @ contribution
-        if self._places is None:
-            return sums
         total = np.zeros((self._count, contribution.shape[1]))
-        total[self._places] = sums
+        total[self._places] = self._matrix @ contribution
         return total
 
 
 class Elimination:
     """The order in which variables are eliminated, and where all blocks are stored: the same for every state.
 
-    count: of variables; codes: those of the blocks, ascending; border, root: variables that are eliminated last.
+    count: of variables, and the number of one without neighbours, with which tables are filled up; codes: those of the
+    blocks, ascending; border, root: variables that are eliminated last.
     """
 
     def __init__(self, count: int, first: Index, second: Index):
@@ -261,7 +248,7 @@ class Elimination:
         self.count = count
         diagonal = np.arange(count + 1) * (count + 2)
         u, v = self._edges(first, second)
-        self.border = _border(u, count)
+        self.border = np.flatnonzero(np.bincount(u, minlength=count) > max(FEWEST_BOUND, SHARE_BOUND * count))
         inner = np.ones(count + 1, dtype=bool)
         inner[self.border] = False
         within = inner[u] & inner[v]
@@ -272,21 +259,21 @@ class Elimination:
         codes = [diagonal, self._code(u[at_border], v[at_border]), among_root, *filled]
         self.codes = _distinct(np.concatenate(codes))
         self.diagonal = self.slots(np.arange(count), np.arange(count))
-        self.rounds = [self._round(chosen, parents) for chosen, parents in eliminated]
+        self.rounds = list[Round]()
+        for chosen, parents in eliminated:
+            own, among = chosen[:, None], self.slots(parents[:, :, None], parents[:, None, :])
+            bound, mirrored, sums = self.slots(parents, own), self.slots(own, parents), Sum(among, len(self.codes))
+            to_variables, diagonal = Sum(parents, count + 1), self.diagonal[chosen]
+            self.rounds.append(Round(chosen, parents, diagonal, bound, mirrored, among, sums, to_variables))
         place = np.full(count + 1, -1)
         place[self.border] = np.arange(len(self.border))
         at = at_border[place[v[at_border]] >= 0]
         self._row, self._place = np.append(u[at], self.border), np.append(place[v[at]], place[self.border])
         self._border_slots = self.slots(self._row, self.border[self._place])
 
-    @property
-    def nothing(self) -> int:
-        """The number of a variable without neighbours, with which tables are filled up."""
-        return self.count
-
     def slots(self, first: Index, second: Index) -> Index:
-        """Index of the block of each pair of variables; the last block, which stays 0, for `nothing`."""
-        nowhere = (first == self.nothing) | (second == self.nothing)
+        """Index of the block of each pair of variables; the last block, which stays 0, for `count`."""
+        nowhere = (first == self.count) | (second == self.count)
         found = np.searchsorted(self.codes, self._code(first, second))
         return np.where(nowhere, len(self.codes) - 1, found)
 
@@ -297,10 +284,6 @@ class Elimination:
         columns = columns.transpose(0, 2, 1, 3).reshape(self.count + 1, 3, -1)[:, :, : 3 * len(self.border) + 1]
         columns[:-1, :, -1] = right
         return np.ascontiguousarray(columns)
-
-    def corner(self, columns: Array) -> Array:
-        """Rows ``(3 g, 3 g + 1)`` of the border in its columns."""
-        return columns[self.border].reshape(3 * len(self.border), columns.shape[2])
 
     def fill_in(self, inverse: Array, to_border: Array) -> None:
         """Set the blocks of the border in ``inverse``. to_border: ``(count + 1, 3, 3 g)`` columns of the inverse."""
@@ -320,26 +303,6 @@ class Elimination:
         codes = np.sort(np.concatenate([once, self._code(*np.divmod(once, self.count + 1)[::-1])]))
         u, v = np.divmod(codes, self.count + 1)
         return u, v
-
-    def _round(self, chosen: Index, parents: Index) -> Round:
-        own = chosen[:, None]
-        among = self.slots(parents[:, :, None], parents[:, None, :])
-        return Round(
-            eliminated=chosen,
-            parents=parents,
-            own=self.diagonal[chosen],
-            bound=self.slots(parents, own),
-            mirrored=self.slots(own, parents),
-            among=among,
-            to_slots=Sum(among, len(self.codes)),
-            to_variables=Sum(parents, self.count + 1),
-        )
-
-
-def _border(u: Index, count: int) -> Index:
-    """Variables that so many others are bound to that their columns are dense. u: ``(n,)`` first of each edge."""
-    degree = np.bincount(u, minlength=count)
-    return np.flatnonzero(degree > max(FEWEST_BOUND, SHARE_BOUND * count))
 
 
 def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]], Mask, list[Index]]:
@@ -363,7 +326,8 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
         alive &= ~chosen
         leaving = chosen[u]
         which = np.flatnonzero(chosen)
-        parents = _filled_up(v[leaving], degree[which], count)
+        parents = np.full((len(which), int(degree[which].max(initial=0))), count)  # filled up
+        parents[np.arange(parents.shape[1]) < degree[which, None]] = v[leaving]
         rounds.append((which, parents))
         first, second = np.broadcast_arrays(parents[:, :, None], parents[:, None, :])
         new = (first != second) & (first < count) & (second < count)
@@ -381,13 +345,6 @@ def _distinct(codes: Index) -> Index:
     return codes[np.diff(codes, prepend=-1) > 0]
 
 
-def _filled_up(parents: Index, degree: Index, nothing: int) -> Index:
-    """Parents ``(n, p)`` of variables with ``degree (n,)`` parents each, filled up with ``nothing``."""
-    table = np.full((len(degree), int(degree.max(initial=0))), nothing)
-    table[np.arange(table.shape[1]) < degree[:, None]] = parents
-    return table
-
-
 class Factorization:
     """A factorised matrix: the solution of its system, its determinant and the blocks of its inverse."""
 
@@ -399,7 +356,7 @@ class Factorization:
         self.elimination, self._size = elimination, len(blocks)
         least = INDETERMINATE * blocks[elimination.diagonal].diagonal(axis1=1, axis2=2)
         columns = elimination.columns(blocks, right)
-        corner = elimination.corner(columns)
+        corner = columns[elimination.border].reshape(3 * len(elimination.border), columns.shape[2])  # of the border
         blocks = blocks.copy()
         self._steps = list[tuple[Array, Array, Array]]()  # of each round: F⁻¹, S F⁻¹, F⁻¹ (border, right-hand side)
         self.log_determinant = 0.0  # of the root of the matrix
@@ -509,33 +466,18 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
     return np.ascontiguousarray(inverse.transpose(2, 0, 1)), -float(np.log(p * q * r).sum())
 
 
-CACHED_MATRICES = 2000  # pieces whose matrices fit into a processor's cache
-
-
 def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> Array:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
     step given both ends. at, solution: the walk at the optimum, and its linear system there.
     """
-    R_0, first = pose_rotation(at.pose_i[:1, 2]), np.zeros(1, dtype=np.intp)
-    covariance = np.empty((1 + len(which), 3, 3))
-    covariance[:1] = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
-    for n in range(0, len(which), CACHED_MATRICES):
-        part = which[n : n + CACHED_MATRICES]
-        i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
-        joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))
-        covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint[of_piece], at, part)
-    return covariance
-
-
-def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
-    """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
-
-    joint: covariance ``(n, 9, 9)`` of x_i, x_j and c of the interval of each.
-    """
-    placed, interval = at.poses_of(which), at.pieces.interval[which]
+    start = pose_rotation(at.pose_i[:1, 2])
+    first = start @ solution.joint(("x", np.zeros(1, dtype=np.intp))) @ start.transpose(0, 2, 1)
+    i, of_piece = np.unique(at.pieces.interval[which], return_inverse=True)
+    joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))[of_piece]
+    placed = at.poses_of(which)
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
-    R = pose_rotation(at.pose_i[interval, 2])
-    spread = at.chain.bridge.spread[which]
-    return D @ joint @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
+    R = pose_rotation(at.pose_i[i[of_piece], 2])
+    within = R @ at.chain.bridge.spread[which] @ R.transpose(0, 2, 1)
+    return np.concatenate([first, D @ joint @ D.transpose(0, 2, 1) + within])

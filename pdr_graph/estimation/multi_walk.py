@@ -123,7 +123,12 @@ def _parted(
 ) -> Iterator[Estimate]:
     """The estimate of each walk from the joint optimum. begins: offset of each walk's time [s]."""
     times = [row_times(graph.steps) for graph in graphs]
-    poses, covariance = _rows(optimum, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
+    pieces, at = optimum.graph.pieces, optimum.at
+    time = np.concatenate([t + by for t, by in zip(times, begins, strict=True)])
+    which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
+    poses = np.concatenate([at.pose_i[:1], at.ends[which]])
+    covariance = covariance_of_ends(at, optimum.solution, which)
+    segment_start = optimum.graph.keyframe_time[optimum.graph.chain.segment_first]
     reports, c = iter(optimum.graph.positions.reports(optimum.at)), optimum.state.c
     of_c = optimum.solution.joint(("c", np.arange(len(c))))
     cuts = np.cumsum([len(time) for time in times])[:-1]
@@ -131,23 +136,11 @@ def _parted(
     for graph, estimate, by, time, walk_poses, its_covariance in parts:
         track = Trajectory(time, walk_poses[:, :2], wrap_angle(walk_poses[:, 2]), graph.floors, its_covariance)
         fixes = tuple(replace(r, time=r.time - by) for r in islice(reports, len(_within(graph))))
-        calibration = _calibration(optimum.graph, graph, by, c, of_c)
+        start = segment_start - by
+        rows = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
+        prior = prior_sigma(graph.prior, np.arange(len(rows)))
+        calibration = Calibration(start[rows], c[rows], of_c[rows], prior)
         reached = {"iterations": optimum.iterations, "cost": optimum.cost, "converged": optimum.converged}
         yield replace(
             estimate, trajectory=track, calibration=calibration, reports={**estimate.reports, "fixes": fixes}, **reached
         )
-
-
-def _rows(optimum: Optimum, time: Array) -> tuple[Array, Array]:
-    """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]."""
-    pieces, at = optimum.graph.pieces, optimum.at
-    which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
-    covariance = covariance_of_ends(at, optimum.solution, which)
-    return np.concatenate([at.pose_i[:1], at.ends[which]]), covariance
-
-
-def _calibration(joint: WalkGraph, graph: WalkGraph, by: float, c: Array, covariance: Array) -> Calibration:
-    """The calibration of one walk from the joint estimate."""
-    start = joint.keyframe_time[joint.chain.segment_first] - by
-    rows = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
-    return Calibration(start[rows], c[rows], covariance[rows], prior_sigma(graph.prior, np.arange(len(rows))))

@@ -26,6 +26,7 @@ from types import ModuleType
 from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.base import (
     CALIBRATION,
@@ -137,30 +138,24 @@ class Residuals:
         none = np.empty((0, 3))
         increments, nothing = Increments(none, np.empty((0, 3, 3))), Linearized(none, *(np.empty((0, 3, 3)),) * 3)
         at = Evaluation(Chain.keyframe_alone(0.0, 0, 0), walk, (each,), increments, nothing)
-        priors = _prior_variances(at)
+        variances = dict[str, Array]()  # (n, 3) of the variables of each symbol, by their priors alone
+        for block in at.blocks:
+            if block.prior and block.rows_each:
+                symbol, rows = block.variables[0]
+                J = block.jacobian()[0].reshape(len(block), block.rows_each, 3)
+                information = np.zeros((len(at.state[symbol]), 3, 3))
+                information[rows] = J.transpose(0, 2, 1) @ J
+                inverse = np.linalg.inv(information + 1e-9 * np.eye(3))
+                variances[symbol] = np.diagonal(inverse, axis1=1, axis2=2).astype(float)
         for block in at.blocks:
             poses = [rows for symbol, rows in block.variables if symbol == POSE]
             if len(poses) == 1 and not block.prior:
-                deviation = block.deviation / _widening(block, priors)
-                cost = np.minimum(block.loss.cost(deviation), PARTICLES.outlier_price)
-                yield np.asarray(np.bincount(poses[0], cost, n), dtype=np.float64)
+                cost = block.loss.cost(block.deviation / _widening(block, variances))
+                capped = np.minimum(cost, PARTICLES.outlier_price)
+                yield np.asarray(np.bincount(poses[0], capped, n), dtype=np.float64)
 
     def place_sought(self, state: Array) -> None:
         """Residuals determine no single place."""
-
-
-def _prior_variances(at: Evaluation) -> dict[str, Array]:
-    """Variances ``(n, 3)`` of the variables of each symbol by their priors alone."""
-    variances = dict[str, Array]()
-    for block in at.blocks:
-        if block.prior and block.rows_each:
-            symbol, rows = block.variables[0]
-            J = block.jacobian()[0].reshape(len(block), block.rows_each, 3)
-            information = np.zeros((len(at.state[symbol]), 3, 3))
-            information[rows] = J.transpose(0, 2, 1) @ J
-            inverse = np.linalg.inv(information + 1e-9 * np.eye(3))
-            variances[symbol] = np.diagonal(inverse, axis1=1, axis2=2).astype(float)
-    return variances
 
 
 def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
@@ -241,28 +236,37 @@ def stepped(
     motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
     errors = _errors(state.shape[1], sigma, random)
-    after, price, stopped = (kernels and _first_compiled(kernels, state, errors, motion, walls)) or _first_try(
-        state, errors, motion, walls
-    )
+    compiled: tuple[Array, Array, Index] | None = None
+    if kernels is not None:
+        cos, sin = _directions(kernels, state, np.arange(state.shape[1]), errors, motion)
+        table = walls.field.pixel_table(walls.tiles)
+        *tried, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
+        if complete:  # else tiles of the distance field are missing, which only NumPy's functions compute
+            compiled = tried[0], tried[1], tried[2]
+    after, price, stopped = compiled or _first_try(state, errors, motion, walls)
     if len(stopped):
         errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
-        further = state, stopped, errors, motion, walls, after, price
-        if not (kernels and _further_compiled(kernels, *further)):
-            _further_tries(*further)
+        done = False
+        if kernels is not None:
+            cos, sin = _directions(kernels, state, np.repeat(stopped, PARTICLES.tries), errors, motion)
+            further = errors, cos, sin, motion, costs(), walls.field.pixel_table(walls.tiles), PARTICLES.odds
+            done = kernels.further_tries(state, stopped, *further, after, price)
+        if not done:
+            _further_tries(state, stopped, errors, motion, walls, after, price)
     return after, price
+
+
+def _directions(
+    kernels: ModuleType, state: Array, origin: Index, errors: Array, motion: Motion
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Cosines and sines ``(k,)`` of the courses in the middle of a step from ``state[:, origin]``."""
+    course = kernels.courses(state, origin, errors, motion)
+    return np.cos(course), np.sin(course)
 
 
 def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
     """States ``(6, n)`` after a pause, in which the phone may have turned."""
     return _moved(state, _errors(state.shape[1], sigma, random), (0.0, turn, time, 0.0))[0]
-
-
-def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
-    """Cost ``(n,)`` of a change of floor at each particle's place, by stairs or lifts with these fields."""
-    if not ways:
-        return np.zeros(state.shape[1])
-    outside = -np.max([way.approximate(state[:2]) for way in ways], axis=0)
-    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / PARTICLES.stairs_sigma), REGIONS.wall_cost)
 
 
 def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
@@ -324,34 +328,6 @@ def _clearances(state: Array, way: Array, motion: Motion, walls: Walls) -> Array
     return walls.distance(places)
 
 
-def _first_compiled(
-    kernels: ModuleType, state: Array, errors: Array, motion: Motion, walls: Walls
-) -> tuple[Array, Array, Index] | None:
-    """As `_first_try`; None where tiles of the distance field are missing, which only that computes."""
-    course = kernels.courses(state, np.arange(state.shape[1]), errors, motion)
-    table = walls.field.pixel_table(walls.tiles)
-    after, price, stopped, complete = kernels.first_try(
-        state, errors, np.cos(course), np.sin(course), motion, costs(), table
-    )
-    return (after, price, stopped) if complete else None
-
-
-def _further_compiled(
-    kernels: ModuleType,
-    state: Array,
-    stopped: Index,
-    errors: Array,
-    motion: Motion,
-    walls: Walls,
-    after: Array,
-    price: Array,
-) -> bool:
-    """As `_further_tries`; False where tiles of the distance field are missing."""
-    course = kernels.courses(state, np.repeat(stopped, PARTICLES.tries), errors, motion)
-    cos, sin, table = np.cos(course), np.sin(course), walls.field.pixel_table(walls.tiles)
-    return kernels.further_tries(state, stopped, errors, cos, sin, motion, costs(), table, PARTICLES.odds, after, price)
-
-
 LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
 
 
@@ -389,7 +365,7 @@ class ParticleFilter:
         self.random = np.random.default_rng(seed)
         self.state, self.weight = np.empty((6, 0)), np.empty(0)  # weight: its logarithm ``(n,)``
         self._change = np.array(prior.change)[:, None]
-        self._information = np.linalg.inv(prior.covariance * np.outer(PARTICLES.wide, PARTICLES.wide)).astype(float)
+        self._wide = prior.covariance * np.outer(PARTICLES.wide, PARTICLES.wide)
         self._steps = 0  # since the last keyframe
         self._tiles = dict[int, Index]()  # by field
         self._states, self._origins = list[Array](), list[Index]()
@@ -413,10 +389,7 @@ class ParticleFilter:
         turned = spread * random.standard_normal(n)
         anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, PARTICLES.rare)  # fixes lay a walk as a whole
         turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
-        drawn = random.multivariate_normal(
-            np.zeros(3), self.prior.covariance * np.outer(PARTICLES.wide, PARTICLES.wide), n
-        ).T
-        c = _calibrated(drawn, self.prior)
+        c = _calibrated(random.multivariate_normal(np.zeros(3), self._wide, n).T, self.prior)
         led = way * c[0] * np.exp(1j * turned)
         start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
         self.begin_at(np.concatenate([start, [heading + turned], c]))
@@ -457,25 +430,23 @@ class ParticleFilter:
 
     def change_floor(self, ways: Sequence[DistanceField]) -> None:
         """Change the floor, by stairs or lifts with these fields."""
-        self.weight = self.weight - changed_floor(self.state, ways)
+        if ways:
+            outside = -np.max([way.approximate(self.state[:2]) for way in ways], axis=0)
+            cost = 0.5 * np.square(np.maximum(0.0, outside) / PARTICLES.stairs_sigma)
+            self.weight = self.weight - np.minimum(cost, REGIONS.wall_cost)
 
     def step(self, length: float, turn: float, time: float, variance: Array, floor: DistanceField) -> None:
         """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
         sigma = np.array(PARTICLES.calm) * np.sqrt(variance)
         if length > 0:
-            tiles = None if self.at_once is None else self._own_tiles(floor)
-            walls = Walls(floor, self.at_once, tiles)
+            # Of the tiles, those that this filter has asked for: others may compute some at any time, in a thread
+            asked = None if self.at_once is None else self._tiles.setdefault(id(floor), floor.no_tiles())
+            walls = Walls(floor, self.at_once, asked)
             self.state, price = stepped(self.state, length, turn, time, sigma, walls, self.random)
             self.weight = self.weight - price
             self._steps += 1
         else:
             self.state = stood(self.state, turn, time, sigma, self.random)
-
-    def _own_tiles(self, floor: DistanceField) -> Index:
-        """The tiles of a floor that this filter has asked for: others may compute some at any time, in a thread."""
-        if id(floor) not in self._tiles:
-            self._tiles[id(floor)] = floor.no_tiles()
-        return self._tiles[id(floor)]
 
     def close(self, measured: KeyframeMeasurements = ()) -> None:
         """Close a keyframe: weight by the measurements there, resample."""
@@ -497,7 +468,7 @@ class ParticleFilter:
         if share.sum() ** 2 < PARTICLES.resample * len(weight) * (share @ share):
             origin = _resampled(weight, self._needed(), random)
             self.state, weight = self.state.take(origin, axis=1), np.full(len(origin), -np.log(len(origin)))
-            self.state[3:] = _varied(self.state[3:], self.prior, self._information, random)
+            self.state[3:] = self._varied()
         self.weight, self._steps = weight, 0
         self._states.append(self.state)
         self._origins.append(origin)
@@ -524,8 +495,19 @@ class ParticleFilter:
         place = self.random.standard_normal((2, len(put))) * sigma
         state[:2, put] = position[:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
-        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - PARTICLES.lost_price
+        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - PARTICLES.outlier_price / 2
         self.state, self.weight = state, weight
+
+    def _varied(self) -> Array:
+        """Calibrations ``(3, n)`` after a Metropolis move with the kernel, which the prior accepts or rejects."""
+        c, (stride, turn, drift), information = self.state[3:], self.prior.mean, np.linalg.inv(self._wide).astype(float)
+        before = np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])  # the inverse of `_calibrated`
+        apart = before - before.mean(axis=1, keepdims=True)
+        covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
+        root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
+        after = before + PARTICLES.kernel * root @ self.random.standard_normal(c.shape)
+        rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
+        return np.where(self.random.exponential(size=c.shape[1]) > rise, _calibrated(after, self.prior), c)
 
     def _needed(self) -> int:
         """Number of particles needed: some for each bin of place and direction that they occupy."""
@@ -552,29 +534,12 @@ def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
     return np.minimum(np.searchsorted(share, share[-1] * (np.arange(n) + random.uniform()) / n), len(weight) - 1)
 
 
-def _varied(c: Array, prior: Prior, information: Array, random: np.random.Generator) -> Array:
-    """Calibrations ``(3, n)`` after a Metropolis move with the kernel, which the prior accepts or rejects."""
-    before = _calibration_errors(c, prior)
-    apart = before - before.mean(axis=1, keepdims=True)
-    covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
-    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
-    after = before + PARTICLES.kernel * root @ random.standard_normal(c.shape)
-    rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
-    return np.where(random.exponential(size=c.shape[1]) > rise, _calibrated(after, prior), c)
-
-
 def _calibrated(errors: Array, prior: Prior) -> Array:
     """(R_s, R_d, b) ``(3, n)`` from errors about the prior's mean; R_s by its logarithm, or walls would favour walkers
     who hardly move.
     """
     stride, turn, drift = prior.mean
     return np.stack([stride * np.exp(errors[0]), turn + errors[1], drift + errors[2]])
-
-
-def _calibration_errors(c: Array, prior: Prior) -> Array:
-    """The inverse of `_calibrated`."""
-    stride, turn, drift = prior.mean
-    return np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])
 
 
 def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:

@@ -8,19 +8,18 @@ them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_graph.errors import count, percent
-from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE
+from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.priors import REPORTS, VERDICTS
+from pdr_graph.priors import PATHS, RANGES, REPORTS, VERDICTS
 from pdr_graph.types import (
     DOUBTFUL,
     FAILED,
@@ -52,28 +51,19 @@ def prior_sigma(prior: Prior, segment: Index) -> Array:
     return np.sqrt(np.square(prior.sigma) + segment[:, None] * np.square(prior.change))
 
 
-@dataclass(frozen=True)
-class Placement:
-    """What determined the position: number of used fixes; True for headings, a plan, walls that were used."""
+def placement_warnings(used: int, headings: bool, plan: bool, walled: bool) -> tuple[str, ...]:
+    """Warn of an unknown position or direction, and of a plan that is elsewhere.
 
-    used: int
-    headings: bool
-    plan: bool
-    walled: bool
-
-    def warnings(self) -> tuple[str, ...]:
-        """Warn of an unknown position or direction, and of a plan that is elsewhere."""
-        warned = {
-            "no position fix: the track starts at (0, 0) along x": self.used == 0 and not self.walled,
-            "no position fix: the place was sought on the whole plan": self.used == 0 and self.walled,
-            "one position fix: the direction of the walk is unknown; it starts along x": self.used == 1
-            and not self.walled
-            and not self.headings,
-            "no fix lies near the floor plan: its walls were not used": bool(self.used)
-            and self.plan
-            and not self.walled,
-        }
-        return tuple(text for text, holds in warned.items() if holds)
+    used: number of fixes; headings, plan: True if there are any; walled: walls of the plan were used.
+    """
+    if walled:
+        return ("no position fix: the place was sought on the whole plan",) if used == 0 else ()
+    warned = {
+        "no position fix: the track starts at (0, 0) along x": used == 0,
+        "one position fix: the direction of the walk is unknown; it starts along x": used == 1 and not headings,
+        "no fix lies near the floor plan: its walls were not used": used > 0 and plan,
+    }
+    return tuple(text for text, holds in warned.items() if holds)
 
 
 def warnings(
@@ -84,7 +74,6 @@ def warnings(
     walks: number of distinct solutions; probability: of the path of the estimate.
     """
     fixes, headings = graph.positions, len(graph.headings.headings) > 0
-    placement = Placement(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled)
     warned = {
         f"{walks} different walks explain the measurements, this route with a probability of {percent(probability)}; "
         "the covariance spans them": walks > 1,
@@ -95,7 +84,7 @@ def warnings(
     outside, frozen = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still], int(fixes.still.sum())
     held = f"{frozen} fixes of a receiver that held its position while the walk went on were not used"
     return (
-        *placement.warnings(),
+        *placement_warnings(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled),
         *outside_warnings(outside, graph.steps.start, graph.steps.end),
         *((held,) if frozen else ()),
         *(text for text, holds in warned.items() if holds),
@@ -119,40 +108,24 @@ def is_usual(warning: str) -> bool:
 def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:
     """Warn of coefficients that the walk does not determine, and of a stride scale of no usual walker."""
     open_ = [NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
-    scale = stride_scale(calibration)
+    unusual = _unusual_stride(calibration)
     return (
-        *((str(scale),) if scale is not None and scale.unusual else ()),
+        *(() if unusual is None else (unusual[0],)),
         *((f"{', '.join(open_)}{PRIOR_KEPT}",) if open_ else ()),
     )
 
 
-@dataclass(frozen=True)
-class StrideScale:
-    """The mean stride scale R_s of a walk, with its sigma."""
+def _unusual_stride(calibration: Calibration) -> tuple[str, float, float] | None:
+    """The mean stride scale R_s of a walk as a text, its value, and by how many of its sigmas it is unusual.
 
-    value: float
-    sigma: float
-
-    @property
-    def unusual(self) -> bool:
-        """True if usual walkers have another stride scale."""
-        return self.beyond > 0
-
-    @property
-    def beyond(self) -> float:
-        """Difference to the nearest stride scale of usual walkers."""
-        return max(REPORTS.stride[0] - self.value, self.value - REPORTS.stride[1], 0.0)
-
-    def __str__(self) -> str:
-        low, high = REPORTS.stride
-        return f"the {NAMES['R_s']} is {self.value:.2f} ± {self.sigma:.2f}, that of usual walkers {low} to {high}"
-
-
-def stride_scale(calibration: Calibration) -> StrideScale | None:
-    """The mean stride scale of a walk; None if the walk does not determine it."""
-    if not calibration.learnt[:, 0].any():
+    None if the walk does not determine it, or if usual walkers have it.
+    """
+    (low, high), value, sigma = REPORTS.stride, calibration.value[:, 0].mean(), calibration.sigma[:, 0].min()
+    beyond = max(low - value, value - high)
+    if beyond <= 0 or not calibration.learnt[:, 0].any():
         return None
-    return StrideScale(float(calibration.value[:, 0].mean()), float(calibration.sigma[:, 0].min()))
+    text = f"the {NAMES['R_s']} is {value:.2f} ± {sigma:.2f}, that of usual walkers {low} to {high}"
+    return text, float(value), float(beyond / sigma)
 
 
 def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
@@ -272,7 +245,7 @@ def wall_crossings(building: Building, trajectory: Trajectory) -> tuple[Contradi
         return ()
     text = f"the walk leads through walls at {number} of {len(crossed)} rows ({share:.0%})"
     check = "the floor plan (another floor? an older one?), the fixes, and the floor where the walk starts"
-    state = FAILED if share > VERDICTS.lost else DOUBTFUL
+    state = FAILED if share > VERDICTS.most else DOUBTFUL
     return (Contradiction("plan", "steps and fixes", share, "share", text, check, state),)
 
 
@@ -295,7 +268,7 @@ def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     share, other = rejected / max(len(used), 1), _other_source(estimate)
     if share > VERDICTS.doubtful:
         text = f"{rejected} of {count(len(used), 'fix')} contradict the {other}, with weight 0"
-        state = FAILED if share >= VERDICTS.failed and other == STEPS_AND_REST else DOUBTFUL
+        state = FAILED if share >= VERDICTS.most and other == STEPS_AND_REST else DOUBTFUL
         text += ": where the walk was is a guess" * (state == FAILED)
         yield Contradiction("fixes", other, share, "share", text, CHECK_FIXES, state)
 
@@ -309,24 +282,31 @@ def _other_source(estimate: Estimate) -> str:
 def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     """Fixes whose median distance from the walk is larger than their sigmas allow."""
     used = _evidence(estimate)
-    if not used:
-        return
     sigmas = np.array([fix.residual / fix.sigma for fix in used])
     independent = len({int(fix.time // VERDICTS.alike) for fix in used})
-    median = float(np.median(sigmas))
-    if median > VERDICTS.fix_median + VERDICTS.distant * VERDICTS.fix_spread / np.sqrt(independent):
+    if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
         other = _other_source(estimate)
         lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
-        text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
-        yield Contradiction(
-            "fixes", other, median, "sigma", text, f"the sigmas and clock of the fixes, and the {other}"
+        text, check = (
+            f"{lie} {median:.1f} sigma from the walk, against the {other}",
+            "the sigmas and clock of the fixes",
         )
+        yield Contradiction("fixes", other, median, "sigma", text, f"{check}, and the {other}")
+
+
+def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:
+    """The median of residuals ``(n,)`` [σ], if it is larger than honest ones have; else 0.
+
+    independent: number of them with errors of their own; median: of honest residuals; spread: its sigma × √n.
+    """
+    found = float(np.median(sigmas)) if len(sigmas) else 0.0
+    return found if independent and found > median + VERDICTS.distant * spread / np.sqrt(independent) else 0.0
 
 
 def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
     """A list of beacons of which half are elsewhere."""
     moved = [beacon.label for beacon in estimate.beacons if beacon.misplaced]
-    if estimate.beacons and len(moved) >= VERDICTS.moved * len(estimate.beacons):
+    if estimate.beacons and len(moved) >= VERDICTS.most * len(estimate.beacons):
         share = len(moved) / len(estimate.beacons)
         text = f"{len(moved)} of {count(len(estimate.beacons), 'beacon')} are not heard where they are listed"
         yield Contradiction("beacons", "fixes and steps", share, "share", text, CHECK_LIST)
@@ -335,10 +315,7 @@ def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
 def _headings(estimate: Estimate) -> Iterator[Contradiction]:
     """Headings whose median residual is larger than their sigmas allow."""
     sigmas = np.array([abs(report.residual) / report.sigma for report in estimate.reports.get("headings", ())])
-    if len(sigmas) and np.median(
-        sigmas
-    ) > VERDICTS.heading_median + VERDICTS.distant * VERDICTS.heading_spread / np.sqrt(len(sigmas)):
-        median = float(np.median(sigmas))
+    if median := _too_large(sigmas, len(sigmas), VERDICTS.heading_median, VERDICTS.heading_spread):
         text = f"half of the headings differ by more than {median:.1f} sigma from the walk"
         yield Contradiction("headings", "steps and fixes", median, "sigma", text, "magnets and iron near the phone")
 
@@ -346,16 +323,13 @@ def _headings(estimate: Estimate) -> Iterator[Contradiction]:
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:
     """A stride scale of no usual walker, by more than its sigma, that not even three fixes confirm."""
     calibration = estimate.calibration
-    scale = None if calibration is None else stride_scale(calibration)
-    if (
-        calibration is not None
-        and scale is not None
-        and scale.beyond > scale.sigma
-        and not stride_determined(estimate, VERDICTS.checked)
-    ):
-        sigmas = (scale.value - 1) / float(calibration.prior_sigma[0, 0])
-        text = f"{scale}, and too few fixes confirm it"
-        check = "the fixes, the start, and the floor plan"
+    unusual = None if calibration is None else _unusual_stride(calibration)
+    if calibration is None or unusual is None:
+        return
+    stated, value, beyond = unusual
+    if beyond > 1 and not stride_determined(estimate, PATHS.fewest_fixes):
+        sigmas = (value - 1) / float(calibration.prior_sigma[0, 0])
+        text, check = f"{stated}, and too few fixes confirm it", "the fixes, the start, and the floor plan"
         yield Contradiction("stride", "fixes and plan", sigmas, "sigma", text, check)
 
 
@@ -384,10 +358,10 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
     calibration, half = estimate.calibration, np.sqrt(0.5) * Prior().sigma[0]
     if calibration is None or calibration.sigma[-1, 0] > half:
         return False
-    accepted = [fix for fix in _evidence(estimate) if fix.weight > VERDICTS.accepted]
+    accepted = [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
     if len(accepted) >= fewest and _stride_sigma(accepted) <= half:
         return True
-    return len(set(_transmitters(estimate))) >= max(fewest, VERDICTS.transmitters)
+    return len(set(_transmitters(estimate))) >= max(fewest, RANGES.fewest)
 
 
 def teaches_profile(estimate: Estimate) -> bool:

@@ -22,7 +22,7 @@ from pdr_graph.estimation.results import (
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
 from pdr_graph.priors import REPORTS, SEARCH
-from pdr_graph.types import Array, Estimate, Index, Trajectory
+from pdr_graph.types import Array, Estimate, Trajectory
 
 
 def smooth(graph: WalkGraph) -> Estimate:
@@ -53,8 +53,20 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     of_c = best.solution.joint(("c", np.arange(len(best.state.c))))
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
     fits = best.graph.walled == graph.walled
-    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(_covariance_of_rows(best)))
+    of_path = float(probability[path == 0].sum())
+    if not fits:  # nothing keeps the walk in one aisle: the probability that it is within SEARCH.same_path
+        variance = np.trace(_covariance_of_rows(best)[:, :2, :2], axis1=1, axis2=2).mean() / 2
+        of_path *= 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
     trajectory = replace(track, covariance=covariance)
+
+    # The routes that are worth reporting, the estimate's first
+    routes = list[tuple[float, Trajectory]]()
+    for n in np.unique(path).tolist() if graph.unplaced or path.any() else ():
+        other, of_route = poses_of_rows(optima[n]), float(probability[path == n].sum())
+        if n == 0 or of_route > REPORTS.least_reported:
+            shown = replace(trajectory, position=other[:, :2], heading=wrap_angle(other[:, 2]), covariance=None)
+            routes.append((of_route, shown))
+    routes[1:] = sorted(routes[1:], key=lambda route: -route[0])
 
     # Calibration, reports, warnings
     calibration = calibration_of(graph, best.state.c, of_c)
@@ -76,7 +88,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
             *plan_contradictions(graph, trajectory if best.graph.walled else None),
             *contradictions(optima, share),
         ),
-        routes=_routes(trajectory, optima, path, probability) if graph.unplaced or path.any() else (),
+        routes=tuple(routes),
         graph=best.graph.smoothed(best.state),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)
@@ -88,32 +100,10 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     return replace(estimate, probability=stated, warnings=warned)
 
 
-def _routes(
-    trajectory: Trajectory, optima: list[Optimum], path: Index, probability: Array
-) -> tuple[tuple[float, Trajectory], ...]:
-    """Probability and path of each route that is worth reporting. path, probability: ``(n,)`` of each solution."""
-    found = list[tuple[float, Trajectory]]()
-    for n in np.unique(path).tolist():
-        rows, share = poses_of_rows(optima[n]), float(probability[path == n].sum())
-        if n == 0 or share > REPORTS.least_reported:
-            track = replace(trajectory, position=rows[:, :2], heading=wrap_angle(rows[:, 2]), covariance=None)
-            found.append((share, track))
-    return tuple([found[0], *sorted(found[1:], key=lambda route: -route[0])])
-
-
 def poses_of_rows(optimum: Optimum) -> Array:
     """Poses ``(n + 2, 3)`` of the trajectory's rows: the start, the end of every step, the end."""
     at = optimum.at
     return np.concatenate([at.pose_i[:1], at.ends[at.pieces.row_end]])
-
-
-def _near(covariance: Array) -> float:
-    """Probability that a walk is within SEARCH.same_path of its estimate, by its covariances ``(n, 3, 3)``.
-
-    Between walls a route is right or wrong. Where a plan does not fit, nothing keeps the walk in one aisle.
-    """
-    variance = float(np.trace(covariance[:, :2, :2], axis1=1, axis2=2).mean()) / 2
-    return 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
 
 
 def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:

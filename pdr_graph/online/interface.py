@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import KINDS
+from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle

@@ -10,9 +10,9 @@ import numpy as np
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.results import (
     ROUTE,
-    Placement,
     calibration_warnings,
     contradiction_warnings,
+    placement_warnings,
     plan_placement,
     used_fixes,
     wall_crossings,
@@ -49,9 +49,8 @@ def warnings_of(smoother: LiveSmoother, plan: Building | None, estimate: Estimat
     reports, calibration = estimate.reports, estimate.calibration
     fixes, (walled, places) = reports.get("fixes", ()), _placed(plan, reports)
     used = 2 if smoother.sure else len(places)  # a certain walk had fixes, perhaps long ago
-    placement = Placement(used, bool(reports.get("headings")), bool(len(places)) and plan is not None, walled)
     return (
-        *placement.warnings(),
+        *placement_warnings(used, bool(reports.get("headings")), bool(len(places)) and plan is not None, walled),
         *(() if calibration is None else calibration_warnings(calibration)),
         *contradiction_warnings(fixes),
         *(() if smoother.sure or not smoother.graph.has_position else (UNSURE,)),

@@ -16,9 +16,9 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
-from pdr_graph.estimation.factors import kind_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
+from pdr_graph.estimation.factors.registry import kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes

@@ -57,7 +57,7 @@ def test_a_turn_at_its_intersection_costs_nothing():
     graph = graph.associated_at(graph.start)
     turns, at = graph.find(TurnFactor), graph.evaluate(graph.start)
     assert len(turns) == 1
-    assert at.poses.value[turns.piece[0], :2] == pytest.approx([20, 0], abs=0.7)
+    assert at.ends[turns.piece[0], :2] == pytest.approx([20, 0], abs=0.7)
     for name in ("turns.angle", "turns.place"):
         [block] = at.blocks_of(name)
         assert len(block) == 1

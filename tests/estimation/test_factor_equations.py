@@ -159,7 +159,7 @@ def test_sub_steps_share_the_residual():
     steps = walk_with_a_pause()
     graph = graph_of(steps)
     state, usual = any_state(graph, 4), np.array([1.0, 1.0, 0.0])
-    placed = graph.evaluate(state).poses.value
+    placed = graph.evaluate(state).ends
     times = graph.pieces.keyframe_time
     for i in range(len(times) - 1):
         pieces = pieces_between(steps, times[i], times[i + 1])
@@ -219,7 +219,7 @@ def test_a_wall_has_two_hinges():
     residual, _ = between.walls.residual(at)
     boundary = shapely.box(-40, -40, 40, 40).exterior
     pressed = 0
-    for k, (x, y, _) in enumerate(at.poses.value):
+    for k, (x, y, _) in enumerate(at.ends):
         d = shapely.distance(boundary, shapely.Point(x, y)) * (1 if max(abs(x), abs(y)) <= 40 else -1)
         r = max(0, MARGIN - d) / LOOSE + max(0, 0.15 - d) / (0.1 * LOOSE)
         pressed += r > 0
@@ -236,7 +236,7 @@ def test_a_turn_is_free_within_its_range(seed):
     graph = in_corridors("turns")
     state, turns = any_state(graph, seed), graph.find(TurnFactor)
     assert len(turns) == 7
-    placed = graph.evaluate(state).poses.value
+    placed = graph.evaluate(state).ends
     for n in range(len(turns)):
         i, j = int(turns.before[n]), int(turns.after[n])
         alpha, beta = turns.least[n], turns.most[n]

@@ -10,11 +10,11 @@ from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from gtsam.symbol_shorthand import C, X
 from walks import dead_reckon, fixes_on, in_corridors, wandering_walk
 
-from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.factors.base import Stage
 from pdr_graph.estimation.factors.corridors import TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
+from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -150,7 +150,7 @@ def test_sub_steps_end_at_the_keyframes():
     """The last piece of every interval ends at its keyframe, wherever that is: no jump in the track."""
     graph = walled_graph()
     state = random_state(graph, np.random.default_rng(2))
-    placed = graph.evaluate(state).poses.value[graph.pieces.last]
+    placed = graph.evaluate(state).ends[graph.pieces.last]
     assert placed[:, :2] == pytest.approx(state.poses[1:, :2])
     assert np.exp(1j * placed[:, 2]) == pytest.approx(np.exp(1j * state.poses[1:, 2]))
 
@@ -159,7 +159,7 @@ def test_ends_equal_the_sub_steps():
     """Poses without derivatives equal those with derivatives, to rounding."""
     graph = walled_graph()
     evaluated = graph.evaluate(random_state(graph, np.random.default_rng(1)))
-    assert evaluated.ends == pytest.approx(evaluated.poses.value, abs=1e-12)
+    assert evaluated.ends == pytest.approx(evaluated.poses_of(np.arange(len(evaluated.ends))).value, abs=1e-12)
 
 
 def test_walls_have_no_residual_in_the_open():
@@ -167,7 +167,7 @@ def test_walls_have_no_residual_in_the_open():
     graph = WalkGraph(steps, fixes_on(dead_reckon(steps), every=3), floor=hall())
     middle = graph.start.replaced(x=np.tile([3.5, 3.5, 0.0], (len(graph.segment) + 1, 1)))
     at = graph.evaluate(middle)
-    distance, _ = hall().distance.at(at.poses.value[:, :2])
+    distance, _ = hall().distance.at(at.ends[:, :2])
     residual, _ = graph.walls.residual(at)
     assert np.all((residual > 0) == ((distance < 0.8) & (graph.pieces.length > 0)))
 

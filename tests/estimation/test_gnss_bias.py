@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
-from pdr_graph.estimation.factors.fixes import FixFactor, drift, independent_sigmas
+from pdr_graph.estimation.factors.fixes import FixFactor, drift
 from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
@@ -132,12 +133,13 @@ def test_two_receivers_have_separate_offsets():
 
 def test_sigmas_grow_with_the_number_of_correlated_fixes():
     """A minute of epochs must not count as sixty independent fixes."""
-    fixes = named(fixes_at(np.arange(600.0), np.zeros((600, 2)), 3.0))
-    standing, used = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0)), np.ones(600, dtype=bool)
-    sigma = independent_sigmas(fixes, fixes.sigma, used, standing)
+    places = np.random.default_rng(0).normal(size=(600, 2))
+    fixes = named(fixes_at(np.arange(600.0), places, 3.0))
+    standing = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
+    sigma = FixFactor.of(fixes, standing, Prior()).independent_sigma
     assert sigma[300] == pytest.approx(3.0 * np.sqrt(2 * RECEIVERS.standing), rel=0.02)
     independent = replace(fixes, source=())
-    assert (independent_sigmas(independent, independent.sigma, used, standing) == 3.0).all()
+    assert (FixFactor.of(independent, standing, Prior()).independent_sigma == 3.0).all()
 
 
 def test_errors_decorrelate_sooner_while_walking():

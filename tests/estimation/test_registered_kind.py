@@ -22,7 +22,7 @@ from pdr_graph.apps.lifelog.observation import observe, read_observation
 from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.report import output_files as outputs
 from pdr_graph.errors import Stages
-from pdr_graph.estimation.factors import KINDS
+from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory

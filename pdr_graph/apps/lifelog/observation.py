@@ -144,7 +144,7 @@ def from_bytes(blob: bytes) -> Observation:
     found = decompress(blob, ObservationFile, Observation)
     observation = found if isinstance(found, Observation) else found.observation
     if isinstance(found, ObservationFile) and found.measurements:
-        from pdr_graph.estimation.factors import KINDS  # imports gtsam, which is slow
+        from pdr_graph.estimation.factors.registry import KINDS  # imports gtsam, which is slow
 
         observation = replace(observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
     return replace(observation, headings=replace(observation.headings))  # sources that earlier versions did not have

@@ -130,7 +130,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     first, after = np.searchsorted(fixes.time, spans[:, 0]), np.searchsorted(fixes.time, spans[:, 1], side="right")
     sigma = np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
     # shortest ride [m]
-    spans = spans[far > np.maximum(reach + FIXES.within * sigma, 150.0)]
+    spans = spans[far > np.maximum(reach + FIXES.outlier * sigma, 150.0)]
 
     # One ride where the walker does not leave the place of a stop
     if len(spans) > 1:

@@ -86,7 +86,7 @@ def collected(
     os.environ |= ONE_THREAD  # for libraries that are not loaded yet
     threadpool_limits(limits=1)  # for libraries that are loaded
     if kinds:
-        from pdr_graph.estimation.factors import register
+        from pdr_graph.estimation.factors.registry import register
 
         for data_type, of_type in kinds:
             register(data_type, *of_type)
@@ -162,7 +162,7 @@ class Fleet:
         if self.pool is None:
             yield from ((number, work(task)) for number, task in enumerate(tasks))
             return
-        factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
+        factors: Any = sys.modules.get("pdr_graph.estimation.factors.registry")  # not loaded: nothing was registered
         kinds = factors.kinds_of_others() if factors else []
         left, count, looked = list[Any](), -1, 0.0
         changed = monotonic()

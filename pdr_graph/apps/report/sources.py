@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors import kind_of, locating_kinds
 from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.registry import kind_of, locating_kinds
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import solve_robust
 from pdr_graph.estimation.results import used_fixes
@@ -107,7 +107,7 @@ def _use(name: str, reports: list[Any], estimate: Estimate) -> tuple[int, float,
     remark = "used"
     if rejected:
         share = size[weight < REPORTS.rejected].sum() / size.sum()
-        verb = "overruled" if share > VERDICTS.overruled else "used in part"
+        verb = "overruled" if share > VERDICTS.most else "used in part"
         remark = f"{verb}: {len(rejected)} of {len(reports)} rejected, {_reason(rejected)}"
     stated = [reason.text for reason in estimate.contradictions if reason.source == name]
     return int(size.sum()), float((weight * size).sum() / size.sum()), "; ".join([remark, *dict.fromkeys(stated)])

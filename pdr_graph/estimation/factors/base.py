@@ -40,8 +40,14 @@ def huber_weight(deviation: Array, width: float | None = None) -> Array:
 
 def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
     """Geman and McClure's weight ``(n,)`` at deviations ``(n,)`` [σ]: it tends to 0 far off."""
-    square = (width or LOSSES.geman_mcclure) ** 2
+    square = (width or LOSSES.huber) ** 2
     return (square / (square + deviation**2)) ** 2
+
+
+def huber_cost(deviation: Array) -> Array:
+    """Huber's loss ``(n,)`` at deviations ``(n,)`` [σ]."""
+    inlier = np.minimum(np.abs(deviation), LOSSES.huber)
+    return inlier * (np.abs(deviation) - inlier / 2)
 
 
 class Loss:
@@ -74,7 +80,7 @@ class RobustLoss(Loss):
     """
 
     outlier: Mask
-    width: float = field(default_factory=lambda: LOSSES.geman_mcclure)
+    width: float = field(default_factory=lambda: LOSSES.huber)
 
     def weight(self, deviation: Array) -> Array:
         """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
@@ -82,9 +88,8 @@ class RobustLoss(Loss):
 
     def cost(self, deviation: Array) -> Array:
         """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
-        far, square = np.abs(deviation), deviation**2
-        inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
-        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
+        square = deviation**2
+        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), huber_cost(deviation))
 
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of factor ``n``."""
@@ -158,8 +163,7 @@ class State:
 
     def rotated(self, angle: float, pivot: Array) -> State:
         """Rotate all poses by ``angle`` [rad] about ``pivot (2,)`` [m]."""
-        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
-        return self.replaced(x=np.column_stack([position, self.poses[:, 2] + angle]))
+        return self.replaced(x=rotated(self.poses, angle, pivot))
 
     def retracted(self, moves: Mapping[str, Array], longest: float = np.inf) -> State:
         """Move every variable by GTSAM's local coordinates; poses by Pose2's full exponential map.
@@ -191,6 +195,11 @@ class State:
             arrays[symbol] = np.empty_like(rows)
             arrays[symbol][np.argsort(self.number(symbol))] = estimates
         return replace(self, arrays=arrays)
+
+
+def rotated(poses: Array, angle: float, pivot: Array) -> Array:
+    """Rotate poses ``(n, 3)`` by ``angle`` [rad] about ``pivot (2,)`` [m]."""
+    return np.column_stack([(poses[:, :2] - pivot) @ rotation(angle).T + pivot, poses[:, 2] + angle])
 
 
 def retracted(poses: Array, move: Array) -> Array:
@@ -336,19 +345,6 @@ class FactorBlock:
             return self.residual, list(self.jacobian())
         root = np.sqrt(self.weight)[self.row_of]
         return root * self.residual, [root[:, None] * by for by in self.jacobian()]
-
-
-class _UnitNoise(dict[int, Any]):
-    """Unit noise models by dimension, each made once."""
-
-    def __missing__(self, rows: int) -> gtsam.noiseModel.Base:
-        import gtsam
-
-        self[rows] = gtsam.noiseModel.Unit.Create(rows)
-        return self[rows]
-
-
-UNIT = _UnitNoise()
 
 
 class Stage(Enum):

@@ -61,29 +61,20 @@ class BeaconRssiFactor(Measurement):
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
         """The levels of one walk; of more than MOST_BEACONS, those of the ones that were received most often."""
-        beacons, count = np.unique(levels.beacon, return_counts=True)
-        if len(levels.position) > MOST_BEACONS:
-            return cls._of_some(levels, np.sort(beacons[np.argsort(-count, kind="stable")[:MOST_BEACONS]]), number)
-        unknown = np.column_stack([levels.position, np.zeros(len(levels.position))])
-        number, beacons = np.arange(len(levels)) if number is None else number, np.arange(len(levels.position))
-        return cls(levels, levels.position, unknown, beacons, number, np.full(len(levels), -1))
-
-    @classmethod
-    def _of_some(cls, levels: Levels, beacons: Index, number: Index | None) -> BeaconRssiFactor:
-        """The levels of some beacons ``(m,)``, which are numbered as in the whole table."""
-        kept = np.flatnonzero(np.isin(levels.beacon, beacons))
-        place = levels.position[beacons]
+        received = np.bincount(levels.beacon, minlength=len(levels.position))
+        beacons = np.sort(np.argsort(-received, kind="stable")[:MOST_BEACONS])
+        rows = np.flatnonzero(np.isin(levels.beacon, beacons))
         some = Levels(
-            time=levels.time[kept],
-            beacon=np.searchsorted(beacons, levels.beacon[kept]),
-            rssi=levels.rssi[kept],
+            time=levels.time[rows],
+            beacon=np.searchsorted(beacons, levels.beacon[rows]),
+            rssi=levels.rssi[rows],
             label=tuple(levels.label[m] for m in beacons.tolist()),
-            position=place,
+            position=levels.position[beacons],
             sigma=levels.sigma[beacons],
         )
-        number = kept if number is None else number[kept]
-        prior = np.column_stack([place, np.zeros(len(place))])
-        return cls(some, place, prior, beacons, number, np.full(len(kept), -1))
+        mean = np.column_stack([some.position, np.zeros(len(beacons))])
+        number = rows if number is None else number[rows]
+        return cls(some, some.position, mean, beacons, number, np.full(len(rows), -1))
 
     def keyframe_times(self) -> Array:
         """The middles of the stretches."""
@@ -176,8 +167,12 @@ class BeaconRssiFactor(Measurement):
         place = np.where(np.isnan(self.position[:, 0]), BEACONS.anywhere, self.listed.sigma)
         root = 1 / np.stack([place, place, np.full(len(b), BEACONS.power_sigma)], axis=1)
         beacons, single = np.arange(len(b)), np.zeros(1, dtype=np.intp)
-        moved = [] if self.origin is None else [self._displacement(at)]
-        displacement = at.state["d"][0] * PLANE if moved else np.zeros(3)
+        displacement, moved = np.zeros(3), list[FactorBlock]()
+        if self.origin is not None:  # the prior of how far the whole list is displaced
+            displacement, sigma = at.state["d"][0] * PLANE, np.array([[BEACONS.anywhere, BEACONS.anywhere, 1.0]])
+            off = at.state["d"] + np.append(self.origin, 0.0)
+            moved = [FactorBlock.prior_of(f"{self.name}.displacement", ("d", single), off, sigma, single)]
+        of_loss = f"{self.name}.path_loss", ("q", single), q - BEACONS.path_loss
         return [
             *moved,
             FactorBlock.uniform(
@@ -188,20 +183,8 @@ class BeaconRssiFactor(Measurement):
                 self.beacon_number,
                 prior=True,
             ),
-            FactorBlock.prior_of(
-                f"{self.name}.path_loss",
-                ("q", single),
-                q - BEACONS.path_loss,
-                np.array([BEACONS.path_loss_sigma]),
-                single,
-            ),
+            FactorBlock.prior_of(*of_loss, np.array([BEACONS.path_loss_sigma]), single),
         ]
-
-    def _displacement(self, at: Evaluation) -> FactorBlock:
-        """The prior of how far the whole list is displaced: ``origin``, and what ``d`` adds to it."""
-        single, sigma = np.zeros(1, dtype=np.intp), np.array([[BEACONS.origin_sigma, BEACONS.origin_sigma, 1.0]])
-        off = at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)
-        return FactorBlock.prior_of(f"{self.name}.displacement", ("d", single), off, sigma, single)
 
     def rough_fixes(self) -> Fixes:
         """A rough fix at the strongest surveyed beacon in every BIN seconds."""
@@ -235,7 +218,7 @@ class BeaconRssiFactor(Measurement):
     def _displaced(self, by: Array) -> Proposal:
         """The list has the right distances between beacons, but another origin, ``by (2,)`` [m] away."""
         displaced = replace(self.at_places(self.position + by), origin=by)
-        price = PRICES.wrong_origin + 2 * float(np.log(BEACONS.origin_sigma))
+        price = PRICES.wrong_origin + 2 * float(np.log(BEACONS.anywhere))
         away = Hypothesis((self.name, "displaced"), (), (float(np.round(np.hypot(*by))),), price)
         return Proposal(away, (displaced,), fresh=("b",))
 
@@ -377,31 +360,21 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
 
     Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
     """
-    track, table = level_table(levels, keyframe_time, position)
+    stretch, of = np.unique(levels.time, return_inverse=True)
+    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    table = np.full((len(levels.position), len(stretch)), np.nan)  # of beacons and stretches
+    table[levels.beacon, of] = levels.rssi
     every = -(-len(track) // MOST_STRETCHES)
     track, table = track[::every], table[:, ::every]
     surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
-    places = np.concatenate([levels.position[surveyed], _grid(track)])
+    low, high = track.min(axis=0) - BEACONS.beside, track.max(axis=0) + BEACONS.beside
+    axes = (np.arange(a, b, BEACONS.grid) for a, b in zip(low, high, strict=True))
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    places = np.concatenate([levels.position[surveyed], grid])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + BEACONS.height**2
     expected = q[0] - 5 * q[1] * np.log10(square)
     parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_COSTS)
     return surveyed, places, np.concatenate([_negative_log_likelihood(table[surveyed], part) for part in parts], axis=1)
-
-
-def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
-    """Places ``(s, 2)`` [m] of the stretches of a walk; levels ``(m, s)`` of the beacons, NaN where not received."""
-    stretch, of = np.unique(levels.time, return_inverse=True)
-    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
-    table = np.full((len(levels.position), len(stretch)), np.nan)
-    table[levels.beacon, of] = levels.rssi
-    return track, table
-
-
-def _grid(track: Array) -> Array:
-    """Candidate positions ``(n, 2)`` [m] around a walk."""
-    low, high = track.min(axis=0) - BEACONS.beside, track.max(axis=0) + BEACONS.beside
-    axes = (np.arange(a, b, BEACONS.grid) for a, b in zip(low, high, strict=True))
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
 def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
@@ -409,19 +382,16 @@ def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
 
     levels: ``(m, s)`` of each stretch, NaN where not received; expected: ``(p, s)``.
     """
-    silent = _bounded(-log_ndtr((BEACONS.weakest - expected[:, None] - POWERS[:, None]) / BEACONS.level_sigma))
+    most = BEACONS.most_evidence  # of one level
+    unheard = -log_ndtr((BEACONS.weakest - expected[:, None] - POWERS[:, None]) / BEACONS.level_sigma)
+    silent = np.minimum(unheard, most)
     least = np.empty((len(levels), len(expected)))
     for m, received in enumerate(np.isfinite(levels)):
         expected_here = np.compress(received, expected, axis=1)[:, None]
         off = (levels[m, received] - expected_here - POWERS[:, None]) / BEACONS.level_sigma
-        total = _bounded(0.5 * off**2).sum(axis=2) + np.compress(~received, silent, axis=2).sum(axis=2)
+        total = np.minimum(0.5 * off**2, most).sum(axis=2) + np.compress(~received, silent, axis=2).sum(axis=2)
         least[m] = np.min(total + 0.5 * (POWERS / BEACONS.power_sigma) ** 2, axis=1)
     return least
-
-
-def _bounded(cost: Array) -> Array:
-    """Costs of levels, each at most MOST_EVIDENCE."""
-    return np.minimum(cost, BEACONS.most_evidence)
 
 
 MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second

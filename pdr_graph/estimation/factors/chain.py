@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
-CACHED_PIECES = 10_000  # pieces whose sums fit into a processor's cache
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
 
 
@@ -75,12 +73,6 @@ class Pieces:
             keyframe_time=self.keyframe_time[begin : end + 1],
             row_end=self.row_end[(self.row_end >= first) & (self.row_end < after)] - first,
         )
-
-    def parts(self) -> list[tuple[int, int, slice]]:
-        """First interval, the one after the last, and the pieces of parts that are evaluated by themselves."""
-        cuts = np.searchsorted(self.first, np.arange(CACHED_PIECES, len(self.length), CACHED_PIECES))
-        of_parts = pairwise(np.unique([0, *cuts, len(self.first)]).tolist())
-        return [(a, b, slice(self.first[a], self.last[b - 1] + 1)) for a, b in of_parts]
 
     @classmethod
     def none(cls, time: float) -> Pieces:
@@ -196,17 +188,6 @@ class Increments:
 
 def preintegrate(pieces: Pieces, c: Array) -> Increments:
     """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
-    count = len(pieces.length)
-    if count <= CACHED_PIECES:
-        return _preintegrated(pieces, c)
-    whole = Increments(np.empty((count, 3)), np.empty((count, 3, 3)))
-    for a, b, here in pieces.parts():
-        part = _preintegrated(pieces.between(a, b), c[a:b])
-        whole.delta[here], whole.by_c[here] = part.delta, part.by_c
-    return whole
-
-
-def _preintegrated(pieces: Pieces, c: Array) -> Increments:
     R_s, R_d, b = c[pieces.interval].T
     turn, time = pieces.to_middle
     course = R_d * turn + b * time
@@ -261,24 +242,7 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
 
     with all sums over the pieces up to k, for any o that ends no earlier.
     """
-    intervals, count = len(pieces.last), len(pieces.length)
-    if count <= CACHED_PIECES:
-        return _bridge(pieces, increments.delta)
-    whole = Bridge(*(np.empty((n, 3, 3)) for n in (intervals, count, count)))
-    for a, b, here in pieces.parts():
-        part = _bridge(pieces.between(a, b), increments.delta[here])
-        whole.root[a:b], whole.gain[here], whole.spread[here] = part.root, part.gain, part.spread
-    return whole
-
-
-def increment_covariance(pieces: Pieces, increments: Increments) -> Array:
-    """Covariance ``(k, 3, 3)`` of the whole increment of each interval, see `bridge`."""
     x, y = increments.delta[:, :2].T
-    return _covariance_with(pieces, x, y)(x, y)[pieces.last]
-
-
-def _bridge(pieces: Pieces, delta: Array) -> Bridge:
-    x, y = delta[:, :2].T
     covariance = _covariance_with(pieces, x, y)
     at_piece = covariance(x, y)
     end = pieces.last[pieces.interval]
@@ -290,6 +254,12 @@ def _bridge(pieces: Pieces, delta: Array) -> Bridge:
         gain=gain,
         spread=at_piece - gain @ cross.transpose(0, 2, 1),
     )
+
+
+def increment_covariance(pieces: Pieces, increments: Increments) -> Array:
+    """Covariance ``(k, 3, 3)`` of the whole increment of each interval, see `bridge`."""
+    x, y = increments.delta[:, :2].T
+    return _covariance_with(pieces, x, y)(x, y)[pieces.last]
 
 
 def _covariance_with(pieces: Pieces, x: Array, y: Array) -> Callable[[Array, Array], Array]:
@@ -465,11 +435,6 @@ class Evaluation:
         shared = np.einsum("kqr,kr->kq", self.chain.bridge.gain, self.step_residual.value[interval])
         R = pose_rotation(self.pose_i[:, 2])[interval]
         return np.einsum("kqr,kr->kq", R, self.increments.delta + shared) + self.pose_i[interval]
-
-    @cached_property
-    def poses(self) -> Linearized:
-        """Poses ``(m, 3)`` at the end of every piece, with derivatives."""
-        return self.poses_of(np.arange(len(self.pieces.length)))
 
     def poses_of(self, which: Index) -> Linearized:
         """Poses ``(n, 3)`` at the ends of some pieces, with derivatives by x_i, x_j and c.

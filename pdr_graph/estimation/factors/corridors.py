@@ -115,10 +115,16 @@ class CorridorFactor(Measurement):
         rows = list[tuple[int, float, float]]()
         for floor, begin, end in self.floor_sequence.spans:
             track = Track.of(at, begin, end)
-            rows += [row for run in straight_runs(track.position, floor.network) if (row := _heading(track, run))]
-        keyframe, direction, sigma = np.array(rows).reshape(-1, 3).T
-        numbers = keyframe.astype(np.intp)
-        return replace(self, keyframe=numbers, direction=Headings(at.chain.time[numbers], direction, sigma))
+            for run in straight_runs(track.position, floor.network):  # along its corridor from end to end
+                first, last = run.first, run.last - 1
+                if (keyframe := track.keyframe(first, last)) is None:
+                    continue
+                length = float(np.hypot(*(track.position[last] - track.position[first])))
+                sigma = np.hypot(np.sqrt(2) * CORRIDOR.side * run.width / length, np.hypot(CORRIDOR.ahead, run.spread))
+                rows.append((keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), sigma))
+        numbers, direction, sigmas = np.array(rows).reshape(-1, 3).T
+        keyframes = numbers.astype(np.intp)
+        return replace(self, keyframe=keyframes, direction=Headings(at.chain.time[keyframes], direction, sigmas))
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One heading for each run."""
@@ -147,44 +153,25 @@ def stretches_along(track: Array, network: Network) -> list[Stretch]:
 
 def straight_runs(track: Array, network: Network) -> list[Run]:
     """The long straight runs of a walk through places ``track (n, 2)`` [m] along the links of a network."""
-    stretches, walked = stretches_along(track, network), length_along(track)
-    ends = [n + 1 for n, (before, after) in enumerate(pairwise(stretches)) if not _continues(before, after, walked)]
-    runs = [_run(stretches[i:j], network) for i, j in pairwise([0, *ends, len(stretches)]) if j > i]
-    return [run for run in runs if _is_corridor(run, track)]
-
-
-def _continues(before: Stretch, after: Stretch, walked: Array) -> bool:
-    """True if two stretches are parts of one run."""
-    bend = abs(float(wrap_angle(after.bearing[0] - before.bearing[-1])))
-    return bend < CORRIDOR.straight and walked[after.first] - walked[before.last - 1] < CORRIDOR.bridged
-
-
-def _run(parts: Sequence[Stretch], network: Network) -> Run:
-    bearing = np.concatenate([part.bearing for part in parts])
-    mean = float(np.angle(np.mean(np.exp(1j * bearing))))
-    spread = float(np.sqrt(np.mean(wrap_angle(bearing - mean) ** 2)))
-    width = float(np.median(network.width[[part.link for part in parts]]))
-    return Run(parts[0].first, parts[-1].last, mean, width, spread)
-
-
-def _is_corridor(run: Run, track: Array) -> bool:
-    """True if a run is long enough, and its links are straight enough, for a corridor."""
-    length = float(np.hypot(*(track[run.last - 1] - track[run.first])))
-    return length > max(LEAST_LENGTH, LEAST_RATIO * run.width) and run.spread < CORRIDOR.spread
-
-
-def _heading(track: Track, run: Run) -> tuple[int, float, float] | None:
-    """Keyframe, heading and sigma [rad] of a straight run, which leads along its corridor from end to end.
-
-    None if the run has no keyframe.
-    """
-    first, last = run.first, run.last - 1
-    keyframe = track.keyframe(first, last)
-    if keyframe is None:
-        return None
-    length = float(np.hypot(*(track.position[last] - track.position[first])))
-    sigma = np.hypot(np.sqrt(2) * CORRIDOR.side * run.width / length, np.hypot(CORRIDOR.ahead, run.spread))
-    return keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), float(sigma)
+    walked, groups = length_along(track), list[list[Stretch]]()
+    for stretch in stretches_along(track, network):
+        before = groups[-1][-1] if groups else stretch
+        bend = abs(float(wrap_angle(stretch.bearing[0] - before.bearing[-1])))
+        near = walked[stretch.first] - walked[before.last - 1] < CORRIDOR.bridged
+        if groups and bend < CORRIDOR.straight and near:
+            groups[-1].append(stretch)
+        else:
+            groups.append([stretch])
+    runs = list[Run]()
+    for parts in groups:
+        bearing, (first, last) = np.concatenate([part.bearing for part in parts]), (parts[0].first, parts[-1].last)
+        mean = float(np.angle(np.mean(np.exp(1j * bearing))))
+        spread = float(np.sqrt(np.mean(wrap_angle(bearing - mean) ** 2)))
+        width = float(np.median(network.width[[part.link for part in parts]]))
+        length = float(np.hypot(*(track[last - 1] - track[first])))
+        if length > max(LEAST_LENGTH, LEAST_RATIO * width) and spread < CORRIDOR.spread:
+            runs.append(Run(first, last, mean, width, spread))
+    return runs
 
 
 @dataclass(frozen=True)

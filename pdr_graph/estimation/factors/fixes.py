@@ -81,6 +81,10 @@ class FixFactor(Measurement):
         duplicate, still = duplicates(fixes), frozen(fixes, steps)
         used = fresh & ~duplicate & ~still
         run, consistent = consistent_chains(steps, fixes, sigma, used)
+        independent = sigma.copy()  # n fixes of the same error have the information of one
+        for indices in by_source(fixes, consistent):
+            first, after = alike(drift(steps, fixes.time[indices]))
+            independent[indices] *= np.sqrt(after - first)
         none = np.zeros(len(fixes), dtype=bool)
         return cls(
             fixes=fixes,
@@ -92,7 +96,7 @@ class FixFactor(Measurement):
             still=still & ~duplicate,
             run=run,
             consistent=consistent,
-            independent_sigma=independent_sigmas(fixes, sigma, consistent, steps),
+            independent_sigma=independent,
             outlier=none,
             held=consistent,
             biased=none,
@@ -157,7 +161,9 @@ class FixFactor(Measurement):
         if (too_small > 1).any():
             return self._wider(too_small).refined(at)
         far = self.used & (self.distance(at) > FIXES.outlier * self.sigma)
-        held = self.used & (self.consistent | ~_mostly(far, self.run))
+        # The rest of a run in a wrong place does not become right where the walk happens to pass it
+        share = np.bincount(self.run + 1, far) / np.maximum(np.bincount(self.run + 1), 1)
+        held = self.used & (self.consistent | (share[self.run + 1] <= 0.5))
         of_receiver = sourced(self.fixes)
         if not (far.any() or of_receiver.any() or self.approximate) and (held == self.held).all():
             return self
@@ -187,8 +193,7 @@ class FixFactor(Measurement):
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
-        of_receiver = sourced(self.fixes)
-        return replace(self, outlier=outlier, held=held, biased=held & of_receiver)
+        return replace(self, outlier=outlier, held=held, biased=held & sourced(self.fixes))
 
     def misplaced(self, sigma: float) -> Self:
         """The same fixes with an error of ``sigma`` [m] per axis in addition to theirs."""
@@ -222,19 +227,20 @@ class FixFactor(Measurement):
         worst = int(np.argmax(sigmas))
         if len(own) * np.exp(-(sigmas[worst] ** 2) / 2) > FIXES.doubtful:
             return ()
-        usual = float(np.median(self.sigma[own]))
-        beside = [n for n in range(max(worst - 1, 0), min(worst + 2, len(own))) if not self.outlier[own[n]]]
-        return [self._without(int(own[n]), own[max(n - 1, 0) : n + 2], usual) for n in beside]
-
-    def _without(self, n: int, near: Index, usual: float) -> Proposal:
-        """Fix ``n`` is wrong, and those near it in time are no outliers. usual: sigma [m]: surer ones are right."""
-        outlier, held = self.outlier.copy(), self.held.copy()
-        outlier[near], held[near] = False, self.used[near]
-        held[n] = False
-        price = PRICES.wrong_fix + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
-        without = replace(self.classified(outlier, held), wrong=self.wrong | (self.number == self.number[n]))
-        where = (float(self.fixes.time[n]), *self.fixes.position[n].tolist())
-        return Proposal(Hypothesis((self.name, "wrong"), (int(self.number[n]),), where, price), (without,))
+        usual, found = float(np.median(self.sigma[own])), list[Proposal]()
+        for place in range(max(worst - 1, 0), min(worst + 2, len(own))):
+            n, near = int(own[place]), own[max(place - 1, 0) : place + 2]
+            if self.outlier[n]:
+                continue
+            outlier, held = self.outlier.copy(), self.held.copy()
+            outlier[near], held[near] = False, self.used[near]  # those near it in time are no outliers
+            held[n] = False
+            price = PRICES.wrong_fix + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))  # surer ones are right
+            without = replace(self.classified(outlier, held), wrong=self.wrong | (self.number == self.number[n]))
+            where = (float(self.fixes.time[n]), *self.fixes.position[n].tolist())
+            wrong = Hypothesis((self.name, "wrong"), (int(self.number[n]),), where, price)
+            found.append(Proposal(wrong, (without,)))
+        return found
 
     @property
     def instances(self) -> tuple[Index, Array]:
@@ -348,11 +354,11 @@ class FixCosts:
             )
 
     def place_sought(self, state: Array) -> tuple[Array, float] | None:
-        """The fix farthest from all states if beyond PARTICLES.far: an outlier, or all states are wrong."""
+        """The fix farthest from all states if it costs an outlier: an outlier, or all states are wrong."""
         fixes = np.flatnonzero(~self.outlier)
         distance = [np.sqrt(_squares(state, self.position[f]).min()) for f in fixes]
         apart = np.divide(distance, self.sigma[fixes])
-        if np.max(apart, initial=0.0) <= PARTICLES.far:
+        if np.max(apart, initial=0.0) ** 2 / 2 <= PARTICLES.outlier_price:
             return None
         farthest = int(fixes[np.argmax(apart)])
         return self.position[farthest], max(self.sigma[farthest], PARTICLES.least_sigma)
@@ -393,7 +399,7 @@ def consistent_chains(
         way = FIXES.stretched * distance_walked(steps, fixes.time[order], moved)
         share = np.ones(len(fixes)) if share is None else share
         chains = longest_consistent_chain(
-            fixes.position[order], FIXES.within * sigma[order], way, np.inf, ENDS, share[order]
+            fixes.position[order], FIXES.outlier * sigma[order], way, np.inf, ENDS, share[order]
         )
         run[order], consistent[order] = chains
     return run, consistent
@@ -432,15 +438,6 @@ def longest_consistent_chain(
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
     return run, np.isin(run, chain)
-
-
-def _mostly(far: Mask, run: Index) -> Mask:
-    """True ``(f,)`` if most fixes of the same run are far from the walk.
-
-    The rest of a run in a wrong place does not become right where the walk happens to pass it.
-    """
-    share = np.bincount(run + 1, far) / np.maximum(np.bincount(run + 1), 1)
-    return share[run + 1] > 0.5
 
 
 def duplicates(fixes: Fixes) -> Mask:
@@ -499,12 +496,3 @@ def drift(steps: Steps, time: Array) -> Array:
 def alike(drifted: Array) -> tuple[Index, Index]:
     """Begin and end ``(f,)`` of the range of fixes with about the same error as each, from their drift ``(f,)``."""
     return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
-
-
-def independent_sigmas(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
-    """Sigmas ``(f,)`` [m] with which n fixes of the same error have the information of one."""
-    result = sigma.copy()
-    for indices in by_source(fixes, used):
-        first, after = alike(drift(steps, fixes.time[indices]))
-        result[indices] *= np.sqrt(after - first)
-    return result

@@ -17,7 +17,7 @@ excess of worse ones among them is common to them as well.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -28,7 +28,7 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Meas
 from pdr_graph.estimation.factors.fixes import FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
-from pdr_graph.priors import FIXES, PRICES, RECEIVERS
+from pdr_graph.priors import FIXES, MOTION, PRICES, RECEIVERS
 from pdr_graph.types import Array, Complex, Index, Steps
 
 if TYPE_CHECKING:
@@ -77,12 +77,18 @@ class GnssBias(Measurement):
     def of(cls, fixes: FixFactor, steps: Steps, prior: Prior | None = None, number: Index | None = None) -> GnssBias:
         """The biases of the receivers whose fixes are marked as biased; made from the kind of the fixes."""
         sources = by_source(fixes.fixes, fixes.biased)
-        offset, white = _sigmas(fixes, sources, steps)
+        offset, white = fixes.sigma.copy(), fixes.sigma.copy()  # of the common and of the independent errors
+        for rows in sources:
+            first, after = alike(drift(steps, fixes.fixes.time[rows]))
+            offset[rows] = [fixes.sigma[rows[a:b]].min() for a, b in zip(first, after, strict=True)]
+            beyond = fixes.sigma[rows] ** 2 - offset[rows] ** 2
+            white[rows] = np.sqrt(RECEIVERS.white**2 * offset[rows] ** 2 + (after - first) * beyond)
         parts = [_nodes(fixes.fixes.time[rows], offset[rows], steps, fixes.fixes.source[rows[0]]) for rows in sources]
-        none = ((np.empty(0, np.intp), np.empty(0), np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0)),)
-        node, share, numbers, sigma, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
+        indices, none = np.empty(0, np.intp), np.empty(0)
+        parts = parts or [(indices, none, indices, none, none, none)]
+        node, share, numbers, sigma, keep, elapsed = ([*column] for column in zip(*parts, strict=True))
         first = np.cumsum([0] + [len(n) for n in numbers[:-1]])
-        joined = np.concatenate(sources) if sources else np.empty(0, np.intp)
+        joined = np.concatenate([indices, *sources])
         return cls(
             fixes=fixes,
             steps=steps,
@@ -106,32 +112,27 @@ class GnssBias(Measurement):
         return self if fixes is self.fixes else self.of(fixes, self.steps).continued(self.decisions())
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
-        """All receivers are off throughout by several times what they state, or all their errors are larger."""
-        return [*self._off_throughout(), *self._larger_errors(at)] if len(self.fix) else ()
+        """All receivers are off throughout by several times what they state, or all their errors are larger.
 
-    def _off_throughout(self) -> Iterator[Proposal]:
-        """All receivers are off throughout; the normaliser is that of the wider prior."""
+        The latter only if the fixes lie accordingly about the walk and the offset.
+        """
+        if not len(self.fix):
+            return ()
+        names, found = tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist())), list[Proposal]()
         for k, price in PRICES.worse:
-            normaliser = 2 * float(np.log(k)) * len(self.usual)
-            off = Hypothesis((self.name, "throughout"), self._names, (k,), price + normaliser)
-            yield Proposal(off, (replace(self, throughout=k),))
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        """The names of the receivers."""
-        return tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist()))
-
-    def _larger_errors(self, at: Evaluation) -> Iterator[Proposal]:
-        """All errors are several times what is stated, if the fixes lie accordingly about the walk and the offset."""
+            normaliser = 2 * float(np.log(k)) * len(self.usual)  # of the wider prior
+            off = Hypothesis((self.name, "throughout"), names, (k,), price + normaliser)
+            found.append(Proposal(off, (replace(self, throughout=k),)))
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol]
         if np.sqrt(np.mean(block.residual**2)) < RECEIVERS.scattered:
-            return
+            return found
         for factor, price in PRICES.larger:
             normalisers = 2 * float(np.log(factor)) * (len(block) + len(self.sigma) + len(self.usual))
             outlier = self.fixes.outlier & (self.fixes.distance(at) > FIXES.outlier * factor * self.fixes.sigma)
             fixes = self.fixes.classified(outlier, self.fixes.held)
-            errors = Hypothesis((self.name, "larger"), self._names, (factor,), price + normalisers)
-            yield Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes))
+            errors = Hypothesis((self.name, "larger"), names, (factor,), price + normalisers)
+            found.append(Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes)))
+        return found
 
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
@@ -233,7 +234,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     if hypothesis.kind[1] == "larger":
         return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
     text = f"{names} is off throughout by up to {factor:.0f} times what it states"
-    return Wording(names, text, check if factor > RECEIVERS.usually_worse else "")
+    return Wording(names, text, check if factor > PRICES.worse[0][0] else "")
 
 
 def _number(source: str) -> int:
@@ -250,17 +251,6 @@ def velocities(track: Complex, heading: Array, time: Array) -> Array:
     return np.stack([way.real, way.imag], axis=1)
 
 
-def _sigmas(fixes: FixFactor, sources: Sequence[Index], steps: Steps) -> tuple[Array, Array]:
-    """Sigmas ``(f,)`` [m] of the common and of the independent error of every fix."""
-    offset, white = fixes.sigma.copy(), fixes.sigma.copy()
-    for indices in sources:
-        first, after = alike(drift(steps, fixes.fixes.time[indices]))
-        offset[indices] = [fixes.sigma[indices[a:b]].min() for a, b in zip(first, after, strict=True)]
-        beyond = fixes.sigma[indices] ** 2 - offset[indices] ** 2
-        white[indices] = np.sqrt(RECEIVERS.white**2 * offset[indices] ** 2 + (after - first) * beyond)
-    return offset, white
-
-
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
     """Nodes around a source's fixes at ``time (f,)``, at multiples of their interval, whatever the window.
 
@@ -271,7 +261,7 @@ def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index,
     grid = np.unique([before, before + 1]).astype(np.intp)
     at = (RECEIVERS.node * grid).astype(np.float64)
     node = np.searchsorted(grid, before)
-    beyond = np.maximum(at - steps.end, 0.0) * RECEIVERS.amble / RECEIVERS.along
+    beyond = np.maximum(at - steps.end, 0.0) * MOTION.gap_speed / RECEIVERS.along
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)

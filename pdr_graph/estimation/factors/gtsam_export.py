@@ -7,16 +7,20 @@ does not have is part of the residual. So cost and gradient are those of the wal
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import POSE, UNIT, FactorBlock, Measurement, State
+from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.types import Array
 
 NOWHERE_FAR = 1e-6  # [σ] of a deviation, where a loss is half its weighted square
+
+
+_unit_noise = cache(gtsam.noiseModel.Unit.Create)  # by number of rows
 
 
 class FactorError(RuntimeError):
@@ -107,13 +111,14 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
     variables = [
         _Variable(int(state.keys(symbol, which)[n]), symbol, int(which[n])) for symbol, which in block.variables
     ]
-    robust = block.loss.noise(n, UNIT[rows])
+    unit = _unit_noise(rows)
+    robust = block.loss.noise(n, unit)
 
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.block(values, position, variables)
         return now.factor(number, rows) if robust else now.with_loss(number, rows)
 
-    return guarded(block.name, robust or UNIT[rows], [variable.key for variable in variables], linearized)
+    return guarded(block.name, robust or unit, [variable.key for variable in variables], linearized)
 
 
 def guarded(

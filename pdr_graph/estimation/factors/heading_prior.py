@@ -94,11 +94,17 @@ class HeadingFactor(Measurement):
 
         Compass headings share most of their error (`gait.compass`).
         """
-        started, bound = of_start(self.headings), self.keyframe >= 0
-        found = [self._off(angle) for angle in (COMPASS.off, -COMPASS.off)] if np.any(bound & ~started) else []
+        started, bound, found = of_start(self.headings), self.keyframe >= 0, list[Proposal]()
+        if np.any(bound & ~started):
+            for side, angle in (("left", COMPASS.off), ("right", -COMPASS.off)):
+                kind = (self.name, f"off to the {side}")
+                off = Hypothesis(kind, parameter=(COMPASS.off,), price=PRICES.compass_off)
+                found.append(Proposal(off, (replace(self, off=angle),)))
         if not np.any(bound & started):
             return found
-        found.append(self._without_start())
+        price = PRICES.wrong_start + float(np.log(ANY_HEADING / self.headings.sigma[started][0]))  # with its normaliser
+        without = Proposal(Hypothesis((self.name, "wrong start"), price=price), (replace(self, wrong_start=True),))
+        found.append(without)
         apart = [replace(proposal, start=by_others().state) for proposal in found] if by_others else []
         return [*found, *apart]
 
@@ -109,18 +115,6 @@ class HeadingFactor(Measurement):
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Take over whether the start heading is wrong."""
         return replace(self, wrong_start=bool(decisions["wrong_start"][0])) if "wrong_start" in decisions else self
-
-    def _without_start(self) -> Proposal:
-        """The start heading is wrong; its normaliser replaces that of its sigma."""
-        sigma = float(self.headings.sigma[of_start(self.headings)][0])
-        price = PRICES.wrong_start + float(np.log(ANY_HEADING / sigma))
-        return Proposal(Hypothesis((self.name, "wrong start"), price=price), (replace(self, wrong_start=True),))
-
-    def _off(self, angle: float) -> Proposal:
-        """All compass headings are off by ``angle`` [rad]."""
-        side = "left" if angle > 0 else "right"
-        off = Hypothesis((self.name, f"off to the {side}"), parameter=(abs(angle),), price=PRICES.compass_off)
-        return Proposal(off, (replace(self, off=angle),))
 
     @property
     def instances(self) -> tuple[Index, Array]:
@@ -197,12 +191,5 @@ def heading_block(name: str, at: Evaluation, keyframe: Index, headings: Headings
         return gtsam.PoseRotationPrior2D(int(at.state.keys("x", keyframe)[n]), direction, noise)
 
     value = wrap_angle(at.state.poses[keyframe, 2] - headings.heading) / sigma
-    return FactorBlock.uniform(
-        name,
-        value[:, None],
-        [("x", keyframe)],
-        jacobian,
-        number,
-        loss=loss,
-        native=native,
-    )
+    variables = [("x", keyframe)]
+    return FactorBlock.uniform(name, value[:, None], variables, jacobian, number, loss=loss, native=native)

@@ -28,11 +28,12 @@ from pdr_graph.estimation.factors.base import (
     Measurement,
     RobustLoss,
     Variables,
+    huber_cost,
     huber_weight,
 )
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
-from pdr_graph.priors import LOSSES, RANGES, REPORTS
+from pdr_graph.priors import RANGES, REPORTS
 from pdr_graph.types import Array, Fixes, Index, RangeReport, Ranges, Steps, take
 
 if TYPE_CHECKING:
@@ -62,8 +63,7 @@ class LongErrors(Loss):
         sight, detour, _ = self._log_likelihoods(deviation)
         sight_at_zero, detour_at_zero, _ = self._log_likelihoods(np.zeros(len(deviation)))
         long = np.logaddexp(sight_at_zero, detour_at_zero) - np.logaddexp(sight, detour)
-        short = np.where(deviation > LOSSES.huber, LOSSES.huber * (deviation - LOSSES.huber / 2), deviation**2 / 2)
-        return np.where(deviation > 0, short, long)
+        return np.where(deviation > 0, huber_cost(deviation), long)
 
     def _log_likelihoods(self, deviation: Array) -> tuple[Array, Array, Array]:
         """Log-likelihoods of deviations ``(n,)`` [σ] with line of sight and with a detour, and √(1 + (s / scale)²)."""
@@ -127,12 +127,10 @@ class RangeFactor(Measurement):
         loss = LongErrors(RANGES.detour / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
         variables = [("x", keyframe), (self.symbol, m)]
         ranges = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
-        return [ranges, self._anchors(at)]
-
-    def _anchors(self, at: Evaluation) -> FactorBlock:
         place, off = self.ranges.position_sigma[self._met], at.state[self.symbol] - self._surveyed
-        sigma = np.stack([place, place, np.full(len(place), RANGES.bias)], axis=1)
-        return FactorBlock.prior_of(f"{self.name}.anchor", (self.symbol, np.arange(len(place))), off, sigma, self._met)
+        widths = np.stack([place, place, np.full(len(place), RANGES.bias)], axis=1)
+        anchors = self.symbol, np.arange(len(place))
+        return [ranges, FactorBlock.prior_of(f"{self.name}.anchor", anchors, off, widths, self._met)]
 
     @cached_property
     def _met(self) -> Index:
@@ -162,11 +160,11 @@ class RangeFactor(Measurement):
         bins, rough = np.floor(self.ranges.time / RANGES.bin), list[tuple[float, float, float, float]]()
         for bin_number in np.unique(bins):
             ranges = take(self.ranges, np.flatnonzero(bins == bin_number))
-            nearest = int(np.argmin(ranges.range))
-            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + RANGES.bin
+            nearest, anchors = int(np.argmin(ranges.range)), ranges.position[ranges.anchor]
+            place, sigma = anchors[nearest], float(ranges.range[nearest]) + RANGES.bin
             if len(np.unique(ranges.anchor)) >= RANGES.fewest:
-                (x, y), sigma = _trilaterated(ranges), RANGES.bin
-            rough.append((float(ranges.time.mean()), float(x), float(y), sigma))
+                place, sigma = _trilaterated(anchors, ranges), RANGES.bin
+            rough.append((float(ranges.time.mean()), *place.tolist(), sigma))
         time, x, y, sigma = np.array(rough).reshape(-1, 4).T
         return Fixes(time, np.column_stack([x, y]), sigma)
 
@@ -187,21 +185,16 @@ class RangeFactor(Measurement):
             if number in place:
                 residual, weight = float(block.residual[place[number]]) * sigma, float(block.weight[place[number]])
                 long = "longer" if residual < 0 else "shorter"
-                detour = ": no line of sight" if weight < REPORTS.detour and residual < 0 else ""
+                detour = ": no line of sight" if weight < REPORTS.accepted and residual < 0 else ""
                 reason = f"{abs(residual):.2f} m {long} than from the walk{detour}"
-            reports.append(
-                RangeReport(
-                    float(self.ranges.time[n]), label, float(self.ranges.range[n]), sigma, -residual, weight, reason
-                )
-            )
+            time, measured = float(self.ranges.time[n]), float(self.ranges.range[n])
+            reports.append(RangeReport(time, label, measured, sigma, -residual, weight, reason))
         return tuple(reports)
 
 
-def _trilaterated(ranges: Ranges) -> Array:
-    """The trilaterated position ``(2,)`` [m], with a robust loss against long ranges."""
+def _trilaterated(anchors: Array, ranges: Ranges) -> Array:
+    """The trilaterated position ``(2,)`` [m], with a robust loss against long ranges. anchors: ``(n, 2)`` of each."""
     from scipy.optimize import least_squares  # here, since few walks have ranges and it takes time to load
-
-    anchors = ranges.position[ranges.anchor]
 
     def off(place: Array) -> Array:
         return (np.hypot(*(anchors - place).T) - ranges.range) / ranges.sigma

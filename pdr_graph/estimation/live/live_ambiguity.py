@@ -25,9 +25,9 @@ from pdr_graph.estimation.ambiguity.review import (
     Review,
     places_on_plan,
 )
-from pdr_graph.estimation.factors import kind_of_type, made_from
 from pdr_graph.estimation.factors.base import Gated, decisions_of, poses_at
 from pdr_graph.estimation.factors.fixes import sourced
+from pdr_graph.estimation.factors.registry import kind_of_type, made_from
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import GaussianMixture

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
+from pdr_graph.estimation.factors.registry import corridors_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph

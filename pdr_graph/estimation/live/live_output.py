@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors import made_from
 from pdr_graph.estimation.factors.base import Itemized
 from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
+from pdr_graph.estimation.factors.registry import made_from
 from pdr_graph.estimation.kalman import (
     FAR,
     OF_POSITION,

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
 from pdr_graph.estimation.factors.chain import DECIMALS
+from pdr_graph.estimation.factors.registry import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps, appended, last_time, take
 
