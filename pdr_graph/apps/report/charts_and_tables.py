@@ -312,7 +312,8 @@ def _processing(summary: Mapping[str, Any]) -> Table:
     """Run times, settings, frame, optimum and versions."""
     rows = [[f"{stage} [s]", f"{seconds:.2f}"] for stage, seconds in summary["seconds"].items()]
     flat = [*_flat(summary["settings"]), *_flat(summary["frame"]), *summary["optimum"].items()]
-    rows += [[name.replace("_", " "), _plain(value)] for name, value in (*flat, *summary["versions"].items())]
+    rows += [[name.replace("_", " "), _plain(value)] for name, value in flat]
+    rows += [[name, version] for name, version in summary["versions"].items()]
     return table("Processing", ["item", "value"], rows, closed=True)
 
 
