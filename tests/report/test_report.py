@@ -218,7 +218,7 @@ def test_truth_is_scored_as_by_evaluate_and_changes_no_estimate():
     ce50 = next(row for row in table["rows"] if row[0].startswith("CE50"))
     assert ce50[2] == "1.41", "a metre aside each way"
     mine = evaluate(estimated(steps, fixes).causal["filter"], truth)
-    assert ce50[3] == f"{mine['ce']['p50']:.3f}"
+    assert ce50[3] == f"{mine['ce']['p50']:.2f}"
     named = {track["name"]: track for track in with_truth["tracks"]}
     for track in without["tracks"]:
         assert named.pop(track["name"]) == track
