@@ -243,7 +243,8 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     for beacon in floor.of_kind(BEACON):
         axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=RED, ls="none")
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
-    letter = 0.06 * (east - west) / LONGEST_SIDE  # [m] wide, at 6 points
+    inches = axes.get_window_extent().width / axes.figure.dpi
+    letter = 0.06 * (east - west) / inches  # [m] wide, at 6 points
     for area in floor.of_kind(*SOLID, *CLOSED, *OPEN):
         if area.name.isascii() and area.name.isprintable() and area.is_polygon:
             shown = shapely.intersection(area.shape, shapely.box(west, south, east, north))
