@@ -386,7 +386,7 @@ def _draw_boxes(axes: Axes, boxes: Mapping[str, Sequence[Array]]) -> None:
     """Draw rectangles by group."""
     for group, own in boxes.items():
         empty = group == NO_DATA_GROUP
-        style: dict[str, Any] = {"ec": MAP_BORDER, "lw": 0.4} if empty else {"lw": 0}
+        style: dict[str, Any] = {"ec": MAP_BORDER, "lw": 0.4, "zorder": 0} if empty else {"lw": 0}
         axes.add_collection(PolyCollection(own, fc=PAPER if empty else BLOCK_COLOURS[group], **style), autolim=False)
 
 
