@@ -8,7 +8,7 @@ spots and a leg its stops. Outings on a floor plan, or without positions on Eart
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -271,7 +271,7 @@ def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
 
 def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
     """Totals of the rows of a day of a length [s]: times of the rows, distances of their parts."""
-    time, distance, at_places = Counter[str](), Counter[str](), Counter[str]()
+    time, distance, at_places = (defaultdict[str, float](float) for _ in range(3))
     for row in entries:
         time[row.kind] += row.duration
         for part in row.parts or (row,):
@@ -293,7 +293,7 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
         walked=float(distance[WALKING] + distance[PASSING]),
         ridden=float(distance[VEHICLE]),
         steps=steps,
-        places=tuple((name, spent) for name, spent in at_places.most_common() if spent),
+        places=tuple(sorted(((n, t) for n, t in at_places.items() if t), key=lambda item: -item[1])),
     )
 
 

@@ -42,7 +42,7 @@ from pdr_graph.types import Array, Trajectory
 
 COLOURS = {WALKING: BLUE, VEHICLE: RED, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
 INK, PAPER, MAP_BORDER = "#2b2440", "#f7f6f2", "#c8c4ba"
-STYLE: dict[str, Any] = FIGURE_STYLE | {
+STYLE: Any = FIGURE_STYLE | {
     "text.color": INK,
     "axes.facecolor": PAPER,
     "axes.titlesize": "large",
@@ -79,7 +79,7 @@ def draw_labels(axes: Axes, labels: Sequence[Label]) -> None:
     occupied += [text.get_window_extent() for text in axes.texts if text.get_text().endswith("N")]
     for (position, text, distance), place in zip(labels[:MAX_LABELS], places, strict=False):
         style: dict[str, Any] = {"ha": "center", "va": "center", "path_effects": HALO, "zorder": 8}
-        drawn = axes.annotate(text, position, (0, 0), textcoords="offset points", **style)
+        drawn = axes.annotate(text, (position[0], position[1]), (0, 0), textcoords="offset points", **style)
         size = np.array(drawn.get_window_extent().size) / pixels  # [pt]
         for side in SIDES:
             shift = side * (distance + 3 + size / 2)
@@ -117,8 +117,9 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     for line in lines_of(panel):
         near = line.tracks if line.unseen else [part for track in line.tracks for part in _parts_near(track, shown)]
         parts = [part.position for part in near]
-        style: dict[str, Any] = {"lw": 2.0} if panel.ways else {"lw": 0.8, "alpha": 0.5}
-        drawn = LineCollection(parts, colors=line.colour, **({"ls": ":"} if line.unseen else style))
+        look: dict[str, Any] = {"lw": 2.0} if panel.ways else {"lw": 0.8, "alpha": 0.5}
+        look = {"ls": ":"} if line.unseen else look
+        drawn = LineCollection(parts, colors=line.colour, **look)
         # many points of tracks, above which a vector graphic has them as pixels
         drawn.set_rasterized(sum(map(len, parts)) > 30_000)
         axes.add_collection(drawn, autolim=False)
@@ -142,8 +143,8 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     draw_labels(axes, [*labels, *((position, time, 3.5) for position, time in panel.starts)])
     draw_scale(axes)
     title = "   ".join(one_line(word) for word in (panel.letter, panel.floor) if word)
-    style = {"size": "x-large", "weight": "bold", "va": "top", "zorder": 9, "path_effects": HALO}
-    axes.annotate(title, (0, 1), (6, -6), "axes fraction", "offset points", **style)
+    bold: Any = {"size": "x-large", "weight": "bold", "va": "top", "zorder": 9, "path_effects": HALO}
+    axes.annotate(title, (0, 1), (6, -6), "axes fraction", "offset points", **bold)
 
 
 @dataclass(frozen=True)

@@ -200,8 +200,8 @@ def _joined(paths: Iterable[Trajectory]) -> Trajectory:
         heading.append(np.append(path.heading, np.nan))
         covariance.append(np.append(own, np.full((1, 3, 3), np.nan), axis=0))
         floor += [*path.floor, path.floor[-1]]
-    columns = (np.concatenate(parts) for parts in (time, position, heading))
-    return Trajectory(*columns, tuple(floor), np.concatenate(covariance))
+    times, positions, headings = (np.concatenate(parts) for parts in (time, position, heading))
+    return Trajectory(times, positions, headings, tuple(floor), np.concatenate(covariance))
 
 
 def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[dict[str, Any]]:

@@ -49,7 +49,7 @@ from pdr_graph.types import Array, Estimate, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
-STYLE: dict[str, Any] = {  # of all figures; names of files and floors mean nothing to matplotlib
+STYLE: Any = {  # of all figures; names of files and floors mean nothing to matplotlib
     "font.size": 8,
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
