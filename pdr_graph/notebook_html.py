@@ -6,7 +6,7 @@ escaped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any
@@ -19,8 +19,7 @@ from pdr_graph.errors import one_line
 
 Array = NDArray[np.float64]
 MOST_POINTS, MOST_AREAS = 1000, 2000  # of a line; of a plan
-WIDTH, MOST_HEIGHT, LINE_HEIGHT = 360, 360, 40  # [px] of a picture; height of the line of a sensor
-LONGEST_CELL, MOST_SHOWN = 120, 3  # characters of a cell; things of a tuple
+WIDTH, LINE_HEIGHT = 360, 40  # [px] of a picture, at most its height too; height of the line of a sensor
 AT_LEFT = 'style="text-align:left"'
 GREY, BLUE, RED, BLACK = "#8a8a8a", "#1f5fbf", "#d1602b", "#111111"  # as in figures
 LINE_STYLE = 'fill="none" stroke-width="1.5" vector-effect="non-scaling-stroke"'
@@ -28,16 +27,30 @@ LINE_STYLE = 'fill="none" stroke-width="1.5" vector-effect="non-scaling-stroke"'
 
 def html_of(record: Any) -> str:
     """A data type as HTML: its `repr`, its picture if it has one, a row for each field that is not empty."""
-    picture = PICTURES.get(type(record).__name__, lambda _: "")(record)
     names = [field.name for field in fields(record) if field.repr] if is_dataclass(record) else []
-    values = ((name, getattr(record, name)) for name in names)
-    shown = ((name, value) for name, value in values if value is not None and not _is_empty(value))
-    cells = (f"<tr><th {AT_LEFT}>{escape(name)}</th><td {AT_LEFT}>{_cell(value)}</td></tr>" for name, value in shown)
-    return f"<div><b>{escape(one_line(repr(record)))}</b><br>{picture}<table>{''.join(cells)}</table></div>"
+    cells = [
+        f"<tr><th {AT_LEFT}>{escape(name)}</th><td {AT_LEFT}>{_cell(value)}</td></tr>"
+        for name in names
+        if (value := getattr(record, name)) is not None
+        and not (isinstance(value, tuple | Mapping | str) and not len(value))
+    ]
+    table = f"<table>{''.join(cells)}</table>"
+    return f"<div><b>{escape(one_line(repr(record)))}</b><br>{_picture(record)}{table}</div>"
 
 
-def _is_empty(value: Any) -> bool:
-    return isinstance(value, tuple | Mapping | str) and not len(value)
+def _picture(record: Any) -> str:
+    """The picture of a data type by its name, "" for one without: data types are not imported here."""
+    kind = type(record).__name__
+    if kind == "Trajectory":
+        return _map([(record.position, BLUE)])
+    if kind == "Fixes":
+        return _map([], record.position)
+    if kind == "Estimate":
+        fixes = np.array([(fix.x, fix.y) for fix in record.fixes]).reshape(-1, 2)
+        return _map([(record.dead_reckoning.position, GREY), (record.trajectory.position, BLUE)], fixes)
+    if kind == "FloorPlan":
+        return _map([(line, BLACK) for area in record.areas[:MOST_AREAS] for line in _lines(area.shape)])
+    return _sensors(record) if kind == "Recording" else ""
 
 
 def _cell(value: Any) -> str:
@@ -47,7 +60,7 @@ def _cell(value: Any) -> str:
         text = f"{value.shape} {' … '.join(ends)}" if value.ndim else str(value)
     elif isinstance(value, Mapping):
         text = ", ".join(f"{name}: {len(one)}" if isinstance(one, tuple) else str(name) for name, one in value.items())
-    elif isinstance(value, tuple) and len(value) > MOST_SHOWN:
+    elif isinstance(value, tuple) and len(value) > 3:
         text = f"{value[0]} … {value[-1]}, {len(value)} in all"
     elif isinstance(value, tuple):
         text = "; ".join(map(str, value))
@@ -56,27 +69,10 @@ def _cell(value: Any) -> str:
     else:
         text = repr(value)
     text = " ".join(text.split())
-    return escape(text if len(text) <= LONGEST_CELL else f"{text[:LONGEST_CELL]} …")
+    return escape(text if len(text) <= 120 else f"{text[:120]} …")
 
 
-def _of_trajectory(track: Any) -> str:
-    return _map([(track.position, BLUE)])
-
-
-def _of_fixes(fixes: Any) -> str:
-    return _map([], fixes.position)
-
-
-def _of_estimate(estimate: Any) -> str:
-    fixes = np.array([(fix.x, fix.y) for fix in estimate.fixes]).reshape(-1, 2)
-    return _map([(estimate.dead_reckoning.position, GREY), (estimate.trajectory.position, BLUE)], fixes)
-
-
-def _of_plan(plan: Any) -> str:
-    return _map([(line, BLACK) for area in plan.areas[:MOST_AREAS] for line in _lines(area.shape)])
-
-
-def _of_recording(recording: Any) -> str:
+def _sensors(recording: Any) -> str:
     """A line for each sensor: the magnitude of its samples over time."""
     rows = []
     for n, (name, signal) in enumerate(recording.signals.items()):
@@ -87,16 +83,7 @@ def _of_recording(recording: Any) -> str:
             scaled = (points - points.min(axis=0)) / size * [WIDTH, 4 - LINE_HEIGHT] + [0, (n + 1) * LINE_HEIGHT - 2]
             rows.append(_polyline(scaled, BLUE))
         rows.append(f'<text x="2" y="{n * LINE_HEIGHT + 10}" font-size="10">{escape(name)}</text>')
-    return _svg(rows, WIDTH, LINE_HEIGHT * len(recording.signals)) if rows else ""
-
-
-PICTURES: dict[str, Callable[[Any], str]] = {
-    "Trajectory": _of_trajectory,
-    "Fixes": _of_fixes,
-    "Estimate": _of_estimate,
-    "FloorPlan": _of_plan,
-    "Recording": _of_recording,
-}
+    return _svg(rows, LINE_HEIGHT * len(recording.signals)) if rows else ""
 
 
 def _map(lines: Sequence[tuple[Array, str]], points: Array = np.empty((0, 2))) -> str:
@@ -107,7 +94,7 @@ def _map(lines: Sequence[tuple[Array, str]], points: Array = np.empty((0, 2))) -
     if not len(everything):
         return ""
     low, size = everything.min(axis=0), np.maximum(np.ptp(everything, axis=0), 1.0)
-    scale = float(min((WIDTH - 20) / size[0], (MOST_HEIGHT - 40) / size[1]))  # [px/m]
+    scale = float(min((WIDTH - 20) / size[0], (WIDTH - 40) / size[1]))  # [px/m]
     height = size[1] * scale + 40
 
     def place(line: Array) -> Array:
@@ -119,7 +106,7 @@ def _map(lines: Sequence[tuple[Array, str]], points: Array = np.empty((0, 2))) -
     end = 10 + bar * scale
     drawn.append(f'<path d="M10 {height - 8:.1f}H{end:.1f}" stroke="{BLACK}" {LINE_STYLE}/>')
     drawn.append(f'<text x="{end + 5:.1f}" y="{height - 5:.1f}" font-size="11">{bar:g} m</text>')
-    return _svg(drawn, WIDTH, height)
+    return _svg(drawn, height)
 
 
 def _lines(shape: shapely.Geometry) -> Iterator[Array]:
@@ -145,7 +132,7 @@ def _polyline(line: Array, colour: str) -> str:
     return f'<polyline points="{path}" stroke="{colour}" {LINE_STYLE}/>'
 
 
-def _svg(content: Sequence[str], width: float, height: float) -> str:
-    size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
+def _svg(content: Sequence[str], height: float) -> str:
+    size = f'width="{WIDTH}" height="{height:.0f}" viewBox="0 0 {WIDTH} {height:.0f}"'
     style = 'style="background:white;font-family:sans-serif"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style}>{"".join(content)}</svg>'

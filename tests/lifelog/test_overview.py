@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_month import made_month, made_store
+from rich.cells import cell_len
 from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog.day import GAP, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.local_time import period_of
-from pdr_graph.apps.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables, text_width
+from pdr_graph.apps.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables
 from pdr_graph.apps.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
@@ -162,12 +163,12 @@ def test_a_distance_has_the_usual_precision():
 @pytest.mark.parametrize("persons", [("Ada",), ("Ada", "Ben")])
 def test_every_line_has_at_most_100_columns(log, period, persons):
     text = shown(log, *persons, **period).text
-    assert max(text_width(line) for line in text.splitlines()) <= 100
+    assert max(cell_len(line) for line in text.splitlines()) <= 100
     assert all(person in text for person in persons)
 
 
 def test_a_long_name_of_wide_letters_is_cut_to_its_columns():
-    assert text_width(fitted("東京オフィス" * 10, 25)) <= 25
+    assert cell_len(fitted("東京オフィス" * 10, 25)) <= 25
     assert fitted("Office", 25) == "Office"
 
 

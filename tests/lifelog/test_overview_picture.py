@@ -115,7 +115,7 @@ def test_a_map_has_a_scale_bar_of_its_label_and_an_arrow_to_the_north(log):
     [label] = [text for text in texts if re.fullmatch(r"[125]0* k?m", text)]
     number, unit = label.split()
     assert np.ptp(bar.get_xdata()) == pytest.approx(float(number) * {"m": 1, "km": 1000}[unit])
-    assert "N" in texts
+    assert "▲\nN" in texts
 
 
 def test_mercator_is_metric_at_its_middle_and_across_the_date_line():

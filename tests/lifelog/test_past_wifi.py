@@ -5,7 +5,7 @@ import pytest
 from made_past import LAT, LON, NOON, content, imported, position, scan, timeline
 from made_wifi import EAST, Town, errors
 
-from pdr_graph.apps.lifelog.past.access_points import access_points, day_sums, known_places, scan_positions, scans_of
+from pdr_graph.apps.lifelog.past.past_days import access_points, day_sums, known_places, scan_positions, scans_of
 from pdr_graph.apps.lifelog.past.past_rows import valid_positions
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.frames import METRES_PER_DEGREE

@@ -145,8 +145,8 @@ def test_the_text_agrees_with_the_table():
     stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
     made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
     text = as_text(overview_of(made))
-    assert "09:02  09:12      10 min  stay" in text
-    assert "Bakery 80%  (Bank 15%)" in text
+    assert "09:02  09:12  10 min  stay" in text
+    assert "Bakery 80% (Bank 15%)" in text
     assert "no data" in text
     assert "walked 150 m in 2 min" in text
 

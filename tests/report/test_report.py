@@ -216,9 +216,9 @@ def test_truth_is_scored_as_by_evaluate_and_changes_no_estimate():
     table = with_truth["tables"][0]
     assert table["head"] == ["metric", "unit", "graph", "filter", "dead reckoning, rigidly aligned"]
     ce50 = next(row for row in table["rows"] if row[0].startswith("CE50"))
-    assert ce50[2] == "1.414", "a metre aside each way"
+    assert ce50[2] == "1.41", "a metre aside each way"
     mine = evaluate(estimated(steps, fixes).causal["filter"], truth)
-    assert ce50[3] == f"{mine['ce']['p50']:.3f}"
+    assert ce50[3] == f"{mine['ce']['p50']:.2f}"
     named = {track["name"]: track for track in with_truth["tracks"]}
     for track in without["tracks"]:
         assert named.pop(track["name"]) == track

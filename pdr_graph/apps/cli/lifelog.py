@@ -1,8 +1,8 @@
-"""``pdr-graph lifelog``: a function for each command, which imports what it uses."""
+"""``pdr-graph lifelog``: a function for each command and each kind of correction, which imports what it uses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
@@ -11,20 +11,18 @@ from typing import Annotated
 
 import typer
 
-from pdr_graph.apps.cli.lifelog_corrections import correct
-from pdr_graph.apps.cli.lifelog_show import show
-from pdr_graph.apps.cli.options import BeaconsPath, FixesPath, Quiet, RangesPath, WalkerPath
+from pdr_graph.apps.cli.options import AsJson, BeaconsPath, FixesPath, Force, Quiet, RangesPath, WalkerPath
 from pdr_graph.apps.cli.plain_help import App
 from pdr_graph.apps.cli.serve import serve_lifelog
-from pdr_graph.apps.cli.terminal import echo
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count, shows_progress
+from pdr_graph.apps.cli.terminal import echo, echo_lines, echo_result
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, shows_progress
+from pdr_graph.whole_files import check_replaceable
 
 lifelog = App(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Recordings of many days: places, activities, exports.",
 )
-lifelog.add_typer(correct, name="correct")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
 RecordingPaths = Annotated[
@@ -185,7 +183,91 @@ def build(
     _end((*result.refusals, *result.failures, *result.unfinished))
 
 
-lifelog.command()(show)
+Persons = Annotated[
+    list[str] | None,
+    typer.Option("--person", metavar="NAME", help="The person, several times for several; default: all."),
+]
+Date = Annotated[str, typer.Option(metavar="DATE", help="A day, as 2024-05-01; default: the last day.")]
+Week = Annotated[str, typer.Option(metavar="WEEK", help="An ISO week, as 2024-W18.")]
+Month = Annotated[str, typer.Option(metavar="MONTH", help="A month, as 2024-05.")]
+Year = Annotated[str, typer.Option(metavar="YEAR", help="A year, as 2024.")]
+PlaceName = Annotated[
+    str, typer.Option(metavar="NAME|NUMBER", help="Only the visits to a place; default: on all days.")
+]
+GuessHome = Annotated[bool, typer.Option("--guess-home", help='Name the place of most nights "home?"; it is a guess.')]
+ListAll = Annotated[bool, typer.Option("--all", help="List all persons and days instead.")]
+Tiles = Annotated[
+    str,
+    typer.Option(
+        metavar="URL",
+        help="Map tiles behind the map, as https://tile.openstreetmap.org/{z}/{x}/{y}.png. Nothing is fetched without "
+        "it; the server learns which area is drawn.",
+    ),
+]
+Folder = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder of page, picture and tables; default: beside STORE.")
+]
+
+
+@lifelog.command()
+def show(
+    store: StorePath,
+    person: Persons = None,
+    date: Date = "",
+    week: Week = "",
+    month: Month = "",
+    year: Year = "",
+    place: PlaceName = "",
+    guess_home: GuessHome = False,
+    all_: ListAll = False,
+    json_: AsJson = False,
+    tiles: Tiles = "",
+    out: Folder = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show a day, week, month, year, place or person.
+
+    Prints a list or a table of at most 100 columns, and writes overview.html, overview.png and tables to a folder that
+    only its owner can read; of one person's day also report.html, to play with. Several persons share one calendar.
+    --person alone shows all days of that person. With --json files are written only with --out.
+
+    \b
+    pdr-graph lifelog show days.db
+    pdr-graph lifelog show days.db --date 2024-05-01 --out monday
+    pdr-graph lifelog show days.db --month 2024-05 --person anna --person ben
+    pdr-graph lifelog show days.db --place Office --json
+    """
+    if all_:
+        _list_days(store)
+        return
+    if out is not None:
+        check_replaceable(out, "overview.html", force)
+    from pdr_graph.apps.lifelog.local_time import period_of
+    from pdr_graph.apps.lifelog.show import Choice
+    from pdr_graph.apps.lifelog.show import show as shown
+
+    if tiles:
+        from pdr_graph.apps.lifelog.maps import check_template  # imports matplotlib, which is slow
+
+        check_template(tiles)
+    choice = Choice(tuple(person or ()), period_of(date, week, month, year), place, guess_home)
+    result = shown(store, choice, out, tiles, write=not json_ or out is not None)
+    if json_:
+        echo_result(result.json)
+        return
+    echo_lines(result.text)
+    echo(f"-> {result.folder / 'overview.html'}")
+
+
+def _list_days(path: Path) -> None:
+    """Print a line per person and day of a lifelog."""
+    from pdr_graph.apps.lifelog.store import Store
+
+    with Store(path) as log:
+        days = log.days()
+    for (person, date), day in days.items():
+        echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")
 
 
 @lifelog.command()
@@ -260,3 +342,190 @@ def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 
 
 lifelog.command("serve")(serve_lifelog)
+
+
+lifelog.command("serve")(serve_lifelog)
+
+correct = App(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Correct days; corrections can be listed and undone.",
+)
+
+OnePerson = Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: the only one.")]
+From = Annotated[str, typer.Argument(metavar="FROM", help='Local time, as "2024-05-01 09:30".')]
+To = Annotated[str, typer.Argument(metavar="TO", help="Local time.")]
+At = Annotated[str, typer.Argument(metavar="TIME", help='Local time, as "2024-05-01 09:30", of the entry.')]
+NEGATIVE = {"ignore_unknown_options": True}  # latitudes below 0 are arguments
+
+
+@correct.command("was-at", context_settings=NEGATIVE)
+def was_at(
+    store: StorePath,
+    time: At,
+    place: Annotated[str, typer.Argument(metavar="PLACE", help="LAT,LON or the name of a place.")],
+    radius: Annotated[
+        float | None, typer.Option(metavar="M", help="Standard deviation of the place per axis; default: 15.")
+    ] = None,
+    person: OnePerson = None,
+) -> None:
+    """State where the person was at TIME.
+
+    TIME is in a stay or in a time without data.
+
+    The place enters the estimate instead of the positions recorded then.
+
+    \b
+    pdr-graph lifelog correct was-at days.db "2024-05-01 13:10" 48.1372,11.5755
+    """
+    from pdr_graph.apps.lifelog.revision import state_place
+
+    _print(state_place(store, time, place, radius, person))
+
+
+@correct.command("merge")
+def merge(store: StorePath, start: From, end: To, person: OnePerson = None) -> None:
+    """Make one stay of all entries from FROM to TO.
+
+    \b
+    pdr-graph lifelog correct merge days.db "2024-05-01 09:30" "2024-05-01 12:05"
+    """
+    from pdr_graph.apps.lifelog import revision
+
+    _print(revision.merge(store, start, end, person))
+
+
+@correct.command("split")
+def split(store: StorePath, time: At, person: OnePerson = None) -> None:
+    """Split the entry at TIME in two.
+
+    \b
+    pdr-graph lifelog correct split days.db "2024-05-01 10:45"
+    """
+    from pdr_graph.apps.lifelog import revision
+
+    _print(revision.split(store, time, person))
+
+
+@correct.command("was")
+def was(
+    store: StorePath,
+    start: From,
+    end: To,
+    mode: Annotated[
+        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, ride, walk or stop.")
+    ],
+    person: OnePerson = None,
+) -> None:
+    """State what the person did from FROM to TO.
+
+    A ride, a walk or a stop.
+
+    \b
+    pdr-graph lifelog correct was days.db "2024-05-01 08:40" "2024-05-01 09:05" bus
+    """
+    from pdr_graph.apps.lifelog.revision import state_mode
+
+    _print(state_mode(store, start, end, mode, person))
+
+
+@correct.command("not-me")
+def not_me(store: StorePath, start: From, end: To, person: OnePerson = None) -> None:
+    """State that somebody else carried the phone from FROM to TO.
+
+    This time is shown as no data.
+
+    \b
+    pdr-graph lifelog correct not-me days.db "2024-05-01 18:00" "2024-05-01 19:30"
+    """
+    from pdr_graph.apps.lifelog.revision import state_not_me
+
+    _print(state_not_me(store, start, end, person))
+
+
+@correct.command("name", context_settings=NEGATIVE)
+def name(
+    store: StorePath,
+    place: Annotated[str, typer.Argument(metavar="PLACE", help="LAT,LON, or the local time of a stay there.")],
+    called: Annotated[str, typer.Argument(metavar="NAME", help="What to call it.")],
+    radius: Annotated[float | None, typer.Option(metavar="M", help="Radius of the place; default: 75.")] = None,
+    person: OnePerson = None,
+) -> None:
+    """Name a place.
+
+    \b
+    pdr-graph lifelog correct name days.db "2024-05-01 13:10" "the library"
+    """
+    from pdr_graph.apps.lifelog.revision import name_place
+
+    _print(name_place(store, place, called, radius, person))
+
+
+@correct.command("forget")
+def forget(
+    store: StorePath,
+    start: Annotated[str | None, typer.Argument(metavar="FROM", help='Local time, as "2024-05-01 09:30".')] = None,
+    end: Annotated[str | None, typer.Argument(metavar="TO", help="Local time.")] = None,
+    person: OnePerson = None,
+    everything: Annotated[bool, typer.Option("--everything", help="All of the --person.")] = False,
+    recording: Annotated[
+        str | None, typer.Option(metavar="PATH|HASH", help="One recording, and what was made of it.")
+    ] = None,
+) -> None:
+    """Delete the time from FROM to TO for good.
+
+    No byte of it remains in the lifelog and its files.
+
+    Recordings that are added again stay without it. Your own files are not touched: they are named.
+
+    \b
+    pdr-graph lifelog correct forget days.db "2024-05-01 18:00" "2024-05-01 19:00"
+    pdr-graph lifelog correct forget days.db --person ben --everything
+    """
+    from pdr_graph.apps.lifelog import revision
+
+    span = [text for text in (start, end) if text is not None]
+    if len(span) == 2 and not everything and recording is None:
+        _print(revision.forget(store, span[0], span[1], person))
+    elif not span and everything and person is not None and recording is None:
+        _print(revision.forget_person(store, person))
+    elif not span and not everything and recording is not None:
+        _print(revision.forget_recording(store, recording))
+    else:
+        expected = "FROM and TO, or --person NAME --everything, or --recording PATH"
+        raise InputError("forget", "", "another combination of arguments", expected)
+
+
+@correct.command("list")
+def list_(store: StorePath, person: OnePerson = None) -> None:
+    """List all corrections, numbered, with the time when each was made.
+
+    \b
+    pdr-graph lifelog correct list days.db
+    """
+    from pdr_graph.apps.lifelog.revision import listing
+
+    _print(listing(store, person))
+
+
+@correct.command("undo")
+def undo(
+    store: StorePath,
+    number: Annotated[int, typer.Argument(metavar="N", help="Number of the correction, as in list.")],
+) -> None:
+    """Undo a correction. What was deleted does not come back.
+
+    \b
+    pdr-graph lifelog correct undo days.db 3
+    """
+    from pdr_graph.apps.lifelog import revision
+
+    _print(revision.undo(store, number))
+
+
+def _print(lines: Iterable[str]) -> None:
+    for line in lines:
+        echo(line)
+
+
+lifelog.add_typer(correct, name="correct")

@@ -8,7 +8,8 @@ spots and a leg its stops. Outings on a floor plan, or without positions on Eart
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -121,8 +122,10 @@ def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: f
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
     days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
-    made = (_day(log, person, date, own, whole) for date, own in wanted.items())
-    return Diary(person, tuple(_simplified(day, tolerance) if tolerance else day for day in made), whole.places)
+    made = [_day(log, person, date, own, whole) for date, own in wanted.items()]
+    if tolerance:
+        made = [replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)) for day in made]
+    return Diary(person, tuple(made), whole.places)
 
 
 def _rows_near(rows: Sequence[TimelineEntry], first: str, last: str) -> list[TimelineEntry]:
@@ -212,7 +215,11 @@ def with_places(
     rows: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()
 ) -> tuple[list[TimelineEntry], tuple[Place, ...]]:
     """The rows with the place of each visit, and all places. named: areas that the person gave a name."""
-    visits = {n: row for n, row in enumerate(rows) if row.kind == STAY and _is_visit(row)}
+    visits = {  # stays at a place: long enough, or at a named place on a plan
+        n: row
+        for n, row in enumerate(rows)
+        if row.kind == STAY and (plan_name(row) or (row.duration >= SHORTEST_VISIT and np.isfinite(row.latitude)))
+    }
     places = places_of(list(visits.values()), named)
     place_of = {id(visit): place for place in places for visit in place.visits}
     found = list(rows)
@@ -221,28 +228,18 @@ def with_places(
     return found, places
 
 
-def _is_visit(row: TimelineEntry) -> bool:
-    """True for a stay at a place: long enough, or at a named place on a plan."""
-    return bool(plan_name(row)) or (row.duration >= SHORTEST_VISIT and bool(np.isfinite(row.latitude)))
-
-
 def parted(rows: Sequence[TimelineEntry], clock: LocalClock, track: Track) -> dict[str, list[TimelineEntry]]:
     """The rows of each date, cut at the midnights of where the person was, with the offsets of local time."""
     days: dict[str, list[TimelineEntry]] = {}
     for row in rows:
-        for piece in cut(row, list(_midnights(row, clock)), track):
+        midnights = [clock.next_midnight(row.start)]
+        while midnights[-1] < row.end:
+            midnights.append(clock.next_midnight(midnights[-1]))
+        for piece in cut(row, midnights[:-1], track):
             begin = clock.at(piece.start)
             offsets = {"offset": clock.offset(piece.start), "end_offset": clock.offset(piece.end)}
             days.setdefault(begin.date().isoformat(), []).append(replace(piece, **offsets))
     return days
-
-
-def _midnights(row: TimelineEntry, clock: LocalClock) -> Iterator[float]:
-    """Unix times of the midnights within a row [s]."""
-    time = clock.next_midnight(row.start)
-    while time < row.end:
-        yield time
-        time = clock.next_midnight(time)
 
 
 def _day(log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary) -> DiaryDay:
@@ -253,11 +250,6 @@ def _day(log: Store, person: str, date: str, entries: Sequence[TimelineEntry], w
     outings = [outing for day in days if day is not None for outing in day.outings]
     own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
     return DiaryDay.of(person, date, (start, end), entries, own)
-
-
-def _simplified(day: DiaryDay, tolerance: float) -> DiaryDay:
-    """The day with fewer rows in the tracks of its outings, none of which lies farther off than `tolerance` [m]."""
-    return replace(day, outings=tuple(_with_fewer_rows(outing, tolerance) for outing in day.outings))
 
 
 def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
@@ -278,26 +270,28 @@ def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
 
 
 def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
-    """Totals of the rows of a day of a length [s]."""
-    parts = [part for entry in entries for part in (entry.parts or (entry,))]
-    at_places: dict[str, float] = {}
-    for row in (row for row in entries if row.kind == STAY):
-        names = [(row.place, 1.0)] if row.place else row.facing or [(f"place {row.place_number}", row.place_number > 0)]
-        for name, probability in names:
-            at_places[name] = at_places.get(name, 0.0) + row.duration * probability
-    walking, riding = _sum_time(entries, WALKING, PASSING), _sum_time(entries, VEHICLE)
-    staying = _sum_time(entries, STAY, STANDING)
+    """Totals of the rows of a day of a length [s]: times of the rows, distances of their parts."""
+    time, distance, at_places = (defaultdict[str, float](float) for _ in range(3))
+    for row in entries:
+        time[row.kind] += row.duration
+        for part in row.parts or (row,):
+            distance[part.kind] += part.distance
+        if row.kind == STAY:
+            named = row.facing or [(f"place {row.place_number}", row.place_number > 0)]
+            for name, probability in [(row.place, 1.0)] if row.place else named:
+                at_places[name] += row.duration * probability
+    walking, riding, staying = time[WALKING] + time[PASSING], time[VEHICLE], time[STAY] + time[STANDING]
     observed = float(sum(entry.duration * entry.observed for entry in entries if entry.is_known))
     return Totals(
         days=1,
         recorded=int(observed > 0),
-        walking=walking,
-        riding=riding,
-        staying=staying,
+        walking=float(walking),
+        riding=float(riding),
+        staying=float(staying),
         unknown=max(length - (walking + riding + staying), 0.0),
         observed=observed,
-        walked=_sum_distance(parts, WALKING, PASSING),
-        ridden=_sum_distance(parts, VEHICLE),
+        walked=float(distance[WALKING] + distance[PASSING]),
+        ridden=float(distance[VEHICLE]),
         steps=steps,
         places=tuple(sorted(((n, t) for n, t in at_places.items() if t), key=lambda item: -item[1])),
     )
@@ -312,14 +306,6 @@ def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
 
 
 SUMMED_FIELDS = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
-
-
-def _sum_time(entries: Sequence[TimelineEntry], *kinds: str) -> float:
-    return float(sum(entry.duration for entry in entries if entry.kind in kinds))
-
-
-def _sum_distance(entries: Sequence[TimelineEntry], *kinds: str) -> float:
-    return float(sum(entry.distance for entry in entries if entry.kind in kinds))
 
 
 def _steps_between(outing: Outing, start: float, end: float) -> int:

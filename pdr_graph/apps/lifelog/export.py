@@ -45,11 +45,12 @@ from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, timeline, timeline_csv
 from pdr_graph.errors import InputError, install
+from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
-from pdr_graph.types import Array, Index, Trajectory
+from pdr_graph.types import Array, Index
 from pdr_graph.whole_files import output_folder, write_file
 
 if TYPE_CHECKING:
@@ -73,11 +74,15 @@ def as_gpx(days: Sequence[Day]) -> bytes:
     """GPX: a track per outing, a track segment per part without a gap, a waypoint per stay."""
     tracks, places = [], []
     for day, number, outing in _numbered_outings(days):
-        if not outing.frame.georeferenced:
-            continue
-        lines = tuple(_points(outing, track) for track, _ in split_at_gaps(outing))
-        tracks.append(gpx.Track(f"{day.person} {day.date}, {number}", lines))
-        places += [(_stay_name(stay), _stay_point(outing, stay)) for stay in outing.stays if not stay.passing]
+        if outing.frame.georeferenced:
+            lines = tuple(
+                _points(outing, track.time, track.position, track.covariance) for track, _ in split_at_gaps(outing)
+            )
+            tracks.append(gpx.Track(f"{day.person} {day.date}, {number}", lines))
+            for stay in (stay for stay in outing.stays if not stay.passing):
+                name = f"{stay.facing[0][0]} ({stay.facing[0][1]:.0%})" if stay.facing else STAY
+                at = _points(outing, np.array([stay.start]), stay.position[None], stay.covariance[None])
+                places.append((name, at))
     return gpx.document(tracks, places)
 
 
@@ -86,22 +91,10 @@ def _numbered_outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
     return ((day, n, outing) for day in days for n, outing in enumerate(day.outings, 1))
 
 
-def _points(outing: Outing, track: Trajectory) -> gpx.Points:
-    radius = None if track.covariance is None else RADIUS_68 * horizontal_sigma(track.covariance)
-    return gpx.Points(outing.frame.to_lonlat(track.position), outing.epoch + track.time, radius)
-
-
-def _stay_point(outing: Outing, stay: Stay) -> gpx.Points:
-    """The position of a stay, at the time of its start."""
-    lonlat = outing.frame.to_lonlat(stay.position[None])
-    return gpx.Points(
-        lonlat, np.array([outing.epoch + stay.start]), RADIUS_68 * horizontal_sigma(stay.covariance[None])
-    )
-
-
-def _stay_name(stay: Stay) -> str:
-    """The name of the most probable place of a stay, with its probability."""
-    return f"{stay.facing[0][0]} ({stay.facing[0][1]:.0%})" if stay.facing else STAY
+def _points(outing: Outing, time: Array, position: Array, covariance: Array | None) -> gpx.Points:
+    """Points at times [s] and positions [m] of an outing; covariance: [m²]."""
+    radius = None if covariance is None else RADIUS_68 * horizontal_sigma(covariance)
+    return gpx.Points(outing.frame.to_lonlat(position), outing.epoch + time, radius)
 
 
 def as_geojson(days: Sequence[Day]) -> bytes:
@@ -117,44 +110,33 @@ def as_geojson(days: Sequence[Day]) -> bytes:
 
 
 def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Features of the segments and stays; a segment with a single row is a Point. about: properties of all."""
     for track, segments in split_at_gaps(outing):
         for segment in segments:
             line = clipped(track, segment.start, segment.end)
-            if len(line):
-                yield _line(outing, segment, line, about)
+            lonlat = np.round(outing.frame.to_lonlat(line.position), 8).tolist()
+            properties = about | {"kind": segment.kind, **_times(outing, segment)}
+            properties |= {"distance": round(segment.distance, 2), "floors": list(floors_visited(line))}
+            properties["times"] = np.round(outing.epoch + line.time, 3).tolist()
+            if line.covariance is not None:
+                properties["covariances"] = [_covariance(own) for own in line.covariance]
+            if len(lonlat):
+                kind, place = ("LineString", lonlat) if len(lonlat) > 1 else ("Point", lonlat[0])
+                yield _feature(kind, place, properties)
     for stay in outing.stays:
-        yield _point(outing, stay, about)
-
-
-def _line(outing: Outing, segment: Segment, line: Trajectory, about: dict[str, Any]) -> dict[str, Any]:
-    """A segment as a LineString, or as a Point if it has a single row."""
-    lonlat = np.round(outing.frame.to_lonlat(line.position), 8).tolist()
-    properties = about | {"kind": segment.kind, **_times(outing, segment), "distance": round(segment.distance, 2)}
-    properties |= {"floors": list(floors_visited(line)), "times": np.round(outing.epoch + line.time, 3).tolist()}
-    if line.covariance is not None:
-        properties["covariances"] = [_covariance(own) for own in line.covariance]
-    if len(lonlat) == 1:
-        return _feature("Point", lonlat[0], properties)
-    return _feature("LineString", lonlat, properties)
-
-
-def _point(outing: Outing, stay: Stay, about: dict[str, Any]) -> dict[str, Any]:
-    lonlat = np.round(outing.frame.to_lonlat(stay.position[None])[0], 8).tolist()
-    facing = [{"name": name, "probability": round(p, 4)} for name, p in stay.facing]
-    heading = round(stay.heading, 4) if np.isfinite(stay.heading) else None
-    properties = about | {"kind": PASSING if stay.passing else STAY, **_times(outing, stay), "floor": stay.floor}
-    properties |= {"heading": heading, "covariance": _covariance(stay.covariance), "facing": facing}
-    return _feature("Point", lonlat, properties)
+        [lonlat] = np.round(outing.frame.to_lonlat(stay.position[None]), 8).tolist()
+        facing = [{"name": name, "probability": round(p, 4)} for name, p in stay.facing]
+        heading = round(stay.heading, 4) if np.isfinite(stay.heading) else None
+        properties = about | {"kind": PASSING if stay.passing else STAY, **_times(outing, stay), "floor": stay.floor}
+        properties |= {"heading": heading, "covariance": _covariance(stay.covariance), "facing": facing}
+        yield _feature("Point", lonlat, properties)
 
 
 def _times(outing: Outing, what: Segment | Stay) -> dict[str, Any]:
     """Start and end in ISO 8601, and the duration [s]."""
-    moments = {"start": _utc(outing.epoch + what.start), "end": _utc(outing.epoch + what.end)}
-    return {**moments, "duration": round(what.end - what.start, 3)}
-
-
-def _utc(time: float) -> str:
-    return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    utc = (datetime.fromtimestamp(outing.epoch + time, UTC) for time in (what.start, what.end))
+    start, end = (time.isoformat(timespec="milliseconds").replace("+00:00", "Z") for time in utc)
+    return {"start": start, "end": end, "duration": round(what.end - what.start, 3)}
 
 
 def _covariance(matrix: Array) -> list[float]:
@@ -175,20 +157,18 @@ def as_csv(day: Day) -> bytes:
     lines = [TRAJECTORY_TABLE_HEADER]
     for _, number, outing in _numbered_outings([day]):
         for track, _ in split_at_gaps(outing):
-            lines += _rows(number, outing, track)
+            lonlat = np.full((len(track), 2), np.nan)
+            if outing.frame.georeferenced:
+                lonlat = outing.frame.to_lonlat(track.position)
+            for row, (lon, lat) in zip(trajectory_rows(track, outing.epoch), lonlat, strict=True):
+                lines.append(f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}")
     return ("\n".join(lines) + "\n").encode()
-
-
-def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
-    lonlat = outing.frame.to_lonlat(track.position) if outing.frame.georeferenced else np.full((len(track), 2), np.nan)
-    for row, (lon, lat) in zip(trajectory_rows(track, outing.epoch), lonlat, strict=True):
-        yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"
 
 
 TABLE_NAMES = ("positionfixes", "triplegs", "staypoints", "locations")  # of PARQUET
 GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
 DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
-SECRET, SECRET_BYTES = "secret", 32  # setting that determines how private areas are moved, and its length
+SECRET = "secret"  # setting that determines how private areas are moved
 
 
 def export_days(
@@ -217,35 +197,30 @@ def export_days(
         places = _private_places(log, cut), _private_places(log, blur)
         days = _public_days(log, wanted, file_format, places, notes)
         if single:
-            written = _write_one_file(out, file_format, list(days))
+            if left := list(days):
+                cache.make_folder(out.parent)
+                write_file(out, DOCUMENTS[file_format](left), private=True)
+                written.append(out)
         else:
             with output_folder(out, private=True) as staged:
-                for target, content in (
-                    _tables(staged, days, log, bool(cut or blur))
-                    if file_format == PARQUET
-                    else _files_by_day(staged, file_format, days, zone)
-                ):
-                    cache.write(target, content)
-                    written.append(out / target.relative_to(staged))
-    if cut or blur:
-        possible = [out] if single else _possible_files(out, file_format, wanted)
-        notes += _without_earlier(path for path in possible if path not in written)
+                if file_format == PARQUET:
+                    contents = iter(parquet_tables(days, log.corrections(), bool(cut or blur)).items())
+                else:
+                    contents = _files_by_day(file_format, days, zone)
+                for name, content in contents:
+                    cache.write(staged / name, content)
+                    written.append(out / name)
+    if cut or blur:  # files of an earlier export would show what is private now
+        possible = [out]
+        if not single and file_format == PARQUET:
+            possible = [out / f"{name}.parquet" for name in TABLE_NAMES]
+        elif not single:
+            possible = [out / name for person, day in wanted for name in _day_files(file_format, person, day)]
+        for file in possible:
+            if file not in written and file.is_file():
+                file.unlink()
+                notes.append(f"{file}: of an earlier export, removed: nothing is left for it now")
     return written, notes
-
-
-def _possible_files(out: Path, file_format: str, wanted: Sequence[tuple[str, str]]) -> list[Path]:
-    """The files that an export of some days to a folder can have."""
-    if file_format == PARQUET:
-        return [out / f"{name}.parquet" for name in TABLE_NAMES]
-    return [file for person, day in wanted for file in _day_files(out, file_format, person, day)]
-
-
-def _without_earlier(files: Iterable[Path]) -> Iterator[str]:
-    """Remove files of an earlier export, which would show what is private now; yields a note for each."""
-    for file in files:
-        if file.is_file():
-            file.unlink()
-            yield f"{file}: of an earlier export, removed: nothing is left for it now"
 
 
 def _checked_date(option: str, text: str) -> str:
@@ -272,14 +247,14 @@ def _selected_days(log: Store, person: str | None, since: str, until: str) -> li
 
 
 def _private_places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
-    """The places that some texts describe; names are looked up on all plans of the lifelog."""
+    """The places that some texts describe; names are looked up on all plans of the lifelog.
+
+    The secret of the lifelog stays the same: averaging over exports would reveal a private place.
+    """
+    if not texts:
+        return ()
     plans = sorted({str(entry.options.plan) for entry in log.entries() if entry.options.plan})
-    return private_places(texts, plans, _secret(log)) if texts else ()
-
-
-def _secret(log: Store) -> bytes:
-    """The secret of the lifelog. It must stay the same: averaging over exports would reveal a private place."""
-    return bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(SECRET_BYTES)))
+    return private_places(texts, plans, bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(32))))
 
 
 def _public_days(
@@ -300,38 +275,23 @@ def _public_days(
             notes.append(f"{person}, {day}: nothing left to export")
 
 
-def _write_one_file(out: Path, file_format: str, days: Sequence[Day]) -> list[Path]:
-    """Write all days to one file; returns it, nothing without a day."""
-    if not days:
-        return []
-    cache.make_folder(out.parent)
-    write_file(out, DOCUMENTS[file_format](days), private=True)
-    return [out]
-
-
-def _tables(out: Path, days: Iterator[Day], log: Store, private: bool) -> Iterator[tuple[Path, bytes]]:
-    """One table of each kind, of all days."""
-    yield from ((out / name, content) for name, content in parquet_tables(days, log.corrections(), private).items())
-
-
-def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[Path, bytes]]:
+def _files_by_day(file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[str, bytes]]:
+    """Names and contents of the files of each day."""
     for day in days:
-        first, *others = _day_files(out, file_format, day.person, day.date)
+        first, *others = _day_files(file_format, day.person, day.date)
         yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day])
         for file in others:
             yield file, timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
 
 
-def _day_files(out: Path, file_format: str, person: str, date: str) -> list[Path]:
+def _day_files(file_format: str, person: str, date: str) -> list[str]:
     """The file of a day, or its ``trajectory.csv`` and ``timeline.csv``."""
     endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (f".{file_format}",)
-    return [out / f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
+    return [f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
 
 
 TRACKINTEL_MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
 WGS84 = "EPSG:4326"
-EXTENT_SIGMAS = 2.0  # sigmas around the visits that belong to the extent of a location
-LEAST_EXTENT = 10.0  # [m]
 NO_ID = -1
 
 
@@ -358,67 +318,30 @@ def parquet_tables(
     corrections: of all persons. private: True for days from which private places were removed: their stays are not
     joined over what was cut out, and no correction is used. Raises InputError without the extra `geo`.
     """
-    _require_libraries()
-    ordered = sorted(days, key=lambda day: (day.person, day.date))
-    grouped = [(who, list(own)) for who, own in groupby(ordered, key=lambda day: day.person)]
-    people = [
-        _private_rows(who, own) if private else _diary_rows(who, own, [c for c in corrections if c.person == who])
-        for who, own in grouped
-    ]
-    frames = {
-        "positionfixes": _positionfixes(people),
-        "triplegs": _triplegs(people),
-        "staypoints": _staypoints(people),
-        "locations": _locations(people),
-    }
-    return {f"{name}.parquet": _bytes(frame) for name, frame in frames.items() if len(frame)}
-
-
-def _require_libraries() -> None:
-    """Raise InputError without geopandas or pyarrow."""
     try:
         import geopandas  # noqa: F401  # pyright: ignore[reportUnusedImport]
         import pyarrow  # noqa: F401  # pyright: ignore[reportUnusedImport]
     except ImportError as error:
         raise InputError("--format parquet", "", f"no {error.name}", install("geo")) from None
-
-
-def _bytes(frame: GeoDataFrame) -> bytes:
-    buffer = io.BytesIO()
-    frame.to_parquet(buffer)
-    return buffer.getvalue()
-
-
-def _diary_rows(person: str, days: Sequence[Day], corrections: Sequence[Correction]) -> PersonRows:
-    """The rows of a person's diary, as corrected."""
-    track = Track.of(_located(days))
-    return _person_rows(person, days, track, *corrected_rows(_fine(days), track, corrections), False)
-
-
-def _private_rows(person: str, days: Sequence[Day]) -> PersonRows:
-    """The rows of a person's days without private places."""
-    return _person_rows(person, days, Track.of(_located(days)), *with_places(_fine(days)), True)
-
-
-def _fine(days: Sequence[Day]) -> list[TimelineEntry]:
-    return without_overlaps([entry for day in days for entry in timeline(day)])
-
-
-def _located(days: Sequence[Day]) -> tuple[Outing, ...]:
-    return tuple(outing for day in days for outing in day.outings if outing.frame.georeferenced)
-
-
-def _person_rows(
-    person: str,
-    days: Sequence[Day],
-    track: Track,
-    rows: Sequence[TimelineEntry],
-    places: tuple[Place, ...],
-    private: bool,
-) -> PersonRows:
-    stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
-    legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
-    return PersonRows(person, stays, legs, places, track, _located(days), private)
+    people = list[PersonRows]()
+    for who, same in groupby(sorted(days, key=lambda day: (day.person, day.date)), key=lambda day: day.person):
+        own = list(same)
+        outings = tuple(outing for day in own for outing in day.outings if outing.frame.georeferenced)
+        track = Track.of(outings)
+        fine = without_overlaps([entry for day in own for entry in timeline(day)])
+        stated = [correction for correction in corrections if correction.person == who]
+        rows, places = with_places(fine) if private else corrected_rows(fine, track, stated)
+        stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
+        legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
+        people.append(PersonRows(who, stays, legs, places, track, outings, private))
+    tables = {}
+    frames = _positionfixes(people), _triplegs(people), _staypoints(people), _locations(people)
+    for name, frame in zip(TABLE_NAMES, frames, strict=True):
+        if len(frame):
+            buffer = io.BytesIO()
+            frame.to_parquet(buffer)
+            tables[f"{name}.parquet"] = buffer.getvalue()
+    return tables
 
 
 def _line_of(track: Track, row: TimelineEntry) -> Array | None:
@@ -435,31 +358,29 @@ def _line_of(track: Track, row: TimelineEntry) -> Array | None:
 
 def _positionfixes(people: Sequence[PersonRows]) -> GeoDataFrame:
     """A row per position; track_id: of a part without gaps."""
-    columns: dict[str, list[Any]] = {name: [] for name in ("user_id", "time", "lonlat", "track_id", "sigma", "floor")}
-    stays, legs, track_id = list[Index](), list[Index](), 0
+    columns: dict[str, list[Array]] = {name: [] for name in ("user", "time", "lonlat", "track", "sigma", "floor")}
+    stays, legs, number = list[Index](), list[Index](), 0
     first_stay = first_leg = 0
     for own in people:
-        for outing in own.outings:
-            for track, _ in split_at_gaps(outing):
-                time = track.time + outing.epoch
-                nan = np.full(len(track), np.nan)
-                columns["user_id"].append(np.full(len(track), own.person, dtype=object))
-                columns["time"].append(time)
-                columns["lonlat"].append(outing.frame.to_lonlat(track.position))
-                columns["track_id"].append(np.full(len(track), track_id))
-                columns["sigma"].append(nan if track.covariance is None else horizontal_sigma(track.covariance))
-                columns["floor"].append(np.array(track.floor, dtype=object))
-                stays.append(_ids_at(time, own.stays, first_stay))
-                legs.append(_ids_at(time, own.legs, first_leg))
-                track_id += 1
+        for outing, track in [(each, part) for each in own.outings for part, _ in split_at_gaps(each)]:
+            rows, time = len(track), track.time + outing.epoch
+            columns["user"].append(np.full(rows, own.person, dtype=object))
+            columns["time"].append(time)
+            columns["lonlat"].append(outing.frame.to_lonlat(track.position))
+            columns["track"].append(np.full(rows, number))
+            sigma = np.full(rows, np.nan) if track.covariance is None else horizontal_sigma(track.covariance)
+            columns["sigma"].append(sigma)
+            columns["floor"].append(np.array(track.floor, dtype=object))
+            stays.append(_ids_at(time, own.stays, first_stay))
+            legs.append(_ids_at(time, own.legs, first_leg))
+            number += 1
         first_stay, first_leg = first_stay + len(own.stays), first_leg + len(own.legs)
-    if not track_id:
+    if not number:
         return _frame({"user_id": []}, [])
     whole = {name: np.concatenate(parts) for name, parts in columns.items()}
-    about = {"user_id": whole["user_id"], "tracked_at": _timestamps(whole["time"]), "track_id": whole["track_id"]}
+    about = {"user_id": whole["user"], "tracked_at": _timestamps(whole["time"]), "track_id": whole["track"]}
     about |= {"staypoint_id": _ids(np.concatenate(stays)), "tripleg_id": _ids(np.concatenate(legs))}
-    about |= {"sigma": whole["sigma"], "floor": whole["floor"]}
-    return _frame(about, shapely.points(whole["lonlat"]))
+    return _frame(about | {"sigma": whole["sigma"], "floor": whole["floor"]}, shapely.points(whole["lonlat"]))
 
 
 def _ids_at(time: Array, rows: Sequence[TimelineEntry], first: int) -> Index:
@@ -486,7 +407,8 @@ def _triplegs(people: Sequence[PersonRows]) -> GeoDataFrame:
 def _staypoints(people: Sequence[PersonRows]) -> GeoDataFrame:
     """A row per stay."""
     rows = [(own, stay) for own in people for stay in own.stays]
-    number = _location_ids(people)
+    places = [(own.person, place.number) for own in people for place in own.places]
+    number = {key: n for n, key in enumerate(places)}
     location = [number.get((own.person, stay.place_number), NO_ID) for own, stay in rows]
     about = _about(rows) | {
         "location_id": _ids(np.array(location, dtype=np.intp)),
@@ -498,41 +420,34 @@ def _staypoints(people: Sequence[PersonRows]) -> GeoDataFrame:
     return _frame(about, [shapely.Point(stay.longitude, stay.latitude) for _, stay in rows])
 
 
-def _location_ids(people: Sequence[PersonRows]) -> dict[tuple[str, int], int]:
-    """The id of each place, by person and number."""
-    return {key: n for n, key in enumerate((own.person, place.number) for own in people for place in own.places)}
-
-
 def _locations(people: Sequence[PersonRows]) -> GeoDataFrame:
-    """A row per place with its center, and its extent: the hull of the visits with their uncertainty."""
+    """A row per place with its center, and its extent: the hull of the visits with their uncertainty.
+
+    The sigma of a private place is at least that of its best visit: blurred visits err all alike.
+    """
     from geopandas import GeoSeries
 
     rows = [(own, place) for own in people for place in own.places]
+    least = [min(visit.sigma for visit in place.visits) if own.private else 0.0 for own, place in rows]
     about: dict[str, Any] = {
         "user_id": [own.person for own, _ in rows],
         "name": [place.name for _, place in rows],
         "visits": [len(place.visits) for _, place in rows],
         "duration": [place.duration for _, place in rows],
-        "sigma": [_sigma(own, place) for own, place in rows],
+        "sigma": [max(place.sigma, at_least) for (_, place), at_least in zip(rows, least, strict=True)],
         "extent": GeoSeries([_extent(own, place) for own, place in rows], crs=WGS84),
     }
     return _frame(about, [shapely.Point(place.longitude, place.latitude) for _, place in rows], "center")
 
 
-def _sigma(own: PersonRows, place: Place) -> float:
-    """Standard deviation per axis of a place [m], at least that of its best visit: blurred visits err all alike."""
-    return max(place.sigma, min(visit.sigma for visit in place.visits) if own.private else 0.0)
-
-
 def _extent(own: PersonRows, place: Place) -> shapely.Geometry:
-    """The convex hull of the visits to a place, widened by EXTENT_SIGMAS."""
+    """The convex hull of the visits to a place, widened by two sigma, 10 m at least."""
     visits = [stay for stay in own.stays if stay.place_number == place.number]
     middle = np.array([place.longitude, place.latitude])
-    # metres per degree of latitude; approximate, for extents
-    metres = 111_195.0 * np.array([np.cos(np.radians(place.latitude)), 1.0])
+    metres = METRES_PER_DEGREE * np.array([np.cos(np.radians(place.latitude)), 1.0])
     discs = [
         shapely.Point((np.array([stay.longitude, stay.latitude]) - middle) * metres).buffer(
-            max(EXTENT_SIGMAS * stay.sigma, LEAST_EXTENT), quad_segs=4
+            max(2 * stay.sigma, 10.0), quad_segs=4
         )
         for stay in visits
     ]

@@ -10,7 +10,6 @@ neighbours, and counted.
 from __future__ import annotations
 
 import json
-import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from rich.cells import cell_len, set_cell_size
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
@@ -87,6 +87,7 @@ def overview(diaries: Iterable[Diary], period: Period, place: str = "") -> Overv
 
 JSON_FORMAT, JSON_VERSION = "pdr_graph lifelog overview", 1  # raise the number when a key changes its meaning
 DEGREE_DIGITS = {"latitude": 7, "longitude": 7}  # of columns
+SUM_COLUMNS = "walking riding staying no_data observed walked ridden steps"
 Record = dict[str, Any]
 
 
@@ -96,82 +97,52 @@ def local_iso(time: float, offset: float) -> str:
     return moment.isoformat(timespec="seconds")
 
 
+DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
+ENTRY_COLUMNS = "kind start end duration observed distance floor place number latitude longitude sigma mode corrected"
+PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
+VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
+HOURS_COLUMNS = (
+    "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
+    "departures departure_25 departure_50 departure_75"
+)
+
+
+def _record(columns: str, source: object, **values: Any) -> Record:
+    """A row of a table: a value by column, of `values`, else the attribute of the source."""
+    return {name: values[name] if name in values else getattr(source, name) for name in columns.split()}
+
+
 def day_record(day: DiaryDay) -> Record:
     """A day: midnights, times per kind [s], distances [m], steps."""
     last = day.entries[-1].end_offset if day.entries else 0.0
-    about = {"person": day.person, "date": day.date}
-    return about | {"start": local_iso(day.start, day.offset), "end": local_iso(day.end, last)} | _sums(day.totals)
+    span = {"start": local_iso(day.start, day.offset), "end": local_iso(day.end, last)}
+    return _record(DAY_COLUMNS, day.totals, person=day.person, date=day.date, no_data=day.totals.unknown, **span)
 
 
-def _sums(totals: Totals) -> Record:
-    """Times per kind [s], distances [m], steps."""
-    names = ("walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
-    return {"no_data" if name == "unknown" else name: getattr(totals, name) for name in names}
-
-
-def entry_record(entry: TimelineEntry) -> Record:
-    """An entry of a day: kind, times, distance [m], place with its position [deg] and sigma [m], what was stated."""
-    return {
-        "kind": entry.kind,
-        "start": local_iso(entry.start, entry.offset),
-        "end": local_iso(entry.end, entry.end_offset),
-        "duration": entry.end - entry.start,
-        "observed": entry.observed,
-        "distance": entry.distance,
-        "floor": " > ".join(entry.floor),
-        "place": entry.place,
-        "number": entry.place_number,
-        "latitude": entry.latitude,
-        "longitude": entry.longitude,
-        "sigma": entry.sigma,
-        "mode": entry.mode,
-        "corrected": entry.corrected,
-    }
+def entry_record(columns: str, entry: TimelineEntry, **values: Any) -> Record:
+    """An entry of a day or a visit: local times, durations [s], distance [m], position [deg] and sigma [m]."""
+    span = {"start": local_iso(entry.start, entry.offset), "end": local_iso(entry.end, entry.end_offset)}
+    about = {"floor": " > ".join(entry.floor), "number": entry.place_number}
+    return _record(columns, entry, **span, **about, **values)
 
 
 def visit_record(person: str, visit: TimelineEntry) -> Record:
-    """A visit: place, local times, duration and time with data [s], position [deg] and sigma [m]."""
-    return {
-        "person": person,
-        "place": visit.place,
-        "number": visit.place_number,
-        "start": local_iso(visit.start, visit.offset),
-        "end": local_iso(visit.end, visit.end_offset),
-        "duration": visit.duration,
-        "observed": visit.observed * visit.duration,
-        "arrived": visit.arrived,
-        "left": visit.left,
-        "latitude": visit.latitude,
-        "longitude": visit.longitude,
-        "sigma": visit.sigma,
-    }
+    """A visit; observed: its time with data [s]."""
+    return entry_record(VISIT_COLUMNS, visit, person=person, observed=visit.observed * visit.duration)
 
 
 def place_record(person: str, place: Place) -> Record:
     """A place: position [deg] with sigma [m], visits, total time [s], first and last date."""
-    return {
-        "person": person,
-        "number": place.number,
-        "place": place.name,
-        "latitude": place.latitude,
-        "longitude": place.longitude,
-        "sigma": place.sigma,
-        "visits": len(place.visits),
-        "duration": place.duration,
-        "first": place.first,
-        "last": place.last,
-    }
+    return _record(PLACE_COLUMNS, place, person=person, place=place.name, visits=len(place.visits))
 
 
 def hours_record(usual: UsualHours) -> Record:
-    """Usual hours of a place on a weekday: quartiles of arrivals and departures, local time, "" where unknown."""
+    """Usual hours of a place on a weekday: quartiles of arrivals and departures, local time, NaN where unknown."""
     about: Record = {"weekday": usual.weekday}
-    for name, number, quartiles in (
-        ("arrival", usual.arrivals, usual.arrival),
-        ("departure", usual.departures, usual.departure),
-    ):
-        about[f"{name}s"] = number
-        about |= {f"{name}_{part}": hour_text(hour) for part, hour in zip(("25", "50", "75"), quartiles, strict=True)}
+    for name, quartiles in (("arrival", usual.arrival), ("departure", usual.departure)):
+        about[f"{name}s"] = getattr(usual, f"{name}s")
+        for part, hour in zip(("25", "50", "75"), quartiles, strict=True):
+            about[f"{name}_{part}"] = hour_text(hour) or np.nan
     return about
 
 
@@ -197,50 +168,33 @@ def tables(shown: Overview) -> dict[str, bytes]:
     return {name: csv_table(rows, columns.split(), DEGREE_DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
-DAY_COLUMNS = "person date start end walking riding staying no_data observed walked ridden steps"
-PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
-VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
-HOURS_COLUMNS = (
-    "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
-    "departures departure_25 departure_50 departure_75"
-)
-
-
 def as_json(shown: Overview) -> str:
     """Everything in an overview as one JSON object on one line of ASCII; unknown numbers are null.
 
     Its keys are in docs/formats.md.
     """
-    period = shown.period
+    period, persons = shown.period, list[Record]()
+    for own in shown.diaries:
+        totals = totals_of(own.days, len(period))
+        about = {"person": own.person, "days": totals.days, "days_with_data": totals.recorded}
+        persons.append(about | _record(SUM_COLUMNS, totals, no_data=totals.unknown))
     document: Record = {
         "format": JSON_FORMAT,
         "version": JSON_VERSION,
-        "period": {
-            "kind": period.kind,
-            "name": period.name,
-            "first": period.first.isoformat(),
-            "last": period.last.isoformat(),
-        },
+        "period": _record("kind name first last", period, first=str(period.first), last=str(period.last)),
         "place": shown.place,
-        "persons": [_totals_record(own, len(period)) for own in shown.diaries],
-        "days": [day_record(day) | {"entries": [entry_record(e) for e in day.entries]} for day in shown.days],
+        "persons": persons,
+        "days": [
+            day_record(day) | {"entries": [entry_record(ENTRY_COLUMNS, entry) for entry in day.entries]}
+            for day in shown.days
+        ],
         "places": [
-            place_record(person, place) | {"hours": [_with_nulls(hours_record(usual)) for usual in place.hours]}
+            place_record(person, place) | {"hours": [hours_record(usual) for usual in place.hours]}
             for person, place in shown.places
         ],
         "visits": [visit_record(*visited) for visited in shown.visits],
     }
     return json.dumps(_plain(document), allow_nan=False)
-
-
-def _totals_record(own: Diary, length: int) -> Record:
-    """The totals of one person. length: number of days of the period."""
-    totals = totals_of(own.days, length)
-    return {"person": own.person, "days": totals.days, "days_with_data": totals.recorded} | _sums(totals)
-
-
-def _with_nulls(record: Record) -> Record:
-    return {name: None if value == "" else value for name, value in record.items()}
 
 
 def _plain(value: Any, name: str = "") -> Any:
@@ -265,12 +219,30 @@ MERGED_NAMES = {
     GAP: "short gap",
     PRIVATE: "short gap",
 }
-SHORTEST_MINUTES = 60.0  # [s] of the shortest row of a list whose times are in minutes
-MERGED_KINDS = 2  # kinds of merged entries that a row names
 TRAVEL_KINDS = (WALKING, PASSING, VEHICLE)
 
 
 ListRow = tuple[TimelineEntry, Counter[str]]  # an entry, and how many of each of MERGED_NAMES were merged with it
+
+
+def day_list(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[ListRow]:
+    """At most `most` rows (at least one) of the entries of a day.
+
+    The shortest row is merged with its longer neighbour, a walk or ride before a stay; with both if they are one.
+    """
+    rows = [(entry, Counter[str]()) for entry in entries]
+    while len(rows) > max(most, 1):
+        n = min(range(len(rows)), key=lambda k: rows[k][0].duration)
+        beside = [k for k in (n - 1, n + 1) if 0 <= k < len(rows)]
+        kept = max(beside, key=lambda k: (rows[k][0].kind in TRAVEL_KINDS, rows[k][0].duration))
+        taken = slice(min(n, kept), max(n, kept) + 1)
+        if len(beside) == 2 and _identity(rows[n - 1][0]) == _identity(rows[n + 1][0]):
+            kept, taken = n - 1, slice(n - 1, n + 2)
+        merged = sum((counter for _, counter in rows[taken]), Counter([MERGED_NAMES[rows[n][0].kind]]))
+        far = sum(entry.distance for entry, _ in rows[taken])
+        start, end = rows[taken][0][0].start, rows[taken][-1][0].end
+        rows[taken] = [(replace(rows[kept][0], start=start, end=end, distance=far), merged)]
+    return rows
 
 
 def _identity(entry: TimelineEntry) -> tuple[object, ...]:
@@ -280,63 +252,35 @@ def _identity(entry: TimelineEntry) -> tuple[object, ...]:
     return (STAY, entry.place_number, entry.place) if entry.place_number >= 0 else (STAY, entry.x, entry.y)
 
 
-def day_list(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[ListRow]:
-    """At most `most` rows (at least one) of the entries of a day; the shortest are merged with their neighbours."""
-    rows = [(entry, Counter[str]()) for entry in entries]
-    while len(rows) > max(most, 1):
-        shortest = min(range(len(rows)), key=lambda n: rows[n][0].duration)
-        rows[max(shortest - 1, 0) : shortest + 2] = _merged(rows, shortest)
-    return rows
-
-
-def _merged(rows: Sequence[ListRow], n: int) -> list[ListRow]:
-    """The rows from n - 1 to n + 1, where row n is merged with one of the others, or with both if they are one."""
-    row, before, after = rows[n], rows[n - 1 : n] if n else [], rows[n + 1 : n + 2]
-    if before and after and _identity(before[0][0]) == _identity(after[0][0]):
-        (both, merged), (last, others) = _absorbed(before[0], row), after[0]
-        joined = replace(both, end=last.end, distance=both.distance + last.distance)
-        return [(joined, merged + others)]
-    larger = max([*before, *after], key=lambda r: (r[0].kind in TRAVEL_KINDS, r[0].duration))
-    one = _absorbed(larger, row)
-    return [one, *after] if before and larger is before[0] else [*before, one]
-
-
-def _absorbed(row: ListRow, short: ListRow) -> ListRow:
-    """The row with a neighbour as a part of it."""
-    (entry, merged), (other, others) = row, short
-    start, end = min(entry.start, other.start), max(entry.end, other.end)
-    longer = replace(entry, start=start, end=end, distance=entry.distance + other.distance)
-    return longer, merged + others + Counter([MERGED_NAMES[other.kind]])
-
-
-def list_texts(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[tuple[str, str, str, str, str, str]]:
-    """The list of a day as texts; times have seconds if a row is shorter than SHORTEST_MINUTES."""
+def list_texts(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[tuple[str, ...]]:
+    """The list of a day as texts; times have seconds if a row is shorter than a minute."""
     rows = day_list(entries, most)
-    seconds = any(entry.duration < SHORTEST_MINUTES for entry, _ in rows)
+    seconds = any(entry.duration < 60 for entry, _ in rows)
     return [row_texts(entry, merged, seconds) for entry, merged in rows]
 
 
 def row_texts(
     entry: TimelineEntry, merged: Mapping[str, int] = MappingProxyType({}), seconds: bool = False
 ) -> tuple[str, str, str, str, str, str]:
-    """Texts of a row: local start and end, duration, activity, distance, place with what was merged."""
+    """Texts of a row: local start and end, duration, activity, distance, place with what was merged.
+
+    The end has "+1" if it is on the next date, after a flight over time zones.
+    """
     far = distance_text(entry.distance) if entry.kind in TRAVEL_KINDS and entry.distance >= 0.5 else ""
-    words = [_place(entry), "corrected" if entry.corrected else "", _merged_text(Counter(merged))]
+    common = Counter(merged).most_common()
+    texts = [f"{n} slow passes" if name == "slow pass" and n > 1 else count(n, name) for name, n in common[:2]]
+    texts += [count(others, "other")] if (others := sum(number for _, number in common[2:])) else []
+    words = [_place(entry), "corrected" if entry.corrected else "", f"and {', '.join(texts)}" if texts else ""]
+    start, end = entry.start + entry.offset, entry.end + entry.end_offset
+    later = int(end // DAY_LENGTH - start // DAY_LENGTH) if end % DAY_LENGTH > 0 else 0
     return (
         clock_text(entry.start, entry.offset, seconds),
-        _end_text(entry, seconds),
+        clock_text(entry.end, entry.end_offset, seconds) + (f" +{later}" if later else ""),
         duration_text(entry.duration),
         entry.mode or KIND_NAMES.get(entry.kind, entry.kind),
         far,
         "; ".join(filter(None, words)),
     )
-
-
-def _end_text(entry: TimelineEntry, seconds: bool) -> str:
-    """Local end; with "+1" if it is on the next date, after a flight over time zones."""
-    start, end = entry.start + entry.offset, entry.end + entry.end_offset
-    later = int(end // DAY_LENGTH - start // DAY_LENGTH) if end % DAY_LENGTH > 0 else 0
-    return clock_text(entry.end, entry.end_offset, seconds) + (f" +{later}" if later else "")
 
 
 def _place(entry: TimelineEntry) -> str:
@@ -359,19 +303,6 @@ def _place(entry: TimelineEntry) -> str:
     return " ".join(filter(None, [one_line(f"floor {' > '.join(entry.floor)}") if any(entry.floor) else "", place]))
 
 
-def _merged_text(merged: Counter[str]) -> str:
-    """What was merged: ``and 3 short stops, 1 short walk``; the rarer kinds are ``5 others``."""
-    common = merged.most_common()
-    texts = [_count(number, name) for name, number in common[:MERGED_KINDS]]
-    others = sum(number for _, number in common[MERGED_KINDS:])
-    texts += [count(others, "other")] if others else []
-    return f"and {', '.join(texts)}" if texts else ""
-
-
-def _count(number: int, name: str) -> str:
-    return f"{number} slow passes" if name == "slow pass" and number > 1 else count(number, name)
-
-
 def clock_text(time: float, offset: float, seconds: bool = False) -> str:
     """Local time of day of a Unix time [s] at an offset from UTC [s]: ``07:42``, or ``07:42:15``."""
     moment = datetime.fromtimestamp(round(time + offset), UTC)
@@ -383,38 +314,6 @@ def distance_text(metres: float) -> str:
     if metres < 999.5:
         return f"{metres:.0f} m"
     return f"{metres / 1000:.1f} km" if metres < 99_950 else f"{metres / 1000:,.0f} km"
-
-
-TEXT_WIDTH = 100  # columns of a line
-TEXT_PLACES, TEXT_VISITS, MOST_MONTHS = 12, 20, 25  # rows of tables
-NOTHING = "–"
-
-
-def as_text(shown: Overview) -> str:
-    """The overview as text, a part per person."""
-    return "\n\n".join("\n".join(_person_lines(shown, own)) for own in shown.diaries) + "\n"
-
-
-def _person_lines(shown: Overview, own: Diary) -> Iterator[str]:
-    """The lines of one person."""
-    place = f"  {one_line(shown.place)}" if shown.place else ""
-    yield fitted(f"{one_line(own.person)}  {period_title(shown.period)}{place}", TEXT_WIDTH)
-    if shown.place:
-        yield from _visit_lines(own.visits)
-    elif shown.period.kind == DAY:
-        # least rows of a day's list when several persons share the screen
-        yield from _day_lines(own.days, max(LIST_ROWS // len(shown.diaries), 10))
-        yield ""
-        yield fitted(totals_text(totals_of(own.days, 1)), TEXT_WIDTH)
-        return
-    else:
-        yield from _period_lines(own.days, shown.period)
-    if own.places:
-        yield ""
-        yield from _place_lines(own.places)
-    if shown.place and own.places:
-        yield ""
-        yield from _hours_lines(own.places[0].hours)
 
 
 def period_title(period: Period) -> str:
@@ -449,105 +348,6 @@ def time_text(seconds: float) -> str:
     return duration_text(seconds) if seconds < (96 * 3600.0) else f"{seconds / DAY_LENGTH:,.1f} days"
 
 
-def _day_lines(days: Sequence[DiaryDay], most: int) -> Iterator[str]:
-    """The list of a day."""
-    for start, end, lasted, what, far, where in (texts for day in days for texts in list_texts(day.entries, most)):
-        yield fitted(f"{start}  {end:<5}  {lasted:>10}  {what:<8}  {far:>8}  {where}".rstrip(), TEXT_WIDTH)
-
-
-PERIOD_TITLES = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
-PERIOD_WIDTHS = (16, 13, 13, 13, 14, 10, 10, 11)
-
-
-def _period_lines(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
-    """A line per day of a week or a month, where days without data are counted, else per month or year; the totals."""
-    yield _line(PERIOD_TITLES, PERIOD_WIDTHS)
-    if period.kind in (WEEK, MONTH):
-        yield from _lines_per_day(days, period)
-    else:
-        letters = 7 if len({day.date[:7] for day in days}) <= MOST_MONTHS else 4
-        for name, own in days_by(days, letters):
-            yield _line(totals_texts(f"{name}  {count(len(own), 'day')}", totals_of(own, len(own))), PERIOD_WIDTHS)
-    yield _line(totals_texts("total", totals_of(days, len(period))), PERIOD_WIDTHS)
-
-
-def _lines_per_day(days: Sequence[DiaryDay], period: Period) -> Iterator[str]:
-    """A line per day; consecutive days without data are counted."""
-    by_date = {day.date: day for day in days}
-    for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
-        if present:
-            yield from (
-                _line(totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals), PERIOD_WIDTHS) for on in dates
-            )
-        else:
-            yield f"{count(len(list(dates)), 'day')} without data"
-
-
-def days_by(days: Sequence[DiaryDay], letters: int) -> Iterator[tuple[str, list[DiaryDay]]]:
-    """The days in order with the same first letters of the date, and these letters."""
-    return ((name, list(same)) for name, same in groupby(days, key=lambda day: day.date[:letters]))
-
-
-def totals_texts(title: str, totals: Totals) -> list[str]:
-    """A title and the totals, as of PERIOD_TITLES."""
-    times = [totals.walking, totals.riding, totals.staying, totals.unknown]
-    texts = [time_text(time) if time >= 0.5 else NOTHING for time in times]
-    texts += [distance_text(far) if far >= 0.5 else NOTHING for far in (totals.walked, totals.ridden)]
-    return [title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING]
-
-
-PLACE_TITLES, PLACE_WIDTHS = (
-    ("place", "visits", "time", "comes (quartiles)", "leaves (quartiles)"),
-    (28, 6, 12, 20, 20),
-)
-HOURS_TITLES, HOURS_WIDTHS = (
-    ("", "arrivals", "comes (quartiles)", "departures", "leaves (quartiles)"),
-    (10, 8, 20, 10, 20),
-)
-
-
-def _place_lines(places: Sequence[Place]) -> Iterator[str]:
-    """The places with most time: visits, total time, usual hours."""
-    yield _line(PLACE_TITLES, PLACE_WIDTHS)
-    for place in places[:TEXT_PLACES]:
-        usual = place.hours[0]
-        hours = hours_text(usual.arrival), hours_text(usual.departure)
-        yield _line([one_line(place.label), str(len(place.visits)), time_text(place.duration), *hours], PLACE_WIDTHS)
-    if len(places) > TEXT_PLACES:
-        rest = sum(place.duration for place in places[TEXT_PLACES:])
-        yield f"and {count(len(places) - TEXT_PLACES, 'other place')}, {time_text(rest)}"
-
-
-def _hours_lines(hours: Sequence[UsualHours]) -> Iterator[str]:
-    """The usual hours of each weekday at one place."""
-    yield _line(HOURS_TITLES, HOURS_WIDTHS)
-    for usual in sorted(hours, key=lambda own: own.weekday == EVERY_DAY):
-        yield _line(usual_texts(usual), HOURS_WIDTHS)
-
-
-def usual_texts(usual: UsualHours) -> list[str]:
-    """Usual hours as texts: weekday, and number and quartiles of arrivals and of departures."""
-    come, go = hours_text(usual.arrival), hours_text(usual.departure)
-    return [usual.weekday, str(usual.arrivals), come, str(usual.departures), go]
-
-
-def hours_text(quartiles: tuple[float, float, float]) -> str:
-    """Quartiles of a time of day as ``18:42 (18:10–19:05)``."""
-    low, middle, high = quartiles
-    return f"{hour_text(middle)} ({hour_text(low)}–{hour_text(high)})" if np.isfinite(middle) else NOTHING
-
-
-def _visit_lines(visits: Sequence[TimelineEntry]) -> Iterator[str]:
-    """The last visits to a place; a time that was not observed has a question mark."""
-    if len(visits) > TEXT_VISITS:
-        yield f"{count(len(visits) - TEXT_VISITS, 'earlier visit')}"
-    for visit in visits[-TEXT_VISITS:]:
-        since, until = visit_times(visit)
-        yield f"{since:<23}  {until:<11}  {duration_text(visit.duration):>10}"
-    if not all(visit.arrived and visit.left for visit in visits[-TEXT_VISITS:]):
-        yield "?: no data before or after, so it may have begun earlier or ended later"
-
-
 def visit_times(visit: TimelineEntry) -> tuple[str, str]:
     """Local start with its date and local end, with "?" where it was not observed, and "+1" for the next day."""
     first, last = local_date(visit.start + visit.offset), local_date(visit.end + visit.end_offset)
@@ -556,29 +356,133 @@ def visit_times(visit: TimelineEntry) -> tuple[str, str]:
     return f"{first:%a} {first}  {start}{'' if visit.arrived else '?'}", f"{end}{'' if visit.left else '?'}{later}"
 
 
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Cells beside each other, the first one to the left, the others to the right."""
-    first = fitted(cells[0], widths[0])
-    pad = widths[0] - text_width(first)
-    others = "".join(
-        f"{text:>{width}}" if width < 20 else f"  {text:<{width - 2}}"
-        for text, width in zip(cells[1:], widths[1:], strict=True)
-    )
-    return f"{first}{' ' * pad}{others}".rstrip()
+TEXT_WIDTH = 100  # columns of a line
+NOTHING = "–"
+PERIOD_TITLES = ("", "walking", "riding", "staying", "no data", "walked", "ridden", "steps")
+VISIT_TITLES = ("place", "from", "to", "for", "with data")
+PLACE_TITLES = (
+    *("place", "visits", "time", "comes (quartiles)", "leaves (quartiles)"),
+    *("first", "last", "latitude, longitude"),
+)
+HOURS_TITLES = ("place", "weekday", "arrivals", "comes (quartiles)", "departures", "leaves (quartiles)")
 
 
-def text_width(text: str) -> int:
-    """Columns of a text on a terminal: Chinese, Japanese and Korean letters have two."""
-    return sum(1 + (unicodedata.east_asian_width(letter) in "WF") for letter in text)
+@dataclass(frozen=True)
+class ShownTable:
+    """A table of an overview for people. rows: texts, a cell per name of the head; note: below it, "" for none."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTable]:
+    """The tables of one person. short: for a screen: fewer rows, and usual hours of a single place alone."""
+    places, visits = own.places[: 12 if short else 200], own.visits[-(20 if short else 500) :]
+    is_list = shown.period.kind == DAY and not shown.place
+    if is_list:
+        # least rows of a day's list when several persons share the screen
+        most = max(LIST_ROWS // len(shown.diaries), 10) if short else LIST_ROWS
+        yield ShownTable("the day", ROW_TITLES, [texts for day in own.days for texts in list_texts(day.entries, most)])
+    elif not (short and shown.place):
+        yield ShownTable("days", PERIOD_TITLES, list(_period_rows(own.days, shown.period, 31 if short else 400)))
+    if not is_list and (shown.place or not short):
+        rows = [
+            [v.label, *visit_times(v), duration_text(v.duration), f"{v.observed:.0%}" if v.duration > 0 else ""]
+            for v in visits
+        ]
+        hidden = len(own.visits) - len(visits)
+        note = f"{count(hidden, 'earlier visit')} in visits.csv. " if hidden else ""
+        if not all(visit.arrived and visit.left for visit in visits):
+            note += "?: no data before or after, so it may have begun earlier or ended later"
+        yield ShownTable("visits", VISIT_TITLES, rows, note)
+    if not (is_list and short):
+        rest = own.places[len(places) :]
+        note = f"and {count(len(rest), 'other place')}, {time_text(sum(p.duration for p in rest))}" if rest else ""
+        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [_place_row(p, short) for p in places], note)
+    if shown.place or not short:
+        rows = [
+            [place.label, usual.weekday, *_usual_texts(usual)]
+            for place in places
+            for usual in sorted(place.hours, key=lambda usual: usual.weekday == EVERY_DAY)
+            if max(usual.arrivals, usual.departures) >= 2
+        ]
+        yield ShownTable("usual hours", HOURS_TITLES, rows)
+
+
+def _period_rows(days: Sequence[DiaryDay], period: Period, most: int) -> Iterator[Sequence[str]]:
+    """Totals of each day, of each month or year if there are more than `most` days; days without data are counted."""
+    by_date = {day.date: day for day in days}
+    letters = next(n for n in (10, 7, 4) if n == 4 or len({on[:n] for on in by_date}) <= most)
+    if letters == 10 and period.kind in (WEEK, MONTH):
+        for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
+            on_dates = list(dates)
+            if not present:
+                yield [f"{count(len(on_dates), 'day')} without data", *[""] * (len(PERIOD_TITLES) - 1)]
+            for on in on_dates if present else ():
+                yield _totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals)
+    else:
+        for name, same in groupby(days, key=lambda day: day.date[:letters]):
+            own = list(same)
+            title = name if letters == 10 else f"{name}  {count(len(own), 'day')}"
+            yield _totals_texts(title, totals_of(own, len(own)))
+    yield _totals_texts("total", totals_of(days, len(period)))
+
+
+def _totals_texts(title: str, totals: Totals) -> list[str]:
+    """A title and the totals, as of PERIOD_TITLES."""
+    times = [totals.walking, totals.riding, totals.staying, totals.unknown]
+    texts = [time_text(time) if time >= 0.5 else NOTHING for time in times]
+    texts += [distance_text(far) if far >= 0.5 else NOTHING for far in (totals.walked, totals.ridden)]
+    return [title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING]
+
+
+def _place_row(place: Place, short: bool) -> list[str]:
+    """A place with the usual hours of every day."""
+    _, comes, _, leaves = _usual_texts(place.hours[0])
+    row = [fitted(one_line(place.label), 28), str(len(place.visits)), time_text(place.duration), comes, leaves]
+    where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
+    return row if short else [place.label, *row[1:], place.first, place.last, where]
+
+
+def _usual_texts(usual: UsualHours) -> list[str]:
+    """Number and quartiles of arrivals and of departures, as ``18:42 (18:10–19:05)``."""
+    texts = []
+    for number, (low, middle, high) in ((usual.arrivals, usual.arrival), (usual.departures, usual.departure)):
+        span = f"{hour_text(middle)} ({hour_text(low)}–{hour_text(high)})" if np.isfinite(middle) else NOTHING
+        texts += [str(number), span]
+    return texts
+
+
+def as_text(shown: Overview) -> str:
+    """The overview as text, a part per person; lines have at most TEXT_WIDTH columns."""
+    parts = []
+    for own in shown.diaries:
+        place = f"  {one_line(shown.place)}" if shown.place else ""
+        blocks = [[f"{one_line(own.person)}  {period_title(shown.period)}{place}"]]
+        for table in shown_tables(shown, own, short=True):
+            if table.rows:
+                blocks.append([*aligned([table.head, *table.rows]), *filter(None, [table.note])])
+        if shown.period.kind == DAY and not shown.place:
+            blocks.append([totals_text(totals_of(own.days, 1))])
+        blocks[:2] = [[line for block in blocks[:2] for line in block]]
+        parts.append("\n\n".join("\n".join(fitted(line, TEXT_WIDTH) for line in block) for block in blocks))
+    return "\n\n".join(parts) + "\n"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Rows of a table with its head as lines; columns of numbers are to the right, others to the left."""
+    columns = list(zip(*[[one_line(cell) for cell in row] for row in rows], strict=True))
+    padded = []
+    for column in columns:
+        wide = max(map(cell_len, column))
+        right = all(cell[0].isdigit() or cell == NOTHING for cell in column[1:] if cell)
+        pads = [" " * (wide - cell_len(cell)) for cell in column]
+        padded.append([pad + cell if right else cell + pad for cell, pad in zip(column, pads, strict=True)])
+    return ("  ".join(cells).rstrip() for cells in zip(*padded, strict=True))
 
 
 def fitted(text: str, width: int) -> str:
-    """A text of at most `width` columns, the end replaced by an ellipsis if necessary."""
-    if text_width(text) <= width:
-        return text
-    kept = ""
-    for letter in text:
-        if text_width(kept + letter) > width - 1:
-            break
-        kept += letter
-    return f"{kept}…"
+    """A text of at most `width` columns of a terminal, the end replaced by an ellipsis if necessary."""
+    return text if cell_len(text) <= width else f"{set_cell_size(text, width - 1)}…"

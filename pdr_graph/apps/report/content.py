@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
-from pdr_graph.apps.report import charts_and_tables, integrity, page
+from pdr_graph.apps.report import charts_and_tables, page
+from pdr_graph.apps.report.charts_and_tables import FEW, Table, chart, line, table
+from pdr_graph.apps.report.evaluation import METRICS, error_text, scores_of_track
 from pdr_graph.apps.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
@@ -33,8 +36,7 @@ from pdr_graph.errors import percent, printable
 from pdr_graph.estimation.gps_track import without_data
 from pdr_graph.estimation.results import is_usual
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.geometry import interpolate, nearest, protection_level
 from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import Array, Estimate, FixReport, OneLineRepr, Recording, Steps, Trajectory, time_span
 
@@ -48,9 +50,8 @@ RESULT_NAMES = {
     "pdr": DEAD_RECKONING,
     "live": "in hindsight, smoothed",
 }  # of the results of each method
-WHOLE_PLAN, RIM = 1.3, 1.0  # a plan up to this many times as large as what is shown is whole; [m] around it
-USED_WEIGHT = 0.5  # weight from which a fix is within the map as it opens
-FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
+SOURCE_COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
+PERCENTILES_HEAD = "error 50 / 75 / 95 %"
 
 
 @dataclass(frozen=True)
@@ -102,42 +103,42 @@ class WalkReport(OneLineRepr):
 def content(report: WalkReport) -> dict[str, Any]:
     """The content of the page, in the form documented in ``web/content.js``."""
     estimate, summary, labels = report.estimate, report.summary, report.labels
-    paths = {name: path for name, (_, path) in report.tracks.items()}
-    accuracy = None if report.truth is None else integrity.scored(paths, report.truth, report.building)
+    path, walk = estimate.trajectory, report.walk
     fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MAXIMUM_MARKS).tolist()]
     fix_labels = [_fix_label(fix) for fix in fixes]
+    parts = ["live" if report.method == "live" else report.name]
+    if walk.epoch is not None:
+        parts.append(f"{datetime.fromtimestamp(walk.epoch, UTC):%Y-%m-%d %H:%M} UTC")
+    calibration = estimate.calibration
     return {
-        "title": printable(report.walk.source),
-        "subtitle": _subtitle(report),
+        "title": printable(walk.source),
+        "subtitle": ", ".join(parts),
         "verdict": summary["verdict"],
         "headline": _headline(summary, estimate.probability),
         "missing": summary["missing"],
         **_remarks(report),
         "offsets": None,
         "north": summary["frame"]["kind"] != "local",
-        "start": float(estimate.trajectory.time[0]),
-        "end": float(estimate.trajectory.time[-1]),
-        "maps": _maps(report),
+        "start": float(path.time[0]),
+        "end": float(path.time[-1]),
+        "maps": list(_maps(report)),
         "tracks": _tracks(report),
-        "marks": [*_fixes(fixes, fix_labels, estimate.trajectory, labels), *_beacons(estimate), *_headings(report)],
+        "marks": [*_fixes(fixes, fix_labels, path, labels), *_beacons(estimate), *_headings(report)],
         "charts": [
-            *charts_and_tables.walk_charts(
-                report.walk,
-                report.tracks,
-                fixes,
-                fix_labels,
-                estimate.calibration,
-                report.steps,
-                report.truth,
-                labels,
-            ),
-            *integrity.protection_charts(estimate.trajectory, summary["protection"]),
+            charts_and_tables.sigma(report.tracks),
+            *([] if report.truth is None else [charts_and_tables.errors(report.tracks, report.truth)]),
+            *([charts_and_tables.residuals(fixes, fix_labels)] if fixes else []),
+            *([] if calibration is None else charts_and_tables.calibration_charts(calibration, float(path.time[-1]))),
+            *([charts_and_tables.floors(path, labels)] if len(labels) > 1 else []),
+            *([] if walk.barometer is None else [charts_and_tables.height(walk.barometer)]),
+            *([] if report.steps is None else charts_and_tables.gait(report.steps)),
+            *_protection_charts(path, summary["protection"]),
         ],
         "tables": [
-            *([accuracy] if accuracy is not None else []),
-            *integrity.source_tables(report.sources, estimate.trajectory),
-            *integrity.protection_tables(summary["protection"]),
-            *charts_and_tables.walk_tables(report.walk, fixes, estimate, summary),
+            *_accuracy_tables(report),
+            *_source_tables(report.sources, path),
+            *_protection_tables(summary["protection"]),
+            *charts_and_tables.walk_tables(walk, fixes, estimate, summary),
         ],
     }
 
@@ -150,19 +151,11 @@ def _remarks(report: WalkReport) -> dict[str, list[str]]:
     return {"warnings": warnings, "notes": notes}
 
 
-def _subtitle(report: WalkReport) -> str:
-    """The method, and the date and time of the start if known."""
-    parts = ["live" if report.method == "live" else report.name]
-    if report.walk.epoch is not None:
-        parts.append(f"{datetime.fromtimestamp(report.walk.epoch, UTC):%Y-%m-%d %H:%M} UTC")
-    return ", ".join(parts)
-
-
 def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]:
     """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
     figures = [
-        *integrity.error_figures(summary),
+        *_error_figures(summary),
         ["distance", f"{summary['distance']:,.0f} m"],
         ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],
@@ -175,40 +168,47 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
     return figures + ([["steps through walls", f"{crossed}"]] if crossed is not None else [])
 
 
-def _maps(report: WalkReport) -> list[dict[str, Any]]:
-    """A map of each floor visited, cropped to the part of the walk on it and to the fixes that were used."""
-    floors = () if report.building is None else tuple(report.building[label] for label in report.labels)
-    path = report.estimate.trajectory
-    on = np.array(maps_of(path.floor, report.labels))
-    used = np.array([(f.time, f.x, f.y) for f in report.estimate.fixes if f.weight > USED_WEIGHT]).reshape(-1, 3)
-    maps = []
-    for n, label in enumerate(report.labels):
-        here = (on == n) | (on == ON_EVERY_MAP)
-        near = here[nearest(path.time, used[:, 0])]
-        corners = _around(np.concatenate([path.position[here], used[near, 1:]]), floors[n] if floors else None)
-        maps.append({"name": label, "corners": corners, "plan": page.plan_drawing(floors[n]) if floors else None})
-    return maps
+def _error_figures(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Errors of the walk against the truth, as [name, value]; of a live walk those of both tracks, or its sigma."""
+    scores, live = summary["scores"], summary.get("live")
+    if live is None:
+        named = {PERCENTILES_HEAD: scores["ce"] if scores else None}
+    elif live["error"] is None:
+        first, median = f"{live['first_pose']:.1f} s", f"{live['sigma']:.1f} m"
+        return [["live: first pose after", first], ["live: median sigma", median]]
+    else:
+        named = {f"live, known at once: {PERCENTILES_HEAD}": live["error"]}
+        named |= {"in hindsight, smoothed": live["hindsight"]["error"]}
+    return [[name, error_text({**error, "in_90": None})] for name, error in named.items() if error]
 
 
-def _around(position: Array, floor: FloorPlan | None) -> list[list[float]]:
-    """South-west and north-east corner [m] of a box around positions ``(n, 2)``, with a margin.
+def _maps(report: WalkReport) -> Iterator[dict[str, Any]]:
+    """A map of each floor visited, cropped to the part of the walk on it and to the fixes that were used.
 
     A plan that is hardly larger is shown as a whole.
     """
-    low, high = position.min(axis=0), position.max(axis=0)
-    margin = max(5.0, SURROUNDINGS * float(np.max(high - low)))  # smallest margin [m]: shown around a walk
-    low, high = low - margin, high + margin
-    if floor is not None:
-        west_south, east_north = np.minimum(low, floor.corners[0] - RIM), np.maximum(high, floor.corners[1] + RIM)
-        if (east_north - west_south < WHOLE_PLAN * (high - low)).all():
-            low, high = west_south, east_north
-    return [low.round(2).tolist(), high.round(2).tolist()]
+    path = report.estimate.trajectory
+    on = np.array(maps_of(path.floor, report.labels))
+    used = np.array([(f.time, f.x, f.y) for f in report.estimate.fixes if f.weight > 0.5]).reshape(-1, 3)
+    for n, label in enumerate(report.labels):
+        floor, here = None if report.building is None else report.building[label], (on == n) | (on == ON_EVERY_MAP)
+        near = here[nearest(path.time, used[:, 0])]
+        shown = np.concatenate([path.position[here], used[near, 1:]])
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        margin = max(5.0, SURROUNDINGS * float(np.max(high - low)))  # [m]
+        low, high = low - margin, high + margin
+        if floor is not None:
+            south_west, north_east = np.minimum(low, floor.corners[0] - 1.0), np.maximum(high, floor.corners[1] + 1.0)
+            if (north_east - south_west < 1.3 * (high - low)).all():
+                low, high = south_west, north_east
+        corners = [low.round(2).tolist(), high.round(2).tolist()]
+        yield {"name": label, "corners": corners, "plan": page.plan_drawing(floor) if floor else None}
 
 
 def _tracks(report: WalkReport) -> list[dict[str, Any]]:
     """All tracks in drawing order: the result last, with its 95 % band; truth below, or its few points on top."""
     labels, result = report.labels, report.estimate.trajectory
-    drawn = []
+    drawn, sources = list[dict[str, Any]](), list[dict[str, Any]]()
     for name, (colour, path) in reversed(report.tracks.items()):
         many = len(path) > 2000  # many: rows above which lines are drawn thinner
         style = {
@@ -220,33 +220,31 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
             walked = bool(report.summary["steps"])
-            style |= {"gaps": _gaps(report.steps) if walked else _gaps_of_fixes(report.estimate.fixes)}
+            style |= {"gaps": _gaps(report.steps, [] if walked else report.estimate.fixes)}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
-    drawn = [*integrity.source_tracks(report.sources, labels), *drawn]
-    truth = [] if report.truth is None else [_truth(report.truth, labels)]
-    return [*drawn, *truth] if report.truth is not None and len(report.truth) <= FEW else [*truth, *drawn]
-
-
-def _gaps(steps: Steps | None) -> list[list[float]]:
-    """Start and end of each time without samples [s]."""
-    if steps is None or not steps.is_gap.any():
-        return []
-    begins = np.append(steps.start, steps.time[:-1])
-    return np.stack([begins, steps.time], axis=1)[steps.is_gap].round(2).tolist()
-
-
-def _gaps_of_fixes(fixes: Sequence[FixReport]) -> list[list[float]]:
-    """Start and end of each time without positions [s], in a recording of positions alone."""
-    time = np.array([fix.time for fix in fixes])
-    lost = np.flatnonzero(without_data(time))
-    return np.stack([time[lost], time[lost + 1]], axis=1).round(2).tolist()
-
-
-def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
-    """The truth as a line, or as markers if it has few points."""
-    few = len(truth) <= FEW
+    for source, colour in zip(report.sources, cycle(SOURCE_COLOURS), strict=False):
+        if source.track is not None:
+            on = maps_of(source.track.floor, labels)
+            sources.append(track(f"by {source.name} alone", colour, source.track, on, width=1.3, dash="dot"))
+    if report.truth is None:
+        return [*sources, *drawn]
+    few = len(report.truth) <= FEW  # surveyed points
     style = {"mode": "markers", "symbol": "x-thin"} if few else {"width": 1.0}
-    return track("surveyed" if few else "truth", TRUTH, truth, maps_of(truth.floor, labels), **style)
+    on = maps_of(report.truth.floor, labels)
+    truth = track("surveyed" if few else "truth", TRUTH, report.truth, on, **style)
+    return [*sources, *drawn, truth] if few else [truth, *sources, *drawn]
+
+
+def _gaps(steps: Steps | None, fixes: Sequence[FixReport]) -> list[list[float]]:
+    """Start and end [s] of each time without samples, or without positions in a recording of positions alone."""
+    if fixes:
+        time = np.array([fix.time for fix in fixes])
+        begins, ends, lost = time[:-1], time[1:], without_data(time)
+    elif steps is not None:
+        begins, ends, lost = np.append(steps.start, steps.time[:-1]), steps.time, steps.is_gap
+    else:
+        return []
+    return np.stack([begins, ends], axis=1)[lost].round(2).tolist()
 
 
 def _fix_label(fix: FixReport) -> str:
@@ -303,3 +301,57 @@ def _marks(name: str, colour: str, place: Array, labels: Sequence[str]) -> dict[
     """Marks on a map at positions ``(n, 2)`` [m], with hover texts."""
     x, y = (column(axis, CENTIMETRE) for axis in place.T)
     return {"name": name, "colour": colour, "x": x, "y": y, "text": list(labels)}
+
+
+def _accuracy_tables(report: WalkReport) -> Iterator[Table]:
+    """The metrics of each track, where a sample has ground truth."""
+    if report.truth is None:
+        return
+    paths = {name: path for name, (_, path) in report.tracks.items()}
+    scores = [scores_of_track(path, report.truth, report.building) for path in paths.values()]
+    rows = [
+        [f"{metric.name}: {metric.meaning}" if metric.meaning else metric.name, metric.unit, *texts]
+        for metric in METRICS[1:]
+        if any(texts := [metric.text(values) for values in scores])
+    ]
+    if scores[0]["n"]:
+        yield table("Accuracy against ground truth", ["metric", "unit", *paths], rows)
+
+
+def _source_tables(sources: Sequence[PositionSource], shown: Trajectory) -> Iterator[Table]:
+    """The table of the sources: what each says, and how much of it was used. shown: the result."""
+    if not sources:
+        return
+    rows = []
+    for source in sources:
+        far = [f"{far:.1f} m" if np.isfinite(far) else "" for far in source.distances(shown)]
+        weight = f"{source.weight:.0%}" if np.isfinite(source.weight) else ""
+        rows.append([source.name, f"{source.measurements:,}", *far, weight, source.remark])
+    head = ["source", "measurements", "median distance", "largest", "weight used", "status"]
+    note = "Distance of the track by steps, headings and one source alone from the result. These tracks have no plan "
+    note += "and are dotted on the map; zoom out for a distant one."
+    skipped = [source.name for source in sources if source.track is None and np.isfinite(source.weight)]
+    note += f" Not estimated by itself: {', '.join(skipped)}." if skipped else ""
+    yield table("Which source says what", head, rows, note=note)
+
+
+def _protection_charts(track: Trajectory, levels: Mapping[str, Any] | None) -> Iterator[dict[str, Any]]:
+    """Chart of the 95 % protection levels of a track [m]; levels: those of ``summary.json``, None without any."""
+    if levels is not None and track.covariance is not None:
+        rows = thinned(len(track), charts_and_tables.CHART_ROWS)
+        both = protection_level(track.covariance[rows], np.nan_to_num(track.heading[rows]), 0.95).T
+        axes = zip(("along", "across"), (BLUE, RADIO), both, strict=True)
+        lines = [line(axis, colour, track.time[rows], values) for axis, colour, values in axes]
+        yield chart("protection level 95 %", "m", *lines, from_zero=True)
+
+
+def _protection_tables(levels: Mapping[str, Mapping[str, float]] | None) -> Iterator[Table]:
+    """The protection levels of ``summary.json``, None without any."""
+    if levels is not None:
+        rows = [
+            [f"{name} %", axis, *(f"{levels[f'{axis}_{key}'][share]:.1f} m" for share in ("median", "worst"))]
+            for name, key in (("95", "95"), ("99.9", "999"))
+            for axis in ("along", "across")
+        ]
+        note = "Distance along and across the walking direction that holds the error with a probability."
+        yield table("Protection level", ["probability", "direction", "median", "worst"], rows, note=note)

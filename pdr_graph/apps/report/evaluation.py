@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from pdr_graph.io.tables import read_trajectory
 from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
+REGION_90 = 4.605  # 90 % quantile of χ² with two degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -73,19 +75,10 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         sine, cosine = (np.interp(t, estimate.time, f(estimate.heading)) for f in (np.sin, np.cos))
         heading = np.arctan2(sine, cosine)
         within = (t >= estimate.time[0] - TOLERANCE) & (t <= estimate.time[-1] + TOLERANCE)
-    floors = np.array(estimate.floor, dtype=object)[row]
-    paired = Pairs(
-        t,
-        truth.position,
-        position,
-        truth.heading,
-        heading,
-        np.array(truth.floor, dtype=object),
-        floors,
-        float(t[0]),
-        float(t[-1]),
-    )
-    return paired.where(within)
+    columns = truth.position, position, truth.heading, heading
+    floors = (np.array(labels, dtype=object) for labels in (truth.floor, estimate.floor))
+    true_floor, floor = floors
+    return Pairs(t, *columns, true_floor, floor[row], float(t[0]), float(t[-1])).where(within)
 
 
 def circular_error(pairs: Pairs) -> Array:
@@ -118,16 +111,11 @@ def velocity_error(pairs: Pairs) -> Array:
     return np.abs(_speed(pairs.time, pairs.truth) - _speed(pairs.time, pairs.estimate))
 
 
-SPEED_WINDOW = 0.5  # [s] to either side
-
-
 def _speed(time: Array, position: Array) -> Array:
-    """Mean speed over the window around each sample ``(n,)`` [m/s]."""
+    """Mean speed over t ± 0.5 s at each sample ``(n,)`` [m/s]."""
     distance = np.hypot(*np.diff(position, axis=0, prepend=position[:1]).T)
-    speed = distance / np.diff(time, prepend=time[0] - 1.0)
-    total = np.concatenate([[0.0], np.cumsum(speed)])
-    first = np.searchsorted(time, time - SPEED_WINDOW, side="left")
-    last = np.searchsorted(time, time + SPEED_WINDOW, side="right")
+    total = np.concatenate([[0.0], np.cumsum(distance / np.diff(time, prepend=time[0] - 1.0))])
+    first, last = np.searchsorted(time, time - 0.5, side="left"), np.searchsorted(time, time + 0.5, side="right")
     return (total[last] - total[first]) / (last - first)
 
 
@@ -146,9 +134,6 @@ def circular_accuracy(pairs: Pairs) -> float:
     return float(np.hypot(*_mode(errors[:: -(-len(errors) // 1000)])))
 
 
-MAXIMUM_SHIFTS, CONVERGED_SHIFT = 500, 1e-6  # iterations of mean shift; [kernel widths] shift at convergence
-
-
 def _mode(points: Array) -> Array:
     """The mode ``(2,)`` of the kernel density of points ``(n, 2)``; their mean if all are on one line.
 
@@ -162,10 +147,10 @@ def _mode(points: Array) -> Array:
     square = np.sum(white**2, axis=1)
     distance = square[:, None] + square - 2 * white @ white.T
     mode = white[np.argmax(np.exp(-0.5 * distance).sum(axis=1))]
-    for _ in range(MAXIMUM_SHIFTS):
+    for _ in range(500):  # far more than it takes
         before, weight = mode, np.exp(-0.5 * np.sum((white - mode) ** 2, axis=1))
         mode = weight @ white / weight.sum()
-        if np.hypot(*(mode - before)) < CONVERGED_SHIFT:
+        if np.hypot(*(mode - before)) < 1e-6:  # kernel widths
             break
     return axes @ (mode * np.sqrt(variance))
 
@@ -201,16 +186,16 @@ def evaluate(
         found, expected = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.time, estimate.time))
         raise ValueError(f"evaluate, truth: found times {found}, expected the same clock as the estimate's, {expected}")
     on_floor = pairs.where(pairs.same_floor)
-    return {
-        "ce": _statistics(circular_error(on_floor)),
-        "he": _statistics(heading_error(pairs)),
-        "eag": _median(error_accumulation_gradient(on_floor)),
-        "ve": _median(velocity_error(pairs)) if len(pairs.time) else None,
-        "ca": _or_none(circular_accuracy(on_floor)),
-        "oe": None if floor is None else obstacle_error(estimate, floor),
-        "fe": _or_none(floor_share(pairs)),
-        "n": len(pairs.time),
+    scores = {"ce": _statistics(circular_error(on_floor)), "he": _statistics(heading_error(pairs))}
+    numbers = {
+        "eag": np.median(gradient) if len(gradient := error_accumulation_gradient(on_floor)) else np.nan,
+        "ve": np.median(velocity_error(pairs)) if len(pairs.time) else np.nan,
+        "ca": circular_accuracy(on_floor),
+        "oe": np.nan if floor is None else obstacle_error(estimate, floor),
+        "fe": floor_share(pairs),
     }
+    known = {name: float(value) if np.isfinite(value) else None for name, value in numbers.items()}
+    return scores | known | {"n": len(pairs.time)}
 
 
 def _statistics(errors: Array) -> dict[str, float] | None:
@@ -220,17 +205,6 @@ def _statistics(errors: Array) -> dict[str, float] | None:
     p50, p75, p95 = np.percentile(errors, [50, 75, 95])
     summary = {"p50": p50, "p75": p75, "p95": p95, "mean": errors.mean(), "max": errors.max()}
     return {name: float(value) for name, value in summary.items()}
-
-
-def _median(values: Array) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-REGION_90 = 4.605  # 90 % quantile of χ² with two degrees of freedom
 
 
 def coverage(estimate: Trajectory, truth: Trajectory) -> float | None:
@@ -262,13 +236,11 @@ def error_text(error: Mapping[str, float | None]) -> str:
 
 def table(scores: dict[str, Any]) -> str:
     """The scores of ``evaluate`` as a text of one line per metric; headings in degrees."""
-
-    def row(name: str, unit: str, statistics: dict[str, float] | None) -> str:
-        values = "—" if statistics is None else "  ".join(f"{k} {v:.3f}" for k, v in statistics.items())
-        return f"{name:4}{unit:6}{values}"
-
-    heading = scores["he"] and {name: float(np.degrees(value)) for name, value in scores["he"].items()}
-    lines = [row("CE", "[m]", scores["ce"]), row("HE", "[°]", heading)]
+    lines = []
+    for name, unit, score in (("ce", "[m]", scores["ce"]), ("he", "[°]", scores["he"])):
+        factor = np.degrees(1.0) if name == "he" else 1.0
+        values = "—" if score is None else "  ".join(f"{key} {factor * value:.3f}" for key, value in score.items())
+        lines.append(f"{name.upper():4}{unit:6}{values}")
     for name, unit in (("eag", "[m/s]"), ("ve", "[m/s]"), ("ca", "[m]"), ("oe", "[-]"), ("fe", "[-]")):
         value = scores[name]
         lines.append(f"{name.upper():4}{unit:6}{'—' if value is None else f'{value:.4f}'}")
@@ -308,62 +280,66 @@ def compare(
             span, expected = (f"{t[0]:.3f} to {t[-1]:.3f}" for t in (track.time, against.time))
             hint = clock_hint((track.time[0], track.time[-1]), (against.time[0], against.time[-1]))
             raise InputError(other, "time", f"{span}{hint}", f"times within {TOLERANCE} s of {name}, {expected}")
-    scores = {other: _scores(track, against, floor) for other, track in scored.items()}
+    scores = {other: scores_of_track(track, against, floor) for other, track in scored.items()}
     return Comparison(name, scores)
 
 
-def _scores(track: Trajectory, against: Trajectory, floor: Building | None) -> dict[str, Any]:
-    """The scores of one trajectory; the floor error is unknown for one without floors, as all of TUM's are."""
-    scores = _size(track) | evaluate(track, against, floor)
-    return scores if any(track.floor) else scores | {"fe": None}
+def scores_of_track(track: Trajectory, truth: Trajectory, floor: FloorPlan | Building | None) -> dict[str, Any]:
+    """The scores of ``evaluate`` with ``distance`` [m] and ``duration`` [s] of a track.
 
-
-def _size(track: Trajectory) -> dict[str, float]:
-    """Distance [m] and duration [s] of a trajectory."""
+    The floor score is None for a track without floor labels: those of dead reckoning and of TUM files say nothing.
+    """
     distance = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
-    return {"distance": round(distance, 3), "duration": round(float(np.ptp(track.time)), 3)}
+    size = {"distance": round(distance, 3), "duration": round(float(np.ptp(track.time)), 3)}
+    return size | evaluate(track, truth, floor) | ({} if any(track.floor) else {"fe": None})
 
 
-HEADING_KEY = "he"  # in radians in the scores, in degrees for people
-# Heading of a column: key of its score, key of the statistic, digits
-SCORE_COLUMNS: dict[str, tuple[str, str, int]] = {
-    "distance [m]": ("distance", "", 1),
-    "CE50 [m]": ("ce", "p50", 2),
-    "CE75 [m]": ("ce", "p75", 2),
-    "CE95 [m]": ("ce", "p95", 2),
-    "CE max [m]": ("ce", "max", 2),
-    "HE50 [°]": (HEADING_KEY, "p50", 1),
-    "EAG [m/s]": ("eag", "", 4),
-    "VE [m/s]": ("ve", "", 3),
-    "CA [m]": ("ca", "", 2),
-    "OE": ("oe", "", 4),
-    "FE": ("fe", "", 3),
-    "samples": ("n", "", 0),
-}
+@dataclass(frozen=True)
+class Metric:
+    """A number of `scores_of_track` in tables. key, statistic: its place in the scores; digits: after the point."""
+
+    name: str
+    unit: str
+    digits: int
+    key: str
+    statistic: str = ""
+    meaning: str = ""
+
+    def text(self, scores: Mapping[str, Any]) -> str:
+        """The number as text, headings in degrees; "" if unknown."""
+        value = scores[self.key]
+        value = value[self.statistic] if self.statistic and value is not None else value
+        return "" if value is None else f"{np.degrees(value) if self.unit == '°' else value:.{self.digits}f}"
+
+
+METRICS = (
+    Metric("distance", "m", 1, "distance"),
+    Metric("CE50", "m", 2, "ce", "p50", "median horizontal error"),
+    Metric("CE75", "m", 2, "ce", "p75"),
+    Metric("CE95", "m", 2, "ce", "p95"),
+    Metric("CE max", "m", 2, "ce", "max"),
+    Metric("HE50", "°", 1, "he", "p50", "median heading error"),
+    Metric("EAG", "m/s", 4, "eag", "", "error accumulation gradient"),
+    Metric("VE", "m/s", 3, "ve", "", "speed error"),
+    Metric("CA", "m", 2, "ca", "", "distance of the most frequent error from 0"),
+    Metric("OE", "", 4, "oe", "", "share of steps leaving the walkable area"),
+    Metric("FE", "", 3, "fe", "", "share on the correct floor"),
+    Metric("samples", "", 0, "n", "", "with ground truth"),
+)
 
 
 def comparison_table(comparison: Comparison) -> str:
     """The scores as a text: a row per trajectory, a column per metric; those that no row has are left out."""
-    rows = [[_cell(scores, *column) for column in SCORE_COLUMNS.values()] for scores in comparison.scores.values()]
-    used = [n for n in range(len(SCORE_COLUMNS)) if any(row[n] for row in rows)]
-    heads = list(SCORE_COLUMNS)
-    lines = [["", *(heads[n] for n in used)]]
-    names = [one_line(name) for name in comparison.scores]
-    lines += [[name, *(row[n] or "—" for n in used)] for name, row in zip(names, rows, strict=True)]
-    widths = [max(len(line[n]) for line in lines) for n in range(len(lines[0]))]
-    aligned = (
-        [line[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True))]
-        for line in lines
-    )
-    return "\n".join(["  ".join(cells).rstrip() for cells in aligned] + [f"against {one_line(comparison.reference)}"])
-
-
-def _cell(scores: Mapping[str, Any], key: str, statistic: str, digits: int) -> str:
-    value = scores[key]
-    value = value[statistic] if statistic and value is not None else value
-    if value is None:
-        return ""
-    return f"{np.degrees(value) if key == HEADING_KEY else value:.{digits}f}"
+    columns = [
+        [f"{metric.name} [{metric.unit}]" if metric.unit else metric.name, *(text or "—" for text in texts)]
+        for metric in METRICS
+        if any(texts := [metric.text(scores) for scores in comparison.scores.values()])
+    ]
+    names = ["", *(one_line(name) for name in comparison.scores)]
+    aligned = [[cell.ljust(max(map(len, names))) for cell in names]]
+    aligned += [[cell.rjust(max(map(len, column))) for cell in column] for column in columns]
+    lines = ["  ".join(cells).rstrip() for cells in zip(*aligned, strict=True)]
+    return "\n".join([*lines, f"against {one_line(comparison.reference)}"])
 
 
 def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:
@@ -379,23 +355,14 @@ def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:
             expected = "an output folder of smooth or replay, or a trajectory as CSV or TUM"
             raise InputError(path, "", f"a folder without {RESULT[0]}", expected)
         tracks[name] = read_trajectory(file)
-        frame = _frame_of_result(file.with_name(RESULT[1]))
-        if frame is not None:
-            frames[path] = frame
+        with suppress(OSError, ValueError, KeyError, TypeError):  # a trajectory without a summary
+            frames[path] = dict(json.loads(file.with_name(RESULT[1]).read_text(encoding="utf-8"))["frame"])
     for path, frame in frames.items():
         first = next(iter(frames))
         if frame != frames[first]:
             found = ", ".join(f"{key} {value}" for key, value in frame.items())
             raise InputError(path, "frame", found, f"that of {first}: results with one plan, or with the same fixes")
     return tracks
-
-
-def _frame_of_result(summary: Path) -> dict[str, Any] | None:
-    """The frame of a result; None without a summary."""
-    try:
-        return dict(json.loads(summary.read_text(encoding="utf-8"))["frame"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def _names_of(paths: Sequence[Path]) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import platform
-from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from functools import cache
 from importlib.metadata import version
@@ -17,7 +16,6 @@ from pdr_graph.apps.report.evaluation import circular_error, coverage, evaluate,
 from pdr_graph.apps.report.sources import position_sources
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
-from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.results import is_located, is_usual, teaches_profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.io import gpx, writers
@@ -25,9 +23,7 @@ from pdr_graph.types import Estimate, Trajectory
 from pdr_graph.walk import Evidence, Options, Result, estimate, observe, read
 from pdr_graph.whole_files import output_folder
 
-LONGEST_SOURCES = (
-    0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % of it on IPIN 2023
-)
+LONGEST_SOURCES = 0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % on IPIN 2023
 PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its probability
 REPORT = "report.html"
 KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
@@ -81,7 +77,9 @@ def write(out: Path, result: Result, stage: Stages, report: bool = True) -> tupl
         if report:
             seconds = stage.seconds.get("estimate", 0.0)
             missing += write_report(out, result, summary, seconds)
-        missing += _unscored(evidence, estimate)
+        truth = options.truth
+        if truth is not None and _truth_beside(evidence, estimate) is None:
+            missing += (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
@@ -134,9 +132,7 @@ def write_report(out: Path, result: Result, summary: dict[str, Any], seconds: fl
         from pdr_graph.apps.report.page import page
 
         evidence, estimate = result.evidence, result.estimate
-        truth, tracks = _truth_beside(evidence, estimate), _causal_tracks(result)
         longest = max(LONGEST_SOURCES * seconds, 1.0)  # least sources [s] that these tracks may always take
-        sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
         shown = WalkReport(
             evidence.walk,
             evidence.building,
@@ -144,9 +140,9 @@ def write_report(out: Path, result: Result, summary: dict[str, Any], seconds: fl
             evidence.options.method,
             summary,
             result.steps,
-            tracks,
-            truth,
-            sources,
+            result.causal() if result.live is None else {KNOWN_AT_ONCE: result.live},
+            _truth_beside(evidence, estimate),
+            () if result.graph is None else position_sources(result.graph, estimate, longest),
         )
         html = page(content(shown))
     except Exception as error:  # without a report the result is still useful
@@ -155,17 +151,18 @@ def write_report(out: Path, result: Result, summary: dict[str, Any], seconds: fl
     return ()
 
 
-def _causal_tracks(result: Result) -> Mapping[str, Trajectory]:
-    """The causal tracks of a result by name."""
-    return result.causal() if result.live is None else {KNOWN_AT_ONCE: result.live}
-
-
 def summarize(result: Result) -> dict[str, Any]:
     """Return the part of ``summary.json`` about the walk itself."""
     evidence, estimate = result.evidence, result.estimate
     walk, building = evidence.walk, evidence.building
     track = estimate.trajectory
     crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
+    climbs = (
+        []
+        if (floors := evidence.floors) is None
+        else zip(floors.climbs.start, floors.climbs.end, floors.climbs.height, floors.kinds, strict=True)
+    )
+    origin = walk.clock_origin
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
     return {
         "verdict": result.verdict.describe(),
@@ -177,13 +174,20 @@ def summarize(result: Result) -> dict[str, Any]:
         "frame": evidence.frame.describe(),
         "floor": track.floor[0] or None,
         "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
-        "climbs": _climbs(evidence.floors, walk.clock_origin),
+        "climbs": [
+            {"start": float(t + origin), "end": float(u + origin), "height": float(h), "kind": kind}
+            for t, u, h, kind in climbs
+        ],
         "calibration": _calibration(estimate, walk.clock_origin),
-        **_reports_by_kind(estimate, walk.clock_origin),
+        **_reports_by_kind(estimate, origin),
         "scores": scores_of(evidence, estimate),
         "wall_crossings": crossings,
         **_finite({"probability": round(estimate.probability, 3)}),
-        "routes": [_route(share, path) for share, path in estimate.routes],
+        "routes": [
+            {"probability": round(share, 3), "begin": path.position[0].round(2).tolist()}
+            | {"end": path.position[-1].round(2).tolist()}
+            for share, path in estimate.routes
+        ],
         "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
         "warnings": list(dict.fromkeys([*sorted([*estimate.warnings, *result.issues], key=is_usual), *evidence.notes])),
@@ -238,27 +242,16 @@ def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | Non
 
 
 def _reports_by_kind(estimate: Estimate, clock_origin: float) -> dict[str, Any]:
-    """The reports of KEYED_KINDS by name; under "reports" those of other kinds, if there are any."""
-    listed = {kind: _reports(estimate.reports.get(kind, ()), clock_origin) for kind in (*REPORTED, *estimate.reports)}
+    """The reports of KEYED_KINDS by name, times on the recorder's clock; under "reports" those of other kinds."""
+    listed: dict[str, list[dict[str, Any]]] = {kind: [] for kind in REPORTED}
+    for kind, reports in estimate.reports.items():
+        timed = bool(reports) and "time" in {column.name for column in fields(reports[0])}
+        shifted = (replace(report, time=report.time + clock_origin) if timed else report for report in reports)
+        listed[kind] = [_finite(asdict(report)) for report in shifted]
     others = {kind: rows for kind, rows in listed.items() if kind not in KEYED_KINDS}
-    named = {kind: rows for kind, rows in listed.items() if kind in KEYED_KINDS}
-    return named | ({"reports": others} if others else {})
-
-
-def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, Any]]:
-    """The reports of one kind of measurement, their times on the recorder's clock."""
-    timed = bool(reports) and "time" in {column.name for column in fields(reports[0])}
-    return [
-        _finite(asdict(replace(report, time=report.time + clock_origin) if timed else report)) for report in reports
-    ]
-
-
-def _unscored(evidence: Evidence, estimate: Estimate) -> tuple[str, ...]:
-    """The missing scores if a truth was given but cannot be compared with the walk."""
-    truth = evidence.options.truth
-    if truth is None or _truth_beside(evidence, estimate) is not None:
-        return ()
-    return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
+    return {kind: rows for kind, rows in listed.items() if kind in KEYED_KINDS} | (
+        {"reports": others} if others else {}
+    )
 
 
 def _truth_beside(evidence: Evidence, estimate: Estimate) -> Trajectory | None:
@@ -271,17 +264,6 @@ def _truth_beside(evidence: Evidence, estimate: Estimate) -> Trajectory | None:
     apart = np.abs(truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
     near = np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0
     return truth if near else None
-
-
-def _climbs(floors: Floors | None, clock_origin: float) -> list[dict[str, Any]]:
-    """Start, end, height and kind of each climb."""
-    if floors is None:
-        return []
-    climbs = floors.climbs
-    return [
-        {"start": float(t + clock_origin), "end": float(u + clock_origin), "height": float(h), "kind": kind}
-        for t, u, h, kind in zip(climbs.start, climbs.end, climbs.height, floors.kinds, strict=True)
-    ]
 
 
 def _calibration(estimate: Estimate, clock_origin: float) -> list[dict[str, Any]]:
@@ -319,12 +301,6 @@ def protection_of(estimate: Estimate) -> dict[str, dict[str, float]] | None:
                 "worst": round(float(values.max()), 2),
             }
     return found
-
-
-def _route(probability: float, path: Trajectory) -> dict[str, Any]:
-    """Probability of a route, and where it begins and ends [m]."""
-    begin, end = path.position[[0, -1]].round(2).tolist()
-    return {"probability": round(probability, 3), "begin": begin, "end": end}
 
 
 def _length(estimate: Estimate) -> float:

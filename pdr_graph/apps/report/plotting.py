@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -14,16 +15,16 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerPolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
+from matplotlib.patheffects import Normal, Stroke
 
 from pdr_graph.apps.report.page import (
     BAND,
-    BORDER,
-    CELLS,
     EDGES,
     OPENING,
     OTHER,
@@ -35,20 +36,34 @@ from pdr_graph.apps.report.page import (
     SURROUNDINGS,
     TRUTH,
     WALKABLE_COLOUR,
+    plan_layers,
 )
 from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.notebook_html import BLUE, GREY, RED
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array, Estimate, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
-REJECTED = 0.1  # weight below which a fix counts as rejected
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
+STYLE: Any = {  # of all figures; names of files and floors mean nothing to matplotlib
+    "font.size": 8,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-9, 9),
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "legend.loc": "lower center",
+    "text.parse_math": False,
+}
+HALO = [Stroke(linewidth=2.2, foreground="white", alpha=0.85), Normal()]
 
 
+@rc_context(STYLE)
 def plot(
     estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
 ) -> Figure:
@@ -73,32 +88,32 @@ def plot(
             draw_plan(axes, floors[n])
         several = len(floors) > 1
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
-        _title(axes, f"{floors[n].label}   {title}" if several else title)
-        _draw_scale(axes)
+        axes.set_title(printable(f"{floors[n].label}   {title}" if several else title))
+        draw_scale(axes)
     _draw_legend(figure, canvases)
     return figure
 
 
 def _draw_legend(figure: Figure, canvases: Sequence[Axes]) -> None:
     """Name the marks of all axes below them, each once."""
-    columns = max(2, int(figure.get_figwidth() / 1.9))
     handlers: Any = {PatchCollection: HandlerPolyCollection()}  # which matplotlib knows from 3.11 on
     marks = [zip(*axes.get_legend_handles_labels(handlers), strict=True) for axes in canvases]
     named = {text: mark for of_axes in marks for mark, text in of_axes}
-    style: Any = {"loc": "lower center", "ncols": columns, "frameon": False, "fontsize": 9}
-    figure.legend(named.values(), named.keys(), handler_map=handlers, **style)
+    columns = max(2, int(figure.get_figwidth() / 1.9))
+    figure.legend(named.values(), named.keys(), handler_map=handlers, ncols=columns)
 
 
-def _draw_scale(axes: Axes) -> None:
+def draw_scale(axes: Axes) -> None:
     """Draw a bar of 1, 2, 5, 10 … m, the longest that is not above a fifth of the axes."""
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     most = (east - west) / 5
     power = 10.0 ** np.floor(np.log10(most))
     length = power * max(times for times in (1, 2, 5) if times * power <= most)
     x, y = west + 0.03 * (east - west), south + 0.03 * (north - south)
-    axes.plot([x, x + length], [y, y], color=TRUTH, lw=2, solid_capstyle="butt", zorder=9)
+    axes.plot([x, x + length], [y, y], color=TRUTH, lw=2.5, solid_capstyle="butt", zorder=9)
     text = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
-    axes.annotate(text, (x, y), (0, 3), textcoords="offset points", fontsize=8, zorder=9)
+    style: dict[str, Any] = {"va": "center", "zorder": 9, "path_effects": HALO}
+    axes.annotate(text, (x + length, y), (4, 0), textcoords="offset points", **style)
 
 
 def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[FloorPlan, ...]:
@@ -113,24 +128,22 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
     """Draw the part of a walk on the floor with this label; all of it without a label."""
     track = _on(estimate.trajectory, label)
     if estimate.dead_reckoning is not estimate.trajectory:
-        reckoned, dashes = _on(estimate.dead_reckoning, label), (0, (4, 2))
-        axes.plot(*reckoned.T, color=GREY, lw=1.2, ls=dashes, label="dead reckoning, rigidly aligned", zorder=3)
+        reckoned = _on(estimate.dead_reckoning, label)
+        axes.plot(*reckoned.T, color=GREY, lw=1.2, ls="--", label="dead reckoning, rigidly aligned")
     draw_uncertainty(axes, estimate.trajectory, label)
     for number, (probability, route) in enumerate(estimate.routes[1:]):
         named = "other routes, with probability" if number == 0 else None
         path = _on(route, label)
-        axes.plot(*path.T, color=OTHER, lw=1.2, alpha=0.8, label=named, zorder=4)
-        axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, fontsize=8, zorder=4, clip_on=True)
-    axes.plot(*track.T, color=BLUE, lw=2.2, label=_name_of(estimate), zorder=5, solid_joinstyle="round")
-    axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=BLUE, mew=2, ls="none", zorder=7, label="start")
-    axes.plot(*track[-1], marker="s", ms=8, mfc=BLUE, mec="white", mew=1, ls="none", zorder=7, label="end")
-    if truth is not None:
-        few = len(truth) <= MANY
-        name = "surveyed points" if few else "true path"
-        axes.plot(*_on(truth, label).T, label=name, zorder=8 if few else 6, **_truth_style(truth))
+        axes.plot(*path.T, color=OTHER, lw=1.2, label=named)
+        axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, clip_on=True)
     _draw_fixes(axes, estimate, label)
     if label in (None, estimate.trajectory.floor[0]):
         _draw_beacons(axes, estimate)
+    axes.plot(*track.T, color=BLUE, lw=2.2, label=_name_of(estimate), solid_joinstyle="round")
+    _draw_truth(axes, truth, label, "surveyed points", "true path")
+    marks: dict[str, Any] = {"mec": BLUE, "mew": 1.5, "ls": "none", "zorder": 3}
+    axes.plot(*track[0], marker="o", ms=8, mfc="white", label="start", **marks)
+    axes.plot(*track[-1], marker="s", ms=7, mfc=BLUE, label="end", **marks)
 
 
 def _name_of(estimate: Estimate) -> str:
@@ -143,10 +156,12 @@ def _name_of(estimate: Estimate) -> str:
     return "most probable walk" if measured else "walk by its steps alone"
 
 
-def _truth_style(truth: Trajectory) -> dict[str, Any]:
-    """Crosses for a few surveyed points, a line for a path."""
-    few = len(truth) <= MANY
-    return {"color": TRUTH} | ({"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0})
+def _draw_truth(axes: Axes, truth: Trajectory | None, label: str | None, few: str, many: str) -> None:
+    """Draw the truth: crosses for a few surveyed points, a line for a path. few, many: names of these."""
+    if truth is not None:
+        points = len(truth) <= MANY
+        style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if points else {"lw": 1.0}
+        axes.plot(*_on(truth, label).T, color=TRUTH, label=few if points else many, **style)
 
 
 def _on(track: Trajectory, label: str | None) -> Array:
@@ -166,8 +181,10 @@ def picture_bytes(figure: Figure, dpi: float = 120, file_format: str = "png") ->
 
 
 CYCLE = ("#1f5fbf", "#d1602b", "#2a9d6f", "#b0458a", "#c9a227", "#7b4fa6", "#5b5b5b", "#36a9c9")  # of trajectories
+LINE_STYLES = ("-", "--", "-.", ":")  # styles, so that grey prints differ too
 
 
+@rc_context(STYLE)
 def plot_comparison(
     tracks: Mapping[str, Trajectory], truth: Trajectory | None = None, floor: Building | None = None
 ) -> Figure:
@@ -180,39 +197,31 @@ def plot_comparison(
         if floors:
             draw_plan(axes, floors[n])
         label = floors[n].label if len(floors) > 1 else None
-        for number, (name, track) in enumerate(tracks.items()):
-            style: dict[str, Any] = {"color": CYCLE[number % len(CYCLE)], "lw": 1.8, "label": printable(name)}
-            axes.plot(*_on(track, label).T, ls=LINE_STYLES[number % len(LINE_STYLES)], zorder=5, **style)
-        if truth is not None:
-            axes.plot(*_on(truth, label).T, label="truth", zorder=8, **_truth_style(truth))
-        _title(axes, label or "")
-        _draw_scale(axes)
+        for (name, track), colour, dashes in zip(tracks.items(), cycle(CYCLE), cycle(LINE_STYLES), strict=False):
+            axes.plot(*_on(track, label).T, color=colour, ls=dashes, label=printable(name))
+        _draw_truth(axes, truth, label, "truth", "truth")
+        axes.set_title(printable(label or ""))
+        draw_scale(axes)
     _draw_legend(figure, canvases)
     return figure
 
 
-LINE_STYLES = ("-", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # styles, so that grey prints differ too
-
-
-def plot_plan(*floors: FloorPlan) -> Figure:
-    """Draw all floors, the lowest at the lower left: walkable and solid areas."""
-    figure, canvases = _canvas(
-        np.concatenate([floor.corners for floor in floors]), around=0.02, bottom=0.6, count=len(floors)
-    )
+@rc_context(STYLE)
+def plot_plan(*floors: FloorPlan, bottom: float = 0.6) -> Figure:
+    """Draw all floors, the lowest at the lower left: walkable and solid areas. bottom: space below [inch]."""
+    corners = np.concatenate([floor.corners for floor in floors])
+    figure, canvases = _canvas(corners, around=0.02, bottom=bottom, count=len(floors))
     for axes, floor in zip(canvases, floors, strict=True):
         draw_plan(axes, floor)
-        _title(axes, f"{floor.label}   walkable {floor.walkable_area:.0f} m²")
+        axes.set_title(printable(f"{floor.label}   walkable {floor.walkable_area:.0f} m²"))
     return figure
 
 
+@rc_context(STYLE)
 def plot_conversion(ignored: shapely.Geometry, *floors: FloorPlan) -> Figure:
     """Draw what was understood of a plan, floor by floor: kinds of areas, and in red the lines that were ignored."""
-    corners = np.concatenate([floor.corners for floor in floors])
-    figure, canvases = _canvas(corners, around=0.02, bottom=0.9, count=len(floors))
-    for axes, floor in zip(canvases, floors, strict=True):
-        draw_plan(axes, floor)
-        _title(axes, f"{floor.label}   walkable {floor.walkable_area:.0f} m²")
-    _lines(canvases[0], ignored, color=RED, lw=0.8, ls="--", zorder=2.6)
+    figure = plot_plan(*floors, bottom=0.9)
+    _draw_shape(figure.axes[0], ignored, edgecolor=RED, ls="--")
     fills = {
         "corridor, free space": WALKABLE_COLOUR,
         "room, lift": ROOM,
@@ -221,107 +230,77 @@ def plot_conversion(ignored: shapely.Geometry, *floors: FloorPlan) -> Figure:
         "solid": SOLID_FILL,
     }
     marks: list[Artist] = [Patch(facecolor=colour, edgecolor=EDGES, label=name) for name, colour in fills.items()]
-    marks += [Line2D([], [], color=EDGES, lw=0.9, label="wall"), Line2D([], [], color=RED, ls="--", label="ignored")]
-    figure.legend(handles=marks, loc="lower center", ncols=4, frameon=False, fontsize=8)
+    marks += [Line2D([], [], color=EDGES, label="wall"), Line2D([], [], color=RED, ls="--", label="ignored")]
+    figure.legend(handles=marks, ncols=4)
     return figure
 
 
 def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     """Draw the walkable and solid areas of a plan [m], with the names that fit."""
-    solid = [area for area in floor.of_kind(*SOLID) if area.is_polygon]
-    drawn = [area for area in floor.areas if area.is_polygon and area.kind != LINK]
     axes.set_facecolor(OUTDOORS)
-    axes.add_collection(_patches(shapely.union_all([a.shape for a in drawn]), facecolor=SOLID_FILL, lw=0, zorder=1))
-    borders = shapely.geometrycollections([area.shape for area in solid])
-    axes.add_collection(_patches(borders, facecolor="none", edgecolor=BORDER, lw=0.4, zorder=1))
-    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE_COLOUR, edgecolor=EDGES, lw=0.5, zorder=2))
-    for kinds, colour in CELLS:
-        cells = shapely.geometrycollections([c.polygon for c in floor.cells.cells if c.kind in kinds])
-        axes.add_collection(_patches(cells, facecolor=colour, lw=0, zorder=2.1))
-    _lines(axes, floor.cells.barriers, color=EDGES, lw=0.7, zorder=2.2)
-    _lines(axes, shapely.union_all([a.shape for a in floor.of_kind(LINK)]), color=BORDER, lw=0.5, ls=":", zorder=2.3)
+    for layer in plan_layers(floor):
+        _draw_shape(axes, layer.shape, facecolor=layer.fill, edgecolor=layer.stroke, lw=8 * layer.width)
     for beacon in floor.of_kind(BEACON):
-        axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=RED, ls="none", zorder=2.4)
-    for area in (*solid, *floor.of_kind(*CLOSED, *OPEN)):
-        if area.name.isascii() and area.name.isprintable() and area.is_polygon:
-            _name(axes, area.name, area.shape)
-
-
-def _title(axes: Axes, text: str) -> None:
-    """Write a text above the axes, in which names of files and floors mean nothing to matplotlib."""
-    axes.set_title(printable(text), loc="left", fontsize=10, parse_math=False)
-
-
-def _lines(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
-    """Draw lines as one collection."""
-    parts = [shapely.get_coordinates(p) for p in shapely.get_parts(geometry) if shapely.get_dimensions(p) == 1]
-    axes.add_collection(LineCollection(parts, **style))
-
-
-def _patches(geometry: shapely.Geometry, **style: object) -> PatchCollection:
-    """Polygons with holes as one collection."""
-    patches = []
-    for polygon in shapely.get_parts(shapely.get_parts(geometry)):
-        if shapely.get_dimensions(polygon) == 2:
-            rings = [shapely.get_coordinates(r) for r in shapely.get_rings(polygon)]
-            patches.append(PathPatch(Path.make_compound_path(*(Path(r, closed=True) for r in rings))))
-    return PatchCollection(patches, match_original=False, **style)
-
-
-def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
-    """Write a name into the visible part of its polygon, if it fits."""
+        axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=RED, ls="none")
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
-    shown = shapely.intersection(polygon, shapely.box(west, south, east, north))
-    letter = 0.06 * (east - west) / LONGEST_SIDE  # [m] wide, at 6 points
-    x0, y0, x1, y1 = shapely.bounds(shown)
-    if shapely.area(shown) > 0 and len(name) * letter < x1 - x0 and 2 * letter < y1 - y0:
-        place = shapely.point_on_surface(shown)
-        x, y = shapely.get_x(place), shapely.get_y(place)
-        style: dict[str, Any] = {"fontsize": 6, "color": "#6b655b", "zorder": 2.5, "parse_math": False}
-        axes.annotate(name, (x, y), ha="center", va="center", **style)
+    inches = axes.get_window_extent().width / axes.figure.dpi
+    letter = 0.06 * (east - west) / inches  # [m] wide, at 6 points
+    for area in floor.of_kind(*SOLID, *CLOSED, *OPEN):
+        if area.name.isascii() and area.name.isprintable() and area.is_polygon:
+            shown = shapely.intersection(area.shape, shapely.box(west, south, east, north))
+            x0, y0, x1, y1 = shapely.bounds(shown)
+            if shapely.area(shown) > 0 and len(area.name) * letter < x1 - x0 and 2 * letter < y1 - y0:
+                [place] = shapely.get_coordinates(shapely.point_on_surface(shown))
+                style: dict[str, Any] = {"color": "#6b655b", "ha": "center", "va": "center", "clip_on": True}
+                axes.annotate(area.name, place, fontsize=6, zorder=1, **style)
+
+
+def _draw_shape(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
+    """Draw the polygons of a geometry with their holes as one collection, and its lines as another."""
+    parts = shapely.get_parts(shapely.get_parts(geometry))
+    patches = [
+        PathPatch(
+            Path.make_compound_path(*(Path(shapely.get_coordinates(r), closed=True) for r in shapely.get_rings(p)))
+        )
+        for p in parts[shapely.get_dimensions(parts) == 2]
+    ]
+    if patches:
+        axes.add_collection(PatchCollection(patches, match_original=False, **style))
+    lines = [shapely.get_coordinates(p) for p in parts[shapely.get_dimensions(parts) == 1]]
+    if lines:
+        axes.add_collection(LineCollection(lines, **style))
 
 
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """Draw the union of the 95 % ellipses of the steps."""
     region = shapely.union_all(confidence_band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
-    named = {"label": "95 % region"} if shapely.area(region) > 0 else {}
-    axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4, **named))
+    _draw_shape(axes, region, facecolor=BAND, lw=0, alpha=0.3, label="95 % region")
 
 
 def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     """Draw fixes, paler with less weight, each with a line to the walk at its time."""
-    if not estimate.fixes:
-        return
     track, time = estimate.trajectory, np.array([f.time for f in estimate.fixes])
     here = np.isfinite(_on(track, label)[nearest(track.time, time), 0])
-    place = np.array([(f.x, f.y) for f in estimate.fixes])[here]
-    weight = np.array([f.weight for f in estimate.fixes])[here]
-    at = interpolate(time[here], track.time, track.position)
-    if not len(place):
+    if not here.any():
         return
-    share = min(1.0, MANY / len(place))
-    gaps = list(np.stack([place, at], axis=1))
-    axes.add_collection(LineCollection(gaps, color=RED, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
-    faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
-    size = max(42 * share, 5)
-    axes.scatter(*place.T, s=size, c=faces, edgecolors=RED, linewidths=1.2, zorder=4.5)
-    name = "fix" + ("" if weight.min() > REJECTED else " (hollow: rejected)")
-    style: dict[str, Any] = {"color": RED, "lw": 0.8, "marker": "o", "ms": size**0.5, "label": name}
-    axes.plot([], [], **style)
+    *place, weight = np.array([(f.x, f.y, f.weight) for f in estimate.fixes])[here].T
+    at = interpolate(time[here], track.time, track.position)
+    share = min(1.0, MANY / len(at))
+    gaps = list(np.stack([np.column_stack(place), at], axis=1))
+    axes.add_collection(LineCollection(gaps, color=RED, lw=0.8 * share, alpha=0.2 + 0.4 * share))
+    name = "fix" + (" (hollow: rejected)" if weight.min() <= REPORTS.rejected else "")
+    style: dict[str, Any] = {"s": max(42 * share, 5), "edgecolors": RED, "label": name, "zorder": 2}
+    axes.scatter(*place, c=to_rgba_array([RED] * len(at), 0.15 + 0.85 * weight), **style)
 
 
 def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
     """Draw the estimated positions of the beacons with their names, misplaced ones in another colour."""
     for colour, moved, label in ((RADIO, False, "beacons"), (RED, True, "misplaced beacons")):
         group = [b for b in estimate.beacons if b.misplaced == moved]
-        if group:
-            place = np.array([(b.x, b.y) for b in group])
-            axes.scatter(
-                *place.T, s=46, marker="D", c="white", edgecolors=colour, linewidths=1.4, zorder=4.6, label=label
-            )
-            for b in group:
-                style: dict[str, Any] = {"fontsize": 7, "color": colour, "parse_math": False}
-                axes.annotate(printable(b.label), (b.x, b.y), (5, 5), textcoords="offset points", **style)
+        for number, b in enumerate(group):
+            style: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": colour, "label": None if number else label}
+            axes.plot(b.x, b.y, marker="D", **style)
+            axes.annotate(printable(b.label), (b.x, b.y), (5, 5), textcoords="offset points", color=colour)
 
 
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:
@@ -334,28 +313,15 @@ def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tupl
     shown = high - low + 2 * max(2.0, around * float(np.max(high - low)))
     scale = LONGEST_SIDE / float(shown.max())  # [inch/m]
     shown = np.maximum(shown, SHORTEST_SIDE / scale)
-    left, right, top = 0.85, 0.15, 0.35  # [inch]
-    each, high_up = shown * scale + (left + right, bottom + top)
-    columns = min(count, max(1, round(np.sqrt(count * high_up / each))))
-    rows = -(-count // columns)
-    figure = Figure(figsize=(columns * each, rows * high_up))
+    corners = (low + high) / 2 + np.outer((-0.5, 0.5), shown)
+    each = shown * scale + (1.0, bottom + 0.35)  # [inch] with labels, title and legend
+    columns = min(count, max(1, round(np.sqrt(count * each[1] / each[0]))))
+    size = each * (columns, -(-count // columns))
+    figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
-    (west, south), (east, north) = (low + high - shown) / 2, (low + high + shown) / 2
-    canvases = []
     for n in range(count):
         row, column = divmod(n, columns)
-        place = (
-            (column + left / each) / columns,
-            (row + bottom / high_up) / rows,
-            shown[0] * scale / each / columns,
-            shown[1] * scale / high_up / rows,
-        )
-        axes = figure.add_axes(place)
-        axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")
-        axes.set_xlabel("x [m]")
-        axes.set_ylabel("y [m]")
-        axes.tick_params(labelsize=8)
-        axes.locator_params(nbins=7)
-        axes.ticklabel_format(useOffset=False, style="plain")
-        canvases.append(axes)
-    return figure, canvases
+        place = (np.array([column, row]) * each + (0.85, bottom)) / size
+        limits: dict[str, Any] = {"xlim": corners[:, 0], "ylim": corners[:, 1], "aspect": "equal"}
+        figure.add_axes((*place, *(shown * scale / size)), xlabel="x [m]", ylabel="y [m]", **limits)
+    return figure, figure.axes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 import msgspec
@@ -24,7 +25,6 @@ from pdr_graph.apps.lifelog.past.past_rows import (
     unix_time,
     unix_times,
     valid_positions,
-    with_guesses,
 )
 from pdr_graph.io.past_day import E7, GOOGLE_CELL, GOOGLE_PATH, GOOGLE_WIFI, GPS, MS, PHONE, SIGHTING, Rows
 from pdr_graph.io.validation import float_of
@@ -59,18 +59,14 @@ def records(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Every position that a phone reported, up to gigabytes; Google's guesses of the activity are not read."""
     for piece in pieces(stream, where):
         if piece.key == "locations":
-            locations, bad = decoded(piece, DECODE_LOCATIONS, Location)
-            batch = _record_batch(locations)
-            yield Batch(batch.positions, left_out=+(batch.left_out + Counter({"unreadable": bad})))
-
-
-def _record_batch(locations: Sequence[Location]) -> Batch:
-    """The positions of some records."""
-    time = unix_times([location.timestamp or location.milliseconds for location in locations])
-    lat = _unwrapped(np.array([location.latitude for location in locations])) / E7
-    lon = _unwrapped(np.array([location.longitude for location in locations])) / E7
-    source = np.array([GOOGLE_RADIOS.get(location.source, PHONE) for location in locations], np.uint8)
-    return valid_positions(time, lat, lon, np.array([location.accuracy for location in locations]), source)
+            found, bad = decoded(piece, DECODE_LOCATIONS, Location)
+            time = unix_times([location.timestamp or location.milliseconds for location in found])
+            lat = _unwrapped(np.array([location.latitude for location in found])) / E7
+            lon = _unwrapped(np.array([location.longitude for location in found])) / E7
+            source = np.array([GOOGLE_RADIOS.get(location.source, PHONE) for location in found], np.uint8)
+            accuracy = np.array([location.accuracy for location in found])
+            batch = valid_positions(time, lat, lon, accuracy, source)
+            yield replace(batch, left_out=+(batch.left_out + Counter({"unreadable": bad})))
 
 
 def _unwrapped(values: Array) -> Array:
@@ -79,25 +75,25 @@ def _unwrapped(values: Array) -> Array:
 
 
 def _semantic(found: Sequence[Any], bad: int) -> Batch:
-    """Visits and activities as guesses, and the points of raw paths that have a time."""
-    points = [point for element in found for point in _raw_path(at(element, "activitySegment"))]
-    return with_guesses(batch_of(points, bad), [item for element in found for item in _semantic_guesses(element)])
-
-
-def _semantic_guesses(element: Any) -> Iterator[Guess]:
-    """The visit, with visits inside it, or the activity of an element."""
-    visit, ride = at(element, "placeVisit"), at(element, "activitySegment")
-    if isinstance(visit, dict):
-        for one in (visit, *items(visit, "childVisits")):
-            place = at(one, "location")
-            name = at(place, "name") or at(place, "placeId")
-            share = float_of(at(place, "locationConfidence")) / 100
-            yield guess(SEMANTIC, "visit", _times(one), name, coordinates_e7(place), share)
-    if isinstance(ride, dict):
-        name = at(ride, "activityType") or at(ride, "waypointPath", "travelMode")
-        shares = [at(a, "probability") for a in items(ride, "activities") if at(a, "activityType") == name]
-        share = float_of(shares[0]) / 100 if shares else None
-        yield guess(SEMANTIC, "activity", _times(ride), name, coordinates_e7(at(ride, "startLocation")), share)
+    """Visits, with visits inside them, and activities as guesses, and the points of raw paths, which have a time."""
+    points, guesses = list[Point](), list[Guess]()
+    for element in found:
+        visit, ride = at(element, "placeVisit"), at(element, "activitySegment")
+        for stay in (visit, *items(visit, "childVisits")) if isinstance(visit, dict) else ():
+            place = at(stay, "location")
+            name, share = at(place, "name") or at(place, "placeId"), float_of(at(place, "locationConfidence")) / 100
+            guesses.append(guess(SEMANTIC, "visit", _times(stay), name, coordinates_e7(place), share))
+        if isinstance(ride, dict):
+            name = at(ride, "activityType") or at(ride, "waypointPath", "travelMode")
+            shares = [at(a, "probability") for a in items(ride, "activities") if at(a, "activityType") == name]
+            share = float_of(shares[0]) / 100 if shares else None
+            place = coordinates_e7(at(ride, "startLocation"))
+            guesses.append(guess(SEMANTIC, "activity", _times(ride), name, place, share))
+        for point in items(ride, "simplifiedRawPath", "points"):
+            accuracy = max(PATH_ACCURACY, float_of(at(point, "accuracyMeters")))
+            time = at(point, "timestamp") or at(point, "timestampMs")
+            points.append((time, coordinates_e7(point), accuracy, GOOGLE_PATH))
+    return batch_of(points, bad, guesses)
 
 
 def _times(value: Any) -> tuple[Any, Any]:
@@ -106,59 +102,42 @@ def _times(value: Any) -> tuple[Any, Any]:
     return tuple(at(span, name) or at(span, f"{name}Ms") for name in ("startTimestamp", "endTimestamp"))
 
 
-def _raw_path(ride: Any) -> Iterator[Point]:
-    """The points of an activity's raw path; way points have no time and are not read."""
-    for point in items(ride, "simplifiedRawPath", "points"):
-        accuracy = max(PATH_ACCURACY, float_of(at(point, "accuracyMeters")))
-        yield at(point, "timestamp") or at(point, "timestampMs"), coordinates_e7(point), accuracy, GOOGLE_PATH
-
-
 def _segments(found: Sequence[Any], bad: int) -> Batch:
-    """Visits and activities of segments as guesses, and the points of the path, as of Android or iOS."""
-    points = [point for element in found for point in _path(element)]
-    return with_guesses(batch_of(points, bad), [item for element in found for item in _segment_guesses(element)])
+    """Visits and activities of segments as guesses, and the points of the path, as of Android or iOS.
 
-
-def _segment_guesses(element: Any) -> Iterator[Guess]:
-    """The visit or activity of a segment, with the probability of its most probable place or kind."""
-    times = at(element, "startTime"), at(element, "endTime")
-    visit, ride = at(element, "visit"), at(element, "activity")
-    if isinstance(visit, dict):
-        best = at(visit, "topCandidate")
-        meaning = str(at(best, "semanticType") or "").upper()
-        name = at(best, "placeId") or at(best, "placeID") if meaning in ("", "UNKNOWN") else meaning
-        yield guess(TIMELINE, "visit", times, name, coordinates(at(best, "placeLocation")), at(best, "probability"))
-    if isinstance(ride, dict):
-        best = at(ride, "topCandidate")
-        place = coordinates(at(ride, "start"))
-        yield guess(TIMELINE, "activity", times, at(best, "type"), place, at(best, "probability"))
-
-
-def _path(element: Any) -> Iterator[Point]:
-    """The points of a segment's path: Android has their times, iOS minutes from the segment's start."""
-    start = unix_time(at(element, "startTime"))
-    for point in items(element, "timelinePath"):
-        time = at(point, "time") or start + 60 * float_of(at(point, "durationMinutesOffsetFromStartTime"))
-        yield time, coordinates(at(point, "point")), PATH_ACCURACY, GOOGLE_PATH
+    A guess has the probability of its most probable place or kind. Android has the times of points, iOS minutes from
+    the segment's start.
+    """
+    points, guesses = list[Point](), list[Guess]()
+    for element in found:
+        times = at(element, "startTime"), at(element, "endTime")
+        visit, ride = at(element, "visit"), at(element, "activity")
+        if isinstance(visit, dict):
+            best = at(visit, "topCandidate")
+            meaning = str(at(best, "semanticType") or "").upper()
+            name = at(best, "placeId") or at(best, "placeID") if meaning in ("", "UNKNOWN") else meaning
+            place = coordinates(at(best, "placeLocation"))
+            guesses.append(guess(TIMELINE, "visit", times, name, place, at(best, "probability")))
+        if isinstance(ride, dict):
+            best, place = at(ride, "topCandidate"), coordinates(at(ride, "start"))
+            guesses.append(guess(TIMELINE, "activity", times, at(best, "type"), place, at(best, "probability")))
+        start = unix_time(times[0])
+        for point in items(element, "timelinePath"):
+            time = at(point, "time") or start + 60 * float_of(at(point, "durationMinutesOffsetFromStartTime"))
+            points.append((time, coordinates(at(point, "point")), PATH_ACCURACY, GOOGLE_PATH))
+    return batch_of(points, bad, guesses)
 
 
 def _raw_signals(found: Sequence[Any], bad: int) -> Batch:
     """Raw positions and Wi-Fi scans of the last month."""
-    batch = batch_of([point for element in found for point in _position(at(element, "position"))], bad)
-    return Batch(batch.positions, _sightings(found), (), batch.left_out)
-
-
-def _position(position: Any) -> Iterator[Point]:
-    """The point of a raw position."""
-    if isinstance(position, dict):
-        place = coordinates(position)
-        accuracy, radio = float_of(position.get("accuracyMeters")), position.get("source")
-        yield (
-            position.get("timestamp"),
-            place,
-            accuracy,
-            GOOGLE_RADIOS.get(radio, PHONE) if isinstance(radio, str) else PHONE,
-        )
+    points = list[Point]()
+    for position in (at(element, "position") for element in found):
+        if isinstance(position, dict):
+            radio = position.get("source")
+            source = GOOGLE_RADIOS.get(radio, PHONE) if isinstance(radio, str) else PHONE
+            accuracy = float_of(position.get("accuracyMeters"))
+            points.append((position.get("timestamp"), coordinates(position), accuracy, source))
+    return replace(batch_of(points, bad), sightings=_sightings(found))
 
 
 def _sightings(found: Sequence[Any]) -> Rows:

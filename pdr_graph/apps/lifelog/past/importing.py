@@ -180,15 +180,24 @@ def import_past(
     with Store(store, new=True) as log:
         folder = log.folder / FOLDER
         cache.remove_partial_copies(folder)
-        reading = _Reading(log, person, sum(file.size for file in found), progress)
         with DaySpill(folder, POSITION) as positions, DaySpill(folder, SIGHTING) as sightings:
+            reading = _Reading(log, person, sum(file.size for file in found), progress)
             for file in found:
                 refused += reading.read(file, positions, sightings)
-            changed, placed = _merged(log, person, positions, sightings, progress)
+            past, changed = PastDays(log, person), Changes()
+            days = sorted({*positions.days(), *sightings.days()})
+            for done, day in enumerate(days, start=1):
+                changed += past.merge(day, positions.rows(day), sightings.rows(day))
+                progress("days", done, len(days))
+            placed = past.place_scans()
+            enter(log, past, past.days())
         result = ImportResult(changed, reading.guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
         is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
     if is_new and is_empty:
-        _remove_new(store, folder)
+        store.unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
+            folder.parent.rmdir()
     return result
 
 
@@ -210,9 +219,9 @@ class _Reading:
                 others += len(batch.guesses) + len(batch.sightings)
                 positions.add(self._kept(batch.positions))
                 sightings.add(self._kept(batch.sightings))
-                self.guesses += self._log.put_guesses(
-                    self._person, [g for g in batch.guesses if not self._is_forgotten(g.start, g.stop)]
-                )
+                touched = self._forgotten
+                kept = [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
+                self.guesses += self._log.put_guesses(self._person, kept)
                 self.notes += [f"{file.where}: {note}" for note in batch.notes]
         except InputError as error:
             before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
@@ -235,31 +244,3 @@ class _Reading:
         for start, stop in self._forgotten:
             deleted |= (rows["time"] >= start * MS) & (rows["time"] <= stop * MS)
         return rows[~deleted]
-
-    def _is_forgotten(self, start: float, stop: float) -> bool:
-        """True if a time touches one that the person has deleted."""
-        return any(begin <= stop and end >= start for begin, end in self._forgotten)
-
-
-def _merged(
-    log: Store, person: str, positions: DaySpill, sightings: DaySpill, progress: Progress
-) -> tuple[Changes, int]:
-    """Merge the rows of all days into their files and enter these; returns what changed, and how many scans have places
-    now.
-    """
-    past, total = PastDays(log, person), Changes()
-    days = sorted({*positions.days(), *sightings.days()})
-    for done, day in enumerate(days, start=1):
-        total += past.merge(day, positions.rows(day), sightings.rows(day))
-        progress("days", done, len(days))
-    placed = past.place_scans()
-    enter(log, past, past.days())
-    return total, placed
-
-
-def _remove_new(store: Path, folder: Path) -> None:
-    """Remove a lifelog that was created for nothing."""
-    store.unlink(missing_ok=True)
-    with suppress(OSError):
-        folder.rmdir()
-        folder.parent.rmdir()

@@ -15,10 +15,10 @@ import re
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -129,13 +129,24 @@ def unix_time(value: Any) -> float:
 Point = tuple[Any, tuple[float, float], float, int]  # time, latitude and longitude [deg], accuracy [m], source
 
 
-def batch_of(points: Sequence[Point], unreadable: int = 0) -> Batch:
-    """The valid ones of some positions; unreadable: number of elements that could not be read."""
+def batch_of(
+    points: Sequence[Point],
+    unreadable: int = 0,
+    guesses: Iterable[Guess] = (),
+    left_out: Mapping[str, int] = MappingProxyType({}),
+) -> Batch:
+    """The valid positions and the guesses whose times are valid; the others are counted.
+
+    unreadable: number of elements that could not be read; left_out: numbers of others, by reason.
+    """
     time = unix_times([point[0] for point in points])
     lat, lon = np.array([point[1] for point in points], float).reshape(-1, 2).T
     accuracy = np.array([point[2] for point in points], float)
     batch = valid_positions(time, lat, lon, accuracy, np.array([point[3] for point in points], np.uint8))
-    return Batch(batch.positions, left_out=+(batch.left_out + Counter({"unreadable": unreadable})))
+    items = tuple(guesses)
+    valid = tuple(item for item in items if math.isfinite(item.start))
+    lost = {"unreadable": unreadable, "a visit or activity without a valid time": len(items) - len(valid)}
+    return replace(batch, guesses=valid, left_out=+(batch.left_out + Counter(left_out) + Counter(lost)))
 
 
 def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tuple[float, float], share: Any) -> Guess:
@@ -152,13 +163,6 @@ def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tupl
     # longest name: characters of a guess's name
     text = "".join(c for c in name if c.isprintable())[:200] if isinstance(name, str) else ""
     return Guess(source, start, stop, kind, text, lat, lon, probability)
-
-
-def with_guesses(batch: Batch, guesses: Sequence[Guess]) -> Batch:
-    """The batch with the guesses whose times are valid; the others are counted."""
-    valid = tuple(item for item in guesses if math.isfinite(item.start))
-    lost = Counter({"a visit or activity without a valid time": len(guesses) - len(valid)})
-    return Batch(batch.positions, batch.sightings, valid, +(batch.left_out + lost))
 
 
 SECOND_MS = 1000

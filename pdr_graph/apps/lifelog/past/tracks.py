@@ -6,9 +6,11 @@ Files are untrusted: XML entities, document types and the network are refused.
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 import msgspec
@@ -16,7 +18,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, at, items, lists_format
-from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess, with_guesses
+from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess
 from pdr_graph.errors import InputError, install
 from pdr_graph.io.gpx import ACCURACY_TAGS, accuracy_of
 from pdr_graph.io.past_day import PHONE, TRACKED
@@ -24,7 +26,6 @@ from pdr_graph.io.validation import float_of
 
 BATCH = 20_000  # points in a batch
 LONGEST_ELEMENT = 50_000_000  # [bytes] from one XML element to the next, whose tree takes 1 GB of memory
-NO_RADIUS = float("nan")  # accuracy in KML: the format has none
 
 
 def elements(stream: BinaryIO, where: str, tag: str) -> Iterator[etree._Element]:
@@ -65,22 +66,21 @@ class _BoundedStream:
 
 def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Track points; a radius is that of an extension, else estimated from HDOP, else unknown."""
-    points = (_track_point(element) for element in elements(stream, where, "{*}trkpt"))
-    while part := list(itertools.islice(points, BATCH)):
-        yield batch_of(part)
-
-
-def _track_point(element: etree._Element) -> Point:
-    """The point of an element."""
-    time, values = "", dict[str, str]()
-    for inner in element.iterdescendants():
-        name = str(inner.tag).rpartition("}")[2]
-        if name == "time":
-            time = time or (inner.text or "").strip()
-        elif name in ACCURACY_TAGS:
-            values.setdefault(name.lower(), inner.text or "")
-    place = float_of(element.get("lat")), float_of(element.get("lon"))
-    return time, place, accuracy_of(values), TRACKED
+    points = list[Point]()
+    for element in elements(stream, where, "{*}trkpt"):
+        time, values = "", dict[str, str]()
+        for inner in element.iterdescendants():
+            name = str(inner.tag).rpartition("}")[2]
+            if name == "time":
+                time = time or (inner.text or "").strip()
+            elif name in ACCURACY_TAGS:
+                values.setdefault(name.lower(), inner.text or "")
+        place = float_of(element.get("lat")), float_of(element.get("lon"))
+        points.append((time, place, accuracy_of(values), TRACKED))
+        if len(points) == BATCH:
+            yield batch_of(points)
+            points = []
+    yield batch_of(points)
 
 
 def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
@@ -90,52 +90,33 @@ def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """
     points, guesses, untimed = list[Point](), list[Guess](), 0
     for element in elements(stream, where, "{*}Placemark"):
-        points += _placemark_points(element)
-        guesses += _placemark_guesses(element)
-        untimed += _untimed(element)
+        for track in element.iterfind(".//{*}Track"):  # as many times as coordinates, in the same order
+            places = track.iterfind("{*}coord")
+            for time, place in zip(track.iterfind("{*}when"), places, strict=False):
+                points.append((_iso(time.text), _lat_lon((place.text or "").split()), math.nan, TRACKED))
+        time = element.findtext("{*}TimeStamp/{*}when")
+        begin, end = (element.findtext(f"{{*}}TimeSpan/{{*}}{name}") for name in ("begin", "end"))
+        place, line = (element.findtext(f".//{{*}}{name}/{{*}}coordinates") for name in ("Point", "LineString"))
+        first = (place or line or "").split()[:1]
+        at_first = _lat_lon(first[0].split(",")) if first else NO_POSITION
+        if time and place:
+            points.append((_iso(time), _lat_lon(place.split(",")), math.nan, TRACKED))
+        if begin and end and (place or line):
+            kind, name = "visit" if place else "activity", element.findtext("{*}name")
+            guesses.append(guess("KML", kind, (_iso(begin), _iso(end)), name, at_first, None))
+        if element.find("{*}TimeSpan") is None and element.find("{*}TimeStamp") is None:
+            for name in ("Point", "LineString"):
+                texts = element.iterfind(f".//{{*}}{name}/{{*}}coordinates")
+                untimed += sum(len((text.text or "").split()) for text in texts)
         if len(points) > BATCH:
             yield batch_of(points)
             points = []
-    batch = with_guesses(batch_of(points), guesses)
-    left_out = +(batch.left_out + Counter({"no time": untimed}))
-    yield Batch(batch.positions, guesses=batch.guesses, left_out=left_out)
+    yield batch_of(points, guesses=guesses, left_out={"no time": untimed})
 
 
-def _placemark_points(element: etree._Element) -> Iterator[Point]:
-    """The points of ``gx:Track``, as many times as coordinates in the same order; the point of a place with a time."""
-    for track in element.iterfind(".//{*}Track"):
-        times = [when.text or "" for when in track.iterfind("{*}when")]
-        places = [coord.text or "" for coord in track.iterfind("{*}coord")]
-        for time, place in zip(times, places, strict=False):
-            yield _iso(time), _lat_lon(place.split()), NO_RADIUS, TRACKED
-    time = element.findtext("{*}TimeStamp/{*}when")
-    place = element.findtext(".//{*}Point/{*}coordinates")
-    if time and place:
-        yield _iso(time), _lat_lon(place.split(",")), NO_RADIUS, TRACKED
-
-
-def _placemark_guesses(element: etree._Element) -> Iterator[Guess]:
-    """The visit or activity of a place or line with a span of time, as Google's timeline has them."""
-    begin, end = (element.findtext(f"{{*}}TimeSpan/{{*}}{name}") for name in ("begin", "end"))
-    place, line = (element.findtext(f".//{{*}}{name}/{{*}}coordinates") for name in ("Point", "LineString"))
-    if begin and end and (place or line):
-        first = (place or line or "").split()[:1]
-        where = _lat_lon(first[0].split(",")) if first else NO_POSITION
-        times = _iso(begin), _iso(end)
-        yield guess("KML", "visit" if place else "activity", times, element.findtext("{*}name"), where, None)
-
-
-def _untimed(element: etree._Element) -> int:
-    """Number of points that have no time."""
-    if element.find("{*}TimeSpan") is not None or element.find("{*}TimeStamp") is not None:
-        return 0
-    texts = [text for name in ("Point", "LineString") for text in element.iterfind(f".//{{*}}{name}/{{*}}coordinates")]
-    return sum(len((text.text or "").split()) for text in texts)
-
-
-def _iso(text: str) -> str:
+def _iso(text: str | None) -> str:
     """A time as text, which is not a bare number such as a year."""
-    return text.strip() if "T" in text else ""
+    return text.strip() if text and "T" in text else ""
 
 
 def _lat_lon(parts: Sequence[str]) -> tuple[float, float]:
@@ -176,18 +157,14 @@ def _fit(stream: BinaryIO, where: str) -> Iterator[Batch]:
         raise InputError(where, "", f"more than {MOST_MESSAGES} messages", "one activity")
     if errors and not messages:
         raise InputError(where, "", f"a damaged FIT file ({errors[0]})", "a whole activity")
-    records = [record for record in messages.get("record_mesgs", []) if "position_lat" in record]
-    batch = batch_of([_fit_point(record) for record in records])
-    notes = (f"FIT: cut off or damaged after {len(records)} positions ({errors[0]})",) if errors else ()
-    yield Batch(batch.positions, left_out=batch.left_out, notes=notes)
-
-
-def _fit_point(record: Any) -> Point:
-    """The point of a record."""
-    # semicircles [deg]
-    lat, lon = (float_of(record.get(name)) * (180 / 2**31) for name in ("position_lat", "position_long"))
-    # fit epoch [s]: Unix time of 1989-12-31, where the format counts from
-    return 631_065_600.0 + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACKED
+    points = list[Point]()
+    for record in (record for record in messages.get("record_mesgs", []) if "position_lat" in record):
+        # semicircles, and seconds from 1989-12-31
+        lat, lon = (float_of(record.get(name)) * (180 / 2**31) for name in ("position_lat", "position_long"))
+        time = 631_065_600.0 + float_of(record.get("timestamp"))
+        points.append((time, (lat, lon), float_of(record.get("gps_accuracy")), TRACKED))
+    notes = (f"FIT: cut off or damaged after {len(points)} positions ({errors[0]})",) if errors else ()
+    yield replace(batch_of(points), notes=notes)
 
 
 PART = 1_000_000  # [bytes] of lines that are read at once
@@ -197,16 +174,18 @@ LONGEST_LINE = 1_000_000  # [bytes]; a message has some hundred
 def _owntracks(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Messages of the type location, a line each; other types (transition, waypoint, encrypted) are not positions."""
     while lines := _lines(stream, where):
-        found = [_message(line) for line in lines]
-        kinds = Counter(at(message, "_type") for message in found)
-        points = [
-            (m.get("tst"), (float_of(m.get("lat")), float_of(m.get("lon"))), float_of(m.get("acc")), PHONE)
-            for m in found
-            if at(m, "_type") == "location"
-        ]
-        batch = batch_of(points, found.count(None))
-        encrypted = Counter({"an encrypted message": kinds["encrypted"]})
-        yield Batch(batch.positions, left_out=+(batch.left_out + encrypted))
+        points, left_out = list[Point](), Counter[str]()
+        for line in lines:
+            try:
+                message = msgspec.json.decode(line[line.index(b"{") :], type=dict[str, Any])
+            except (ValueError, RecursionError):
+                left_out["unreadable"] += 1
+                continue
+            kind, place = message.get("_type"), (float_of(message.get("lat")), float_of(message.get("lon")))
+            if kind == "location":
+                points.append((message.get("tst"), place, float_of(message.get("acc")), PHONE))
+            left_out["an encrypted message"] += kind == "encrypted"
+        yield batch_of(points, left_out=left_out)
 
 
 def _lines(stream: BinaryIO, where: str) -> list[bytes]:
@@ -220,25 +199,18 @@ def _lines(stream: BinaryIO, where: str) -> list[bytes]:
     return lines
 
 
-def _message(line: bytes) -> Any:
-    """The message of a line; None if it is not an object."""
-    try:
-        return msgspec.json.decode(line[line.index(b"{") :], type=dict[str, Any])
-    except (ValueError, RecursionError):
-        return None
-
-
 def _overland(found: Sequence[Any], bad: int) -> Batch:
-    """Features with a point; those without report the state of the app."""
-    return batch_of([_feature_point(element) for element in found if element.get("geometry")], bad)
+    """Features with a point, longitude before latitude, whose accuracy is negative if it is invalid.
 
-
-def _feature_point(feature: Any) -> Point:
-    """The point of a feature: longitude before latitude, and a negative accuracy if it is invalid."""
-    lonlat = [float_of(value) for value in items(feature, "geometry", "coordinates")]
-    accuracy = float_of(at(feature, "properties", "horizontal_accuracy"))
-    place = (lonlat[1], lonlat[0]) if len(lonlat) > 1 else NO_POSITION
-    return at(feature, "properties", "timestamp"), place, accuracy, PHONE
+    Features without a point report the state of the app.
+    """
+    points = list[Point]()
+    for feature in (feature for feature in found if feature.get("geometry")):
+        lonlat = [float_of(value) for value in items(feature, "geometry", "coordinates")]
+        place = (lonlat[1], lonlat[0]) if len(lonlat) > 1 else NO_POSITION
+        accuracy = float_of(at(feature, "properties", "horizontal_accuracy"))
+        points.append((at(feature, "properties", "timestamp"), place, accuracy, PHONE))
+    return batch_of(points, bad)
 
 
 FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
