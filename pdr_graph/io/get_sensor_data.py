@@ -67,7 +67,7 @@ def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, TextRows]:
         if tag in texts and separator in SEPARATORS:
             texts[tag].append(line if separator == ";" else line.replace(separator, ";"))
             numbers[tag].append(number)
-    return {tag: TextRows(where, texts[tag], numbers[tag], ";") for tag in TAGS if texts[tag]}
+    return {tag: TextRows.of(where, texts[tag], numbers[tag], ";") for tag in TAGS if texts[tag]}
 
 
 def samples(tag: str, rows: TextRows) -> Array:

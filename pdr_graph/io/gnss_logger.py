@@ -65,7 +65,7 @@ def _tables(where: str, text: str) -> dict[str, Table]:
     if nameless:
         found = f"{nameless[0]} rows, without a comment that names their columns"
         raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
-    return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in ROW_KINDS if lines[k]}
+    return {k: Table(headers[k], TextRows.of(where, lines[k], numbers[k])) for k in ROW_KINDS if lines[k]}
 
 
 def _sensor(table: Table) -> Array:

@@ -81,7 +81,7 @@ def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], li
         elif line and line[0] != "#" and not kind.startswith("TYPE_"):
             unknown.append(number)
     notes = [f"{len(unknown)} lines are not rows (the first: line {unknown[0]})"] if unknown else []
-    return {kind: TextRows(where, texts[kind], numbers[kind], "\t") for kind in RECORD_TYPES}, notes
+    return {kind: TextRows.of(where, texts[kind], numbers[kind], "\t") for kind in RECORD_TYPES}, notes
 
 
 def _table(kind: str, rows: TextRows) -> Array:

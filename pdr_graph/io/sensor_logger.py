@@ -116,7 +116,7 @@ def _table(source: Source, *files: str) -> Table | None:
         name = source.named(file)
         if name is not None and source.head(name, 1):
             table = delimited.table(source.where(name), source.utf8(name))
-            if len(table.rows):
+            if table.rows.content.strip():
                 return table
     return None
 

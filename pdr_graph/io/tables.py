@@ -161,10 +161,10 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
 
     Raises InputError naming the line, or if the recording has no clock.
     """
-    first = table.rows.word(column)
+    cells = table.rows.words(column)
+    first = next(iter(cells), "")
     if np.isnan(iso_time(first)) or _is_number(first):
         return None
-    cells = table.rows.words(column)
     times = np.array([iso_time(cell) for cell in cells])
     for row in np.flatnonzero(np.isnan(times))[:1]:
         expected = "ISO 8601 as in the first row, 2024-05-01T12:00:00Z"
@@ -180,7 +180,7 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
 def _check_numbers(path: Path, table: Table, columns: list[tuple[str, int]]) -> None:
     """Raise InputError if the first row has a cell that is no number, with the likely cause."""
     for name, column in columns:
-        cell = table.rows.word(column)
+        cell = next(iter(table.rows.words(column)), "")
         if cell.lower() not in MISSING and not _is_number(cell):
             found = f"{cell[:40]!r}{number_hint(cell)}"
             raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
@@ -252,7 +252,7 @@ def read_tum(where: str, text: str) -> Trajectory:
     """
     lines = [" ".join(line.split()) for line in text.splitlines()]
     numbers = [n for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
-    table = TextRows(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
+    table = TextRows.of(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if len(wrong):
         raise InputError(where, f"line {numbers[wrong[0]]}", "a value that is no number", "time x y z qx qy qz qw")
