@@ -16,7 +16,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
-from pdr_graph.io.source import Source
+from pdr_graph.io.source import Source, parsed_xml
 from pdr_graph.io.validation import build_recording, float_of, receiver_fixes
 from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
 
@@ -45,7 +45,7 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """
     name = source.single or ""
     where = source.where(name)
-    root = _parse(where, source.text(name))
+    root = parsed_xml(where, source.text(name).encode(), "a whole GPX file")
     points = list(root.iter(root.tag[: root.tag.find("}") + 1] + "trkpt"))
     times, lat, lon, accuracy = zip(*map(track_point, points), strict=True) if points else ([], [], [], [])
     timed = np.array([bool(time) for time in times], dtype=bool)
@@ -143,20 +143,6 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
         if points.accuracy is not None:
             extensions = etree.SubElement(element, "extensions")
             etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
-
-
-def _parse(where: str, text: str) -> etree._Element:
-    """The root element; raises InputError if the XML is broken or has a document type definition."""
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
-    )
-    try:
-        root = etree.fromstring(text.encode(), parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(where, "", f"broken XML ({str(error)[:120]})", "a whole GPX file") from None
-    if root.getroottree().docinfo.doctype:
-        raise InputError(where, "", "a document type definition", "plain GPX, which has none")
-    return root
 
 
 # UTC times as most apps write them, which numpy parses all at once
