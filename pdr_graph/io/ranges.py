@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.likely_causes import clock_hint
-from pdr_graph.io.tables import read_table
+from pdr_graph.io.tables import check_clock, check_rows, read_table
 from pdr_graph.types import Beacons, Ranges, Recording
 
 RANGE_SIGMA = 0.3  # [m] of a range with line of sight, if the table has no sigma; chosen by hand
@@ -26,13 +24,9 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
     numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",), recording=recording)
     time, distance = numbers["time"] - recording.clock_origin, numbers["range"]
     sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=RANGE_SIGMA)
-    for wrong, values, name, expected in (
-        ((distance < 0) | (distance > MAXIMUM_RANGE), distance, "range", f"metres, from 0 to {MAXIMUM_RANGE:.0f}"),
-        (sigma <= 0, sigma, "sigma", "a standard deviation above 0 m"),
-    ):
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:g}", expected)
+    least_most = f"metres, from 0 to {MAXIMUM_RANGE:.0f}"
+    check_rows(path, (distance < 0) | (distance > MAXIMUM_RANGE), distance, "range", least_most)
+    check_rows(path, sigma <= 0, sigma, "sigma", "a standard deviation above 0 m")
     number = {label.lower(): m for m, label in enumerate(anchors.label)}
     anchor = np.array([number.get(name.lower(), -1) for name in words["anchor"]], dtype=np.intp)
     if (anchor < 0).any():
@@ -40,18 +34,6 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
         expected = f"one of {', '.join(anchors.label)[:80]}"
         raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", expected)
     order = np.argsort(time, kind="stable")
-    ranges = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, anchors.sigma)
-    _check_clock(path, ranges, recording)
-    return replace(ranges, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
-
-
-def _check_clock(path: Path, ranges: Ranges, recording: Recording) -> None:
-    """Raise InputError unless a range lies within the recording."""
-    end = max((signal.time[-1] for signal in recording.signals.values()), default=np.inf)
-    if not ((ranges.time >= 0) & (ranges.time <= end)).any():
-        clock = recording.clock_origin
-        found = "no ranges"
-        if len(ranges):
-            first, last = float(ranges.time.min()) + clock, float(ranges.time.max()) + clock
-            found = f"{first:.1f} to {last:.1f} s{clock_hint((first, last), (clock, clock + end))}"
-        raise InputError(path, "time", found, f"times within the recording, {clock:.1f} to {clock + end:.1f} s")
+    check_clock(path, time, recording)
+    measured = time[order], anchor[order], distance[order], sigma[order]
+    return Ranges(*measured, anchors.label, anchors.position, anchors.sigma)
