@@ -57,8 +57,8 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
 
 def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:
     """The beacons drawn in a plan, named by their id, mac, uuid or name. drawn: areas and the label of their floor."""
-    keys = ("id", "mac", "uuid")
-    label = tuple(str(next((a.properties[k] for k in keys if a.properties.get(k)), a.name)) for a, _ in drawn)
+    names = ([a.properties.get(key) for key in ("id", "mac", "uuid")] for a, _ in drawn)
+    label = tuple(str(next(filter(None, each), a.name)) for each, (a, _) in zip(names, drawn, strict=True))
     position = np.array([shapely.get_coordinates(area.shape).mean(axis=0) for area, _ in drawn])
     sigma = np.full(len(label), unstated)
     return Beacons(_names(label, recording), position, sigma, tuple(floor for _, floor in drawn), label)

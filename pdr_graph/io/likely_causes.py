@@ -91,8 +91,16 @@ MARKS: tuple[tuple[bytes, str, str], ...] = (
 def description(source: Source, readers: str) -> tuple[str, str]:
     """What was found in the files, and what is expected. readers: names of all recorders."""
     expected = f"a recording of a supported recorder: {readers}"
+    names = source.names
+    if not names:
+        return "an empty folder", expected
     if source.single is None:
-        return _folder(source, expected)
+        if "summary.json" in names and "trajectory.csv" in names:
+            return "a result of pdr-graph", "the recording that it was made from"
+        if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
+            return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
+        kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in names})
+        return f"{len(names)} files ({', '.join(kinds[:4])}), {', '.join(names[:3])[:QUOTED]}", expected
     head = source.head(source.single, SNIFFED_BYTES)
     if not head.strip(b"\0"):
         return ("an empty file" if not head else "bytes that are all 0", expected)
@@ -108,38 +116,17 @@ def description(source: Source, readers: str) -> tuple[str, str]:
         return f"XML of another kind, {text[:QUOTED]!r}", expected
     if "\ufffd" in text[:200] or "\0" in text[:200]:
         return f"the bytes {head[:24]!r}", expected
-    return _table(source, text, expected)
-
-
-def _folder(source: Source, expected: str) -> tuple[str, str]:
-    """The same for several files."""
-    names = source.names
-    if not names:
-        return "an empty folder", expected
-    if "summary.json" in names and "trajectory.csv" in names:
-        return "a result of pdr-graph", "the recording that it was made from"
-    if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
-        return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
-    kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in names})
-    found = f"{len(names)} files ({', '.join(kinds[:4])}), {', '.join(names[:3])[:QUOTED]}"
-    return found, expected
-
-
-def _table(source: Source, text: str, expected: str) -> tuple[str, str]:
-    """The same for a text: its header, or its first line."""
     first = text.split("\n", 1)[0].strip()
     ending = " named .zip" if source.path.suffix.lower() == ".zip" else ""
-    cells = [cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)]
-    if len(cells) < 2 or all(re.fullmatch(NUMBER, cell) for cell in cells):
+    names = {cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)}
+    if len(names) < 2 or all(re.fullmatch(NUMBER, name) for name in names):
         return f"a text{ending} that begins with {first[:QUOTED]!r}", expected
-    found = f"a text{ending} with the header {first[:QUOTED]}"
-    names = set(cells)
-    position = {"x", "y"} <= names or {"lat", "lon"} <= names
-    if "time" in names and position and "sigma" in names:
-        return found, "a recording (are these fixes? smooth RECORDING --fixes takes them)"
-    if "time" in names and position and "z" not in names:
-        return found, "a recording (is this a trajectory? evaluate and --truth take it)"
-    if any(cell.startswith(("time", "seconds")) for cell in cells):
+    if "time" in names and ({"x", "y"} <= names or {"lat", "lon"} <= names):
+        if "sigma" in names:
+            expected = "a recording (are these fixes? smooth RECORDING --fixes takes them)"
+        elif "z" not in names:
+            expected = "a recording (is this a trajectory? evaluate and --truth take it)"
+    elif any(name.startswith(("time", "seconds")) for name in names):
         header = "Time (s),X (m/s^2),Y (m/s^2),Z (m/s^2)"
-        return found, f"a recording; a table of an accelerometer has phyphox's header: {header}"
-    return found, expected
+        expected = f"a recording; a table of an accelerometer has phyphox's header: {header}"
+    return f"a text{ending} with the header {first[:QUOTED]}", expected

@@ -193,12 +193,15 @@ def check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expected
         raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.15g}", expected)
 
 
-def check_clock(path: str | Path, time: Array, recording: Recording) -> None:
-    """Raise InputError unless at least one time ``(n,)`` [s] lies within the recording or CLOCK_MARGIN of it."""
+def check_clock(path: str | Path, time: Array, recording: Recording, span: tuple[float, float] | None = None) -> None:
+    """Raise InputError unless at least one time ``(n,)`` [s] lies within the recording or CLOCK_MARGIN of it.
+
+    span: first and last time of the recording [s], by default of its sensors.
+    """
     signals = list(recording.signals.values())
-    if not signals:
+    if span is None and not signals:
         return
-    start, end = float(min(s.time[0] for s in signals)), float(max(s.time[-1] for s in signals))
+    start, end = span or (float(min(s.time[0] for s in signals)), float(max(s.time[-1] for s in signals)))
     if not ((time >= start - CLOCK_MARGIN) & (time <= end + CLOCK_MARGIN)).any():
         span = time.min() + recording.clock_origin, time.max() + recording.clock_origin
         expected = start + recording.clock_origin, end + recording.clock_origin

@@ -315,8 +315,10 @@ FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be de
 
 
 def _windows(signal: Signal) -> tuple[Array, Array, Array, Array]:
-    """Of each window of WINDOW: begin [s], median magnitude, magnitude of the mean vector, and swing: standard deviation
-    of the magnitude over its median. The last samples, which fill no window, are left out.
+    """Begin [s], median magnitude, magnitude of the mean vector, and swing of each window of WINDOW.
+
+    Swing is the standard deviation of the magnitude over its median. The last samples, which fill no window, are left
+    out.
     """
     samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
     number = len(signal) // samples
