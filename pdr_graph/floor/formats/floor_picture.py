@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats import raster
 from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
@@ -149,23 +150,26 @@ def skew_of(dark: Mask) -> float:
 
 def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     """Dark pixels of walls: without specks and letters, without thin strokes beside thick walls, gaps closed."""
-    closed = raster.closing(dark, LIMITS.gap + 1)
-    core = raster.opening(closed, LIMITS.thick)
+    square = np.ones((3, 3))
+    padded = ndimage.binary_closing(np.pad(dark, LIMITS.gap + 1), np.ones((LIMITS.gap + 1,) * 2))
+    closed = np.asarray(padded)[LIMITS.gap + 1 : -LIMITS.gap - 1, LIMITS.gap + 1 : -LIMITS.gap - 1]
+    core = np.asarray(ndimage.binary_opening(closed, np.ones((LIMITS.thick,) * 2)))
     if core.sum() > LIMITS.thick_share * closed.sum():
         thin = int(closed.sum() - core.sum())
-        closed &= raster.dilation(core)
+        closed = closed & ndimage.binary_dilation(core, square)
         if thin:
             notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
-    parts, number = raster.parts(closed, diagonal=True)
-    if not number:
+    parts: Any = ndimage.label(closed, square)
+    if not parts[1]:
         return closed
-    sides = raster.sides(parts) * metres
-    filled = raster.sizes(parts, number)[1:] * metres**2 / np.prod(sides, axis=1)
+    boxes: Any = ndimage.find_objects(parts[0])
+    sides = metres * np.array([[side.stop - side.start for side in box] for box in boxes])
+    filled = np.bincount(parts[0].ravel())[1:] * metres**2 / np.prod(sides, axis=1)
     column = (sides.min(axis=1) >= LIMITS.column[0]) & (filled >= LIMITS.column[1])
     speck = (sides.max(axis=1) < LIMITS.text) & ~column
     if speck.any():
         notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {LIMITS.text:g} m were left out")
-    return closed & ~np.append(False, speck)[parts]
+    return closed & ~np.append(False, speck)[parts[0]]
 
 
 def outlines(dark: Mask) -> shapely.Geometry:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import shapely
+from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats import raster
 from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.floor_picture import Picture, opened, outlines
@@ -117,9 +117,9 @@ def _cells_of(path: Path, settings: dict[str, Any], picture: Picture, notes: lis
 
 def _without_specks(free: Mask, pixel: float) -> Mask:
     """Free pixels with small other spots among them filled. pixel: its area [m²]."""
-    spots, number = raster.parts(~free)
+    spots: Any = ndimage.label(~free)[0]  # pyright: ignore[reportIndexIssue] no stubs
     # speck [m²]: smaller occupied or unknown spots in free space are noise of the scanner
-    small = raster.sizes(spots, number) * pixel < 0.05
+    small = np.bincount(spots.ravel()) * pixel < 0.05
     small[0] = False
     return free | small[spots]
 
