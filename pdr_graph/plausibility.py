@@ -44,9 +44,6 @@ class Reach(OneLineRepr):
     def __len__(self) -> int:
         return len(self.margin)
 
-    def _summary(self) -> list[str]:
-        return [count(len(self), "box")]
-
     @classmethod
     def of_fixes(cls, fixes: Fixes, span: tuple[float, float], fastest: float) -> Reach:
         """Places that the walker can visit from fixes within a time span [s], at a speed [m/s]."""
@@ -80,9 +77,6 @@ class Plausibility(OneLineRepr):
     fastest: float
     fixes: Reach
     area: Reach
-
-    def _summary(self) -> list[str]:
-        return [repr(self.walk.source), f"{self.span[1] - self.span[0]:.0f} s", repr(self.area)]
 
     @classmethod
     def of(

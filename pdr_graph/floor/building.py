@@ -32,9 +32,6 @@ class Connection(OneLineRepr):
     polygon: shapely.Geometry
     floors: tuple[int, ...]
 
-    def _summary(self) -> list[str]:
-        return [self.kind, repr(self.name), f"floors {self.floors}"]
-
     def distance(self, position: Array) -> Array:
         """Distance ``(n,)`` [m] of positions ``(n, 2)`` [m] to the polygon, 0 inside."""
         return np.asarray(shapely.distance(self.polygon, shapely.points(position)))
@@ -184,9 +181,6 @@ class FloorSequence(OneLineRepr):
 
     building: Building
     level: Index
-
-    def _summary(self) -> list[str]:
-        return [repr(self.building), count(len(self.level), "piece")]
 
     @classmethod
     def of(cls, plan: FloorPlan | Building, labels: Sequence[str]) -> FloorSequence:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.errors import count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
 from pdr_graph.priors import PLANS, REGIONS
@@ -55,10 +54,6 @@ class Area(OneLineRepr):
     properties: dict[str, Any] = field(default_factory=dict)
     floors: tuple[str, ...] = ()
 
-    def _summary(self) -> list[str]:
-        on = f"floors {', '.join(self.floors)}" if self.floors else "all floors"
-        return [self.kind, *([repr(self.name)] if self.name else []), on]
-
     @property
     def is_polygon(self) -> bool:
         """True if the shape is two-dimensional."""
@@ -75,9 +70,6 @@ class Cell(OneLineRepr):
     kind: str
     name: str
     polygon: shapely.Geometry
-
-    def _summary(self) -> list[str]:
-        return [self.kind, *([repr(self.name)] if self.name else []), f"{shapely.area(self.polygon):.1f} m²"]
 
     @property
     def is_closed(self) -> bool:
@@ -115,10 +107,6 @@ class Cells(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.cells)
-
-    def _summary(self) -> list[str]:
-        area = sum(float(shapely.area(cell.polygon)) for cell in self.cells)
-        return [count(len(self), "cell"), f"{area:.0f} m²", f"{shapely.length(self.barriers):.0f} m of barriers"]
 
     @cached_property
     def _tree(self) -> shapely.STRtree:
@@ -244,10 +232,6 @@ class Regions(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.polygons)
-
-    def _summary(self) -> list[str]:
-        area = float(np.sum(shapely.area(self.polygons)))
-        return [count(len(self), "region"), f"{area:.0f} m²", count(len(self.doors), "door")]
 
     def along(self, track: Array, stray: Array | float | None = None, alike: float = 1.0) -> tuple[Index, float]:
         """Most probable sequence of regions (Viterbi) along points ``(n, 2)`` [m], and its cost.

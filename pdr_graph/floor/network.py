@@ -22,7 +22,6 @@ import numpy as np
 import shapely
 from scipy.spatial import KDTree, Voronoi
 
-from pdr_graph.errors import count
 from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
@@ -60,10 +59,6 @@ class Network(OneLineRepr):
     def __len__(self) -> int:
         return len(self.links)
 
-    def _summary(self) -> list[str]:
-        length = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in self.lines)
-        return [count(len(self.nodes), "node"), count(len(self), "link"), f"{length:.0f} m"]
-
     def walls(self, slack: float = 0.0) -> Array:
         """All wall segments ``(w, 2, 2)`` around the area, moved outwards by ``slack``. [m]
 
@@ -94,9 +89,6 @@ class Segments(OneLineRepr):
     start: Array
     along: Array
     link: Index
-
-    def _summary(self) -> list[str]:
-        return [count(len(self.link), "segment"), count(len(np.unique(self.link)), "link")]
 
     @classmethod
     def of(cls, network: Network) -> Segments:

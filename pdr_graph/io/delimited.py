@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError
 from pdr_graph.types import Array, OneLineRepr
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
@@ -41,9 +41,6 @@ class TextRows(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.lines)
-
-    def _summary(self) -> list[str]:
-        return [repr(self.where), count(len(self.lines), "row")]
 
     @cached_property
     def _numbered(self) -> list[tuple[int, str]]:
@@ -150,9 +147,6 @@ class Table(OneLineRepr):
     header: tuple[str, ...]
     rows: TextRows
 
-    def _summary(self) -> list[str]:
-        return [repr(self.rows.where), count(len(self.header), "column"), count(len(self.rows), "row")]
-
     def find(self, wanted: Callable[[str], bool]) -> int | None:
         """The number of the first column whose lower-case name is `wanted`; None if there is none."""
         return next((k for k, name in enumerate(self.header) if wanted(name.lower())), None)
@@ -202,3 +196,20 @@ def table(where: str, text: str | bytes) -> Table:
         rows = rows.replace(b",", b".")
     first = content.count(b"\n", 0, len(content) - len(body)) + 2
     return Table(header, TextRows(where, rows, first, delimiter))
+
+
+def rows_by_kind(
+    where: str, lines: Iterable[str], kinds: Sequence[str], kind_of: Callable[[str], str], delimiter: str
+) -> dict[str, TextRows]:
+    """The rows of each kind that occurs, with their line numbers, of a file in which rows of several kinds alternate.
+
+    kind_of: the kind of a line; other lines are left out.
+    """
+    texts: dict[str, list[str]] = {kind: [] for kind in kinds}
+    numbers: dict[str, list[int]] = {kind: [] for kind in kinds}
+    for number, line in enumerate(lines, start=1):
+        kind = kind_of(line)
+        if kind in texts:
+            texts[kind].append(line)
+            numbers[kind].append(number)
+    return {kind: TextRows.of(where, texts[kind], numbers[kind], delimiter) for kind in kinds if texts[kind]}

@@ -104,10 +104,6 @@ class Track(OneLineRepr):
     name: str
     segments: tuple[Points, ...]
 
-    def _summary(self) -> list[str]:
-        points = sum(len(segment.lonlat) for segment in self.segments)
-        return [repr(self.name), count(len(self.segments), "segment"), count(points, "point")]
-
 
 def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
     """Write a walk as a GPX track, with UTC times if the recording has a clock.

@@ -125,26 +125,20 @@ class Source(OneLineRepr):
 
         Raises InputError for other bytes, and for more than MOST_LINES, each of which takes some 200 bytes of memory.
         """
-        return self._decoded(name, self._lines(name), errors)
+        return self.utf8(name, errors).decode()
 
-    def _decoded(self, name: str, data: bytes, errors: str) -> str:
-        encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
-        try:
-            return data.decode(encoding, errors)
-        except UnicodeDecodeError as error:
-            raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
-
-    def utf8(self, name: str) -> bytes:
+    def utf8(self, name: str, errors: str = "strict") -> bytes:
         """A whole file as UTF-8, without a byte-order mark. Raises InputError as `text`; takes half its memory."""
-        data = self._lines(name)
-        return data if data.isascii() else self._decoded(name, data, "strict").encode()
-
-    def _lines(self, name: str) -> bytes:
-        """A whole file. Raises InputError for too many lines."""
         data = self.content(name)
         if (lines := data.count(b"\n")) > MOST_LINES:
             raise InputError(self.where(name), "", f"{lines} lines", f"at most {MOST_LINES}: a shorter recording")
-        return data
+        if data.isascii():
+            return data
+        encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+        try:
+            return data.decode(encoding, errors).encode()
+        except UnicodeDecodeError as error:
+            raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
 
     def size(self, name: str) -> int:
         """The size of a file [bytes], as the archive states it."""

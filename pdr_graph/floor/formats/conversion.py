@@ -77,9 +77,6 @@ class TiePoints(OneLineRepr):
     drawn: Array
     lonlat: Array
 
-    def _summary(self) -> list[str]:
-        return [count(len(self.drawn), "point")]
-
     @classmethod
     def parse(cls, text: str) -> TiePoints:
         """Points from a text ``x,y=lat,lon x,y=lat,lon ...``. Raises InputError unless there are two that differ."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame, enu
 from pdr_graph.types import OneLineRepr
@@ -34,9 +34,6 @@ class Drawing(OneLineRepr):
     heights: dict[str, float] = field(default_factory=dict)
     affine: tuple[float, float, float, float, float, float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     ignored: shapely.Geometry = field(default_factory=shapely.LineString)
-
-    def _summary(self) -> list[str]:
-        return [f"{label!r}: {count(len(areas), 'area')}" for label, areas in self.floors.items()]
 
 
 def frame_about(shapes: Iterable[shapely.Geometry]) -> Frame:

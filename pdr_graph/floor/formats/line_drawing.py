@@ -54,9 +54,6 @@ class Lines(OneLineRepr):
     stairs: tuple[shapely.Geometry, ...] = ()
     solid: shapely.Geometry = field(default_factory=shapely.Polygon)
 
-    def _summary(self) -> list[str]:
-        return [count(len(self.walls), "segment"), count(len(self.doors), "door")]
-
 
 def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.Geometry]:
     """Areas of a floor from its lines, and the lines outside the building, which were left out.
