@@ -87,7 +87,12 @@ class Cells(OneLineRepr):
     @classmethod
     def of(cls, areas: tuple[Area, ...]) -> Cells:
         """Construct the cells of a floor from its areas."""
-        drawn = _drawn(areas)
+        drawn = [a for a in areas if a.kind in WALKABLE]
+        within = [a.shape for a in drawn if a.kind in CONNECTING]
+        if within and all(a.kind in (*CONNECTING, DOOR) for a in drawn):  # the outline around stairs and lifts
+            outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
+            connecting = shapely.union_all(within)
+            drawn = [*(replace(a, shape=shapely.difference(a.shape, connecting)) for a in outlines), *drawn]
         doors = [_opening(a) for a in drawn if a.kind == DOOR]
         opened = shapely.union_all(doors)
         solid = shapely.difference(
@@ -150,16 +155,6 @@ class Cells(OneLineRepr):
     @cached_property
     def _wide_barriers(self) -> shapely.Geometry:
         return shapely.buffer(self.barriers, PLANS.crack, cap_style="flat")
-
-
-def _drawn(areas: tuple[Area, ...]) -> list[Area]:
-    """The areas that are cells; on a floor with only stairs, lifts and doors also the outline around them."""
-    drawn = [a for a in areas if a.kind in WALKABLE]
-    within = [a.shape for a in drawn if a.kind in CONNECTING]
-    if not within or any(a.kind not in (*CONNECTING, DOOR) for a in drawn):
-        return drawn
-    outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
-    return [replace(a, shape=shapely.difference(a.shape, shapely.union_all(within))) for a in outlines] + drawn
 
 
 def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:

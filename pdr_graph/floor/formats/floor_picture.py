@@ -94,30 +94,16 @@ def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.G
     turn = np.array([[cos, -sin], [sin, cos]])  # of pixel coordinates
     affine = metres * np.array([[1.0], [-1.0]]) * turn
     affine = np.column_stack([affine, -affine @ (-0.5, rows - 0.5)])
-    centre = new_centre = _centre(picture.shape)
+    centre = _centre(picture.shape)
     if abs(skew) > LIMITS.least_skew:
         notes.append(f"a skew of {abs(skew):.1f}° was removed")
-        picture, new_centre = _turned(picture, turn)
+        picture = ndimage.rotate(picture, -skew, order=1, cval=255)
     polygons = outlines(_cleaned(picture <= threshold, metres, notes))
 
     def to_metres(pixels: Array) -> Array:
-        return ((pixels - new_centre) @ turn + centre) @ affine[:, :2].T + affine[:, 2]
+        return ((pixels - _centre(picture.shape)) @ turn + centre) @ affine[:, :2].T + affine[:, 2]
 
     return shapely.transform(polygons, to_metres), affine
-
-
-def _turned(picture: Picture, turn: Array) -> tuple[Picture, Array]:
-    """A picture turned about its centre by the rotation ``(2, 2)`` of pixel coordinates, and its new centre."""
-    from skimage.transform import AffineTransform, warp
-
-    size = np.array(picture.shape[::-1])
-    new_size = np.ceil(np.abs(turn) @ size).astype(int)
-    centre, new_centre = _centre(picture.shape), (new_size - 1) / 2
-    back = np.eye(3)
-    back[:2, :2], back[:2, 2] = turn.T, centre - turn.T @ new_centre
-    shape = (int(new_size[1]), int(new_size[0]))
-    turned = warp(picture, AffineTransform(matrix=back), output_shape=shape, order=1, cval=255, preserve_range=True)
-    return np.round(turned).astype(np.uint8), new_centre
 
 
 def _centre(shape: tuple[int, ...]) -> Array:
