@@ -15,8 +15,6 @@ NODES = 33  # per side of a tile, whose border nodes it shares with its neighbou
 BLOCKS = 3  # per side of a tile, for each of which the walls nearby are sought
 PAIRS = 1000  # pairs of a block and a wall
 TILE = NODE_SPACING * (NODES - 1)
-DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
-SIMPLIFIED = 0.01  # [m] by which such an outline may change
 PIXEL_BITS = 6
 PIXELS = 1 << PIXEL_BITS  # per side of a tile, for `DistanceField.approximate`
 NOT_COMPUTED = np.iinfo(np.intp).min  # address of a tile that was not computed
@@ -35,8 +33,9 @@ class DistanceField:
     def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
         """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls. [m]"""
         half = PLANS.narrowest / 2
-        if shapely.get_num_coordinates(walkable) > DENSEST * shapely.length(walkable):
-            walkable = shapely.simplify(walkable, SIMPLIFIED)
+        # corners per metre of walls: a finer outline is a curve that was cut into pieces
+        if shapely.get_num_coordinates(walkable) > 20.0 * shapely.length(walkable):
+            walkable = shapely.simplify(walkable, 0.01)
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
             raise ValueError(f"no walkable area wider than {PLANS.narrowest} m")

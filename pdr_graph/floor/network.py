@@ -26,10 +26,7 @@ from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
-# Tolerances of a drawing, chosen by hand
-TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet
-WALL_THICKNESS = 0.05  # [m] of a wall drawn as a line
-SHORTEST_LINK = 1.0  # [m] of a line beyond an intersection; a shorter one is not a link
+TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ def _network_area(cells: Cells, walkable: shapely.Geometry) -> shapely.Geometry:
         doors = {n for n, c in enumerate(cells.cells) if c.kind == DOOR and len(open_cells & set(beside[n])) > 1}
         parts = [cells.cells[n].polygon for n in sorted(open_cells | doors)]
         walkable = shapely.intersection(without_cracks(parts), walkable)
-    return shapely.difference(walkable, shapely.buffer(cells.barriers, WALL_THICKNESS, cap_style="flat"))
+    return shapely.difference(walkable, shapely.buffer(cells.barriers, 0.05, cap_style="flat"))
 
 
 def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Array]] | None:
@@ -175,7 +172,8 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
     for piece in shapely.get_parts(shapely.line_merge(between)):
         line = shapely.get_coordinates(piece)
         ends = [_crossing_at(line[end], crossings) for end in (0, -1)]
-        if ends == [None, None] or (None in ends and shapely.length(piece) < SHORTEST_LINK):
+        # shortest [m] line beyond an intersection that is a link
+        if ends == [None, None] or (None in ends and shapely.length(piece) < 1.0):
             continue
         for end, place in enumerate((line[0], line[-1])):
             if ends[end] is None:  # a dead end
@@ -308,31 +306,10 @@ def skeleton(area: shapely.Geometry) -> Skeleton:
     return axis
 
 
-@dataclass(frozen=True)
-class DerivationSettings:
-    """Constants by which a medial axis becomes a network, chosen by hand. Clearances are distances to the nearest wall.
-
-    bend: turn within a corridor that makes a node [rad].
-    arm, shortest_arm: length of the part of a line that determines its direction, in clearances, and at least [m].
-    inner: share of the radius of a circle that is certainly free of walls.
-    slack, most_slack: deviation of a simplified line from the medial axis, in clearances, and at most [m].
-    parallel: |sin| of the angle up to which two links are of one corridor.
-    farthest_corner: distance of a corner from the centre of its intersection, in clearances; a plaza has no corners.
-    island: length of a loop around something small, in clearances; a shorter loop is not a link.
-    """
-
-    bend: float = np.radians(40)
-    arm: float = 1.5
-    shortest_arm: float = 1.0
-    inner: float = 0.9
-    slack: float = 0.4
-    most_slack: float = 1.5
-    parallel: float = 0.6
-    farthest_corner: float = 2.5
-    island: float = 4.0
-
-
-DERIVATION = DerivationSettings()
+# Constants by which a medial axis becomes a network, chosen by hand
+SHORTEST_ARM = 1.0  # [m] least length of the part of a line that determines its direction
+INNER = 0.9  # share of the radius of a circle that is certainly free of walls
+PARALLEL = 0.6  # |sin| of the angle up to which two links are of one corridor
 
 
 def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
@@ -343,7 +320,8 @@ def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
     links, lines, widths = list[tuple[int, int]](), list[Array](), list[float]()
     for chain in middle.chains(np.flatnonzero(at >= 0).tolist()):
         i, j = (int(n) for n in at[chain[[0, -1]]])
-        if i != j or middle.length(chain) >= DERIVATION.island * clearance[i]:
+        # a shorter loop, in clearances, around something small is not a link
+        if i != j or middle.length(chain) >= 4.0 * clearance[i]:
             links.append((i, j))
             lines.append(_straightened(middle, vertex[[i, j]], chain, area))
             widths.append(float(np.median(middle.clearance[chain])))
@@ -352,7 +330,7 @@ def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
     leaving = [list[tuple[Array, Array, float]]() for _ in nodes]
     for link, line, width in zip(links, lines, widths, strict=True):
         for n, path in zip(link, (line, line[::-1]), strict=True):
-            far = np.flatnonzero(np.hypot(*(path - path[1]).T) > DERIVATION.shortest_arm)
+            far = np.flatnonzero(np.hypot(*(path - path[1]).T) > SHORTEST_ARM)
             far = far[far > 1]
             ahead = path[far[0]] - path[1] if len(far) else path[-1] - path[0]
             leaving[n].append((path[1].copy(), ahead / max(float(np.hypot(*ahead)), 1e-9), width))
@@ -360,11 +338,12 @@ def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
         if len(paths) > 1:
             place, direction, half = (np.array(values) for values in zip(*paths, strict=True))
             normal = direction[:, ::-1] * (-1, 1)
-            nodes[n] = _crossing(nodes[n], place, normal, DERIVATION.inner * clearance[n])
+            nodes[n] = _crossing(nodes[n], place, normal, INNER * clearance[n])
             corners[n] = _corners(nodes[n], direction, normal, half)
     for (i, j), line in zip(links, lines, strict=True):
         line[0], line[-1] = nodes[i], nodes[j]
-    far = np.hypot(*(corners - nodes[:, None]).T).max(axis=0) > DERIVATION.farthest_corner * clearance
+    # farthest corner from the centre of its intersection, in clearances: a plaza has no corners
+    far = np.hypot(*(corners - nodes[:, None]).T).max(axis=0) > 2.5 * clearance
     corners[far] = np.nan
     linked, renumbered = np.unique(np.array(links, dtype=np.intp), return_inverse=True)
     return nodes[linked], corners[linked], renumbered.reshape(-1, 2), lines
@@ -387,7 +366,7 @@ def _hubs(middle: Skeleton) -> tuple[Index, Index]:
     for v in candidates[np.lexsort((-middle.clearance[candidates], rank))].tolist():
         if at[v] < 0:
             apart = np.hypot(*(middle.position[candidates] - middle.position[v]).T)
-            near = apart < DERIVATION.inner * middle.clearance[v]
+            near = apart < INNER * middle.clearance[v]
             at[candidates[near & (at[candidates] < 0)]] = at[v] = len(chosen)
             chosen.append(v)
     return np.array(chosen, dtype=np.intp), at
@@ -399,7 +378,7 @@ def _bends(middle: Skeleton, chain: Index) -> Index:
 
     line, interval = middle.position[chain], 0.1  # [m] at which the direction is evaluated
     walked = length_along(line)
-    arm = max(DERIVATION.shortest_arm, DERIVATION.arm * float(np.median(middle.clearance[chain])))
+    arm = max(SHORTEST_ARM, 1.5 * float(np.median(middle.clearance[chain])))
     period = walked[-1] if chain[0] == chain[-1] else None
     at = np.arange(0.0, walked[-1], interval) if period else np.arange(arm, walked[-1] - arm, interval)
     if len(at) < 3:
@@ -412,7 +391,7 @@ def _bends(middle: Skeleton, chain: Index) -> Index:
     turned = np.abs(wrap_angle(heading[1] - heading[0]))
     rolled = int(np.argmin(turned)) if period else 0  # cut a ring where it is straight
     padded = np.pad(np.roll(turned, -rolled), 1)
-    peaks, _ = find_peaks(padded, height=DERIVATION.bend, distance=max(1, arm / interval))
+    peaks, _ = find_peaks(padded, height=np.radians(40), distance=max(1, arm / interval))
     return chain[np.searchsorted(walked, at[(peaks - 1 + rolled) % len(at)]).clip(0, len(chain) - 1)]
 
 
@@ -422,13 +401,12 @@ def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geo
     ends: ``(2,)`` vertices of its nodes; chain: ``(m,)`` vertices from one to the other.
     """
     line, half = middle.position[chain], len(chain) // 2
-    outside = [
-        np.flatnonzero(np.hypot(*(line - middle.position[v]).T) > DERIVATION.inner * middle.clearance[v]) for v in ends
-    ]
+    outside = [np.flatnonzero(np.hypot(*(line - middle.position[v]).T) > INNER * middle.clearance[v]) for v in ends]
     first = max(int(outside[0][0]) - 1, 0) if len(outside[0]) else half
     last = min(int(outside[1][-1]) + 1, len(line) - 1) if len(outside[1]) else half
     between = line[min(first, last) : max(first, last) + 1]
-    slack = min(DERIVATION.slack * float(np.median(middle.clearance[chain])), DERIVATION.most_slack)
+    # deviation of a simplified line from the medial axis, in clearances, and at most [m]
+    slack = min(0.4 * float(np.median(middle.clearance[chain])), 1.5)
     if len(between) > 2:
         simple = shapely.simplify(shapely.linestrings(between), slack)
         if not shapely.covers(area, simple):
@@ -457,9 +435,9 @@ def _corners(node: Array, direction: Array, normal: Array, half: Array) -> Array
     """
     across = np.abs(direction @ normal.T)
     i, j = np.unravel_index(np.argmax(across), across.shape)
-    if across[i, j] < DERIVATION.parallel:
+    if across[i, j] < PARALLEL:
         return np.full((4, 2), np.nan)
-    reach = [half[across[k] < DERIVATION.parallel].min() for k in (i, j)]
+    reach = [half[across[k] < PARALLEL].min() for k in (i, j)]
     signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
     corners = node + np.linalg.solve(normal[[i, j]], (signs * reach).T).T
     return corners if shapely.is_ccw(shapely.linearrings(corners)) else corners[::-1]

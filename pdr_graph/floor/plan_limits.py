@@ -15,9 +15,6 @@ from pdr_graph.errors import InputError, check_not_special, install
 
 MOST_FLOORS = 500  # the tallest building has 163
 MOST_NEIGHBOURS = 40  # areas that touch an area, on average; real plans have up to ten
-MOST_CROSSINGS = 10  # sides whose boxes meet that of a side, on average, in an outline that crosses itself
-FREE_PAIRS = 20_000  # pairs that are never too many
-PAIRS_AT_ONCE = 1_000_000  # pairs that are sought together
 
 
 def check_floor_count(path: Path, number: int) -> None:
@@ -39,15 +36,15 @@ def check_crossings(path: Path, where: str, shape: shapely.Geometry) -> None:
     inside = ring[1:] == ring[:-1]
     ends = np.stack([corners[:-1], corners[1:]], axis=1)[inside]
     sides = np.asarray(shapely.linestrings(ends), dtype=np.object_)  # (n,): ends has three dimensions
-    if _pairs(sides, MOST_CROSSINGS, None):
+    if _pairs(sides, 10, None):
         found = f"an outline of {len(sides)} sides that cross one another in most places"
         raise InputError(path, where, found, "an outline around an area")
 
 
 def _pairs(shapes: NDArray[np.object_], most: int, predicate: Literal["intersects"] | None) -> bool:
     """True if each shape meets more than `most` others on average; predicate None: their boxes do."""
-    tree, number, limit = shapely.STRtree(shapes), 0, FREE_PAIRS + most * len(shapes)
-    size = max(1, PAIRS_AT_ONCE // max(1, len(shapes)))
+    tree, number, limit = shapely.STRtree(shapes), 0, 20_000 + most * len(shapes)
+    size = max(1, 1_000_000 // max(1, len(shapes)))
     for first in range(0, len(shapes), size):
         number += tree.query(shapes[first : first + size], predicate=predicate).shape[1]
         if number > limit:

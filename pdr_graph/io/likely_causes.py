@@ -11,7 +11,6 @@ from pdr_graph.types import DAY_LENGTH
 
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
 FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
-PER_SECOND = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in which times are written, per second
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 
 
@@ -29,7 +28,7 @@ def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str
         return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
     if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
         return " (Unix times, while the recorder's clock counts from another moment?)"
-    for unit, factor in PER_SECOND.items():
+    for unit, factor in {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}.items():
         if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:
             return f" ({unit}? seconds are expected)" if unit != "milliseconds" else " (milliseconds?)"
     if last < FIRST_UNIX_TIME <= start:
@@ -70,7 +69,6 @@ def number_hint(cell: str) -> str:
     return ""
 
 
-SNIFFED_BYTES = 4096  # bytes of a file that are looked at
 QUOTED = 80  # characters of a file's header that are quoted
 AN_ARCHIVE = "a zip, a folder or a file (unpack it, or pack it again as zip)"
 A_RECORDING = "a recording (is this a floor plan? --map takes it)"
@@ -101,7 +99,7 @@ def description(source: Source, readers: str) -> tuple[str, str]:
             return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
         kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in names})
         return f"{len(names)} files ({', '.join(kinds[:4])}), {', '.join(names[:3])[:QUOTED]}", expected
-    head = source.head(source.single, SNIFFED_BYTES)
+    head = source.head(source.single)
     if not head.strip(b"\0"):
         return ("an empty file" if not head else "bytes that are all 0", expected)
     for mark, name, instead in MARKS:

@@ -22,7 +22,6 @@ from pdr_graph.errors import InputError, check_not_special, count
 from pdr_graph.types import OneLineRepr
 
 MAXIMUM_FILES = 1000
-DEEPEST = 3  # levels of folders that are searched
 MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
 ZIP_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
@@ -51,7 +50,7 @@ class Source(OneLineRepr):
         subject: str = "recording",
         limit: int | None = None,
         most_files: int = MAXIMUM_FILES,
-        deepest: int = DEEPEST,
+        deepest: int = 3,
     ):
         """Raises InputError if the path does not exist, or is a damaged or hostile archive.
 

@@ -24,7 +24,6 @@ from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
-LARGEST_DXF = 100_000_000  # [bytes]
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
 INSERT_UNITS = {  # $INSUNITS: metres per unit
@@ -66,7 +65,7 @@ def _document(path: Path) -> Any:
     with required_library(path, "a DXF drawing", "ezdxf"):
         from ezdxf import recover
         from ezdxf.lldxf.const import DXFError
-    check_file_size(path, LARGEST_DXF)
+    check_file_size(path, 100_000_000)
     try:
         return recover.readfile(path)[0]
     except (DXFError, OSError, ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,22 +58,11 @@ def drawing_of_picture(path: Path, picture: Picture, scale: float | None, finer:
 Picture = NDArray[np.uint8]  # brightness ``(rows, columns)``, 0 black, 255 white
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What is a wall in a picture; chosen by hand."""
-
-    skew: float = 12.0  # [deg] largest rotation of a scan that is removed
-    least_skew: float = 0.1  # [deg]
-    clear_skew: float = 1.1  # ratio of the profiles' sharpness by which a rotation must be better than none
-    gap: int = 2  # [pixel] gaps that are closed
-    thick: int = 5  # [pixel] walls from here on are drawn thick, and thinner strokes are other things
-    thick_share: float = 0.6  # of the dark pixels that are in thick strokes, if walls are drawn thick
-    text: float = 0.8  # [m] largest side of a letter or a speck
-    column: tuple[float, float] = (0.2, 0.7)  # [m] smallest side, and share that is dark, of a column
-    rounding: float = 0.75  # [pixel] by which outlines of walls are simplified
-
-
-LIMITS = Limits()
+# What is a wall in a picture; chosen by hand
+SKEW = 12.0  # [deg] largest rotation of a scan that is removed
+GAP = 2  # [pixel] gaps that are closed
+THICK = 5  # [pixel] walls from here on are drawn thick, and thinner strokes are other things
+TEXT = 0.8  # [m] largest side of a letter or a speck
 
 
 def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.Geometry, Array]:
@@ -95,7 +83,7 @@ def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.G
     affine = metres * np.array([[1.0], [-1.0]]) * turn
     affine = np.column_stack([affine, -affine @ (-0.5, rows - 0.5)])
     centre = _centre(picture.shape)
-    if abs(skew) > LIMITS.least_skew:
+    if abs(skew) > 0.1:
         notes.append(f"a skew of {abs(skew):.1f}° was removed")
         picture = ndimage.rotate(picture, -skew, order=1, cval=255)
     polygons = outlines(_cleaned(picture <= threshold, metres, notes))
@@ -127,34 +115,35 @@ def skew_of(dark: Mask) -> float:
         profiles = (x * cos - y * sin, x * sin + y * cos)
         return sum(float(np.sum(np.bincount((p - p.min()).astype(int)).astype(float) ** 2)) for p in profiles)
 
-    coarse = np.arange(-LIMITS.skew, LIMITS.skew + 0.1, 0.5)
+    coarse = np.arange(-SKEW, SKEW + 0.1, 0.5)
     best = coarse[np.argmax([sharpness(a) for a in coarse])]
     fine = best + np.arange(-0.5, 0.51, 0.05)
     best = float(fine[np.argmax([sharpness(a) for a in fine])])
-    return best if sharpness(best) > LIMITS.clear_skew * sharpness(0.0) else 0.0
+    return best if sharpness(best) > 1.1 * sharpness(0.0) else 0.0
 
 
 def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     """Dark pixels of walls: without specks and letters, without thin strokes beside thick walls, gaps closed."""
     square = np.ones((3, 3))
-    padded = ndimage.binary_closing(np.pad(dark, LIMITS.gap + 1), np.ones((LIMITS.gap + 1,) * 2))
-    closed = np.asarray(padded)[LIMITS.gap + 1 : -LIMITS.gap - 1, LIMITS.gap + 1 : -LIMITS.gap - 1]
-    core = np.asarray(ndimage.binary_opening(closed, np.ones((LIMITS.thick,) * 2)))
-    if core.sum() > LIMITS.thick_share * closed.sum():
+    padded = ndimage.binary_closing(np.pad(dark, GAP + 1), np.ones((GAP + 1,) * 2))
+    closed = np.asarray(padded)[GAP + 1 : -GAP - 1, GAP + 1 : -GAP - 1]
+    core = np.asarray(ndimage.binary_opening(closed, np.ones((THICK,) * 2)))
+    if core.sum() > 0.6 * closed.sum():
         thin = int(closed.sum() - core.sum())
         closed = closed & ndimage.binary_dilation(core, square)
         if thin:
-            notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
+            notes.append(f"lines thinner than {THICK} pixels beside thick walls were left out ({thin} pixels)")
     parts: Any = ndimage.label(closed, square)
     if not parts[1]:
         return closed
     boxes: Any = ndimage.find_objects(parts[0])
     sides = metres * np.array([[side.stop - side.start for side in box] for box in boxes])
     filled = np.bincount(parts[0].ravel())[1:] * metres**2 / np.prod(sides, axis=1)
-    column = (sides.min(axis=1) >= LIMITS.column[0]) & (filled >= LIMITS.column[1])
-    speck = (sides.max(axis=1) < LIMITS.text) & ~column
+    # column: smallest side [m], and share of its box that is dark
+    column = (sides.min(axis=1) >= 0.2) & (filled >= 0.7)
+    speck = (sides.max(axis=1) < TEXT) & ~column
     if speck.any():
-        notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {LIMITS.text:g} m were left out")
+        notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {TEXT:g} m were left out")
     return closed & ~np.append(False, speck)[parts[0]]
 
 
@@ -165,7 +154,7 @@ def outlines(dark: Mask) -> shapely.Geometry:
     rings = [ring[:, ::-1] - 1 for ring in find_contours(np.pad(dark, 1).astype(float), 0.5)]
     lines = [shapely.LineString(ring) for ring in rings if len(ring) > 3]
     polygons = shapely.build_area(shapely.geometrycollections(lines))
-    return shapely.make_valid(shapely.simplify(polygons, LIMITS.rounding))
+    return shapely.make_valid(shapely.simplify(polygons, 0.75))
 
 
 LARGEST_PICTURE = 80_000_000  # [pixel]

@@ -21,24 +21,12 @@ from pdr_graph.types import Array, Index, Mask, OneLineRepr
 Geometries = NDArray[np.object_]
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Lengths that tell walls, rooms and doors apart in a drawing of lines; chosen by hand."""
-
-    grid: float = 0.001  # [m] to which ends are rounded, so that lines that touch meet
-    closing_radii: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5)  # [m] half a gap's width
-    closed: float = 0.95  # share of the area closed at the largest radius at which an outline counts as closed
-    least_area: float = 0.05  # share of the lines' bounding box: a smaller outline encloses no building
-    sliver: float = 0.5  # [m] narrower free space, as between the two lines of a wall, is solid
-    half_wall: float = 0.01  # [m] half the thickness of a wall drawn as one line
-    jamb: float = 0.08  # [m] beside a door's opening that stays a wall
-    thickest_wall: float = 0.35  # [m] on either side of a door's line, through which the door leads
-    room: float = 3.0  # [m²] a smaller enclosed space is a column, a shaft or furniture
-    strip: float = 1.2  # [m] an enclosed space that is narrower everywhere is a cavity or a ledge
-    corridor_doors: int = 3  # a space with so many doors is a corridor
-
-
-RULES = Rules()
+# Lengths that tell walls, rooms and doors apart in a drawing of lines; chosen by hand
+CLOSING_RADII = (0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5)  # [m] half a gap's width
+SLIVER = 0.5  # [m] narrower free space, as between the two lines of a wall, is solid
+HALF_WALL = 0.01  # [m] half the thickness of a wall drawn as one line
+SMALLEST_ROOM = 3.0  # [m²] a smaller enclosed space is a column, a shaft or furniture
+STRIP = 1.2  # [m] an enclosed space that is narrower everywhere is a cavity or a ledge
 
 
 @dataclass(frozen=True)
@@ -61,30 +49,31 @@ def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.
     What was closed, taken as solid or left out is appended to `notes`. There is no area without a closed outline.
     """
     drawn = [*lines_of(lines.walls), *shapely.get_rings(shapely.get_parts(lines.solid))]
-    walls = shapely.union_all(shapely.set_precision(drawn, RULES.grid))
+    walls = shapely.union_all(shapely.set_precision(drawn, 0.001))  # so that lines that touch meet
     outline = _outline(walls, notes)
     if shapely.is_empty(outline):
         return (), walls
-    around = shapely.buffer(outline, 5 * RULES.half_wall)
+    around = shapely.buffer(outline, 5 * HALF_WALL)
     inside, outside = shapely.intersection(walls, around), shapely.difference(walls, around)
     if shapely.length(outside) > 1.0:
         notes.append(f"{shapely.length(outside):.0f} m of lines outside the outline were left out")
     hollow = shapely.difference(outline, lines.solid)
     doors = list(lines.doors)
-    sealed = [s for s in _free_spaces(hollow, inside, doors, lines.stairs) if shapely.area(s) > RULES.room]
+    sealed = [s for s in _free_spaces(hollow, inside, doors, lines.stairs) if shapely.area(s) > SMALLEST_ROOM]
     if len(sealed) > 1:  # closed leaves in the border of spaces without another entrance
         sealed.remove(max(sealed, key=shapely.area))
         rims = shapely.STRtree(sealed)
         leaves = closed_doors(lines.walls)
-        leaves = [leaf for leaf in leaves if len(rims.query(leaf, predicate="dwithin", distance=RULES.sliver))]
+        leaves = [leaf for leaf in leaves if len(rims.query(leaf, predicate="dwithin", distance=SLIVER))]
         doors += leaves
         notes += [f"{count(len(leaves), 'door')} drawn closed between jambs"] if leaves else []
     ways = list[shapely.Geometry]()
     for door in doors:  # opens the wall; the jambs at its ends stay
         start, end = shapely.get_coordinates(door)[[0, -1]]
-        margin = min(RULES.jamb / shapely.length(door), 0.4) * (end - start)
+        # jamb [m] beside an opening; thickness [m] of a wall on either side of a door's line
+        margin = min(0.08 / shapely.length(door), 0.4) * (end - start)
         between = shapely.LineString([start + margin, end - margin])
-        ways.append(shapely.buffer(between, RULES.thickest_wall, cap_style="flat"))
+        ways.append(shapely.buffer(between, 0.35, cap_style="flat"))
     inside = shapely.difference(inside, shapely.union_all(ways))
     cells = _cells(_free_spaces(hollow, inside, doors, lines.stairs), doors, lines.stairs, notes)
     return _with_walls(outline, cells, doors, lines.stairs, inside), outside
@@ -92,9 +81,9 @@ def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.
 
 def areas_within(outline: shapely.Geometry, free: shapely.Geometry, notes: list[str]) -> tuple[Area, ...]:
     """Areas of a floor from its outline and its free space, polygons [m]; all else within the outline is solid."""
-    half = RULES.sliver / 2
+    half = SLIVER / 2
     wide = shapely.buffer(shapely.buffer(free, -half, join_style="mitre"), half, join_style="mitre")
-    spaces = shapely.get_parts(shapely.simplify(shapely.intersection(wide, free), RULES.half_wall))
+    spaces = shapely.get_parts(shapely.simplify(shapely.intersection(wide, free), HALF_WALL))
     cells = _cells(spaces, [], (), notes)
     border = shapely.union_all(shapely.get_rings([c.shape for c in cells])) if cells else shapely.LineString()
     return _with_walls(outline, cells, [], (), border) if cells else ()
@@ -108,16 +97,16 @@ def _with_walls(
     walls: shapely.Geometry,
 ) -> tuple[Area, ...]:
     """All areas of a floor: outline, cells, doors, stairs, solid parts, and walls as lines."""
-    openings = [shapely.buffer(door, RULES.sliver, cap_style="flat") for door in doors]
+    openings = [shapely.buffer(door, SLIVER, cap_style="flat") for door in doors]
     free = shapely.union_all([*(cell.shape for cell in cells), *stairs, *openings])
     # what is no cell and no opening is solid, but for walls drawn as one line
-    thick = shapely.buffer(shapely.difference(outline, free), -2 * RULES.half_wall, join_style="mitre")
-    solid = shapely.get_parts(shapely.buffer(thick, 2 * RULES.half_wall, join_style="mitre"))
+    thick = shapely.buffer(shapely.difference(outline, free), -2 * HALF_WALL, join_style="mitre")
+    solid = shapely.get_parts(shapely.buffer(thick, 2 * HALF_WALL, join_style="mitre"))
     merged = shapely.get_parts(shapely.line_merge(walls))
-    merged = merged[(shapely.length(merged) > 2 * RULES.half_wall) & (shapely.get_dimensions(merged) == 1)]
+    merged = merged[(shapely.length(merged) > 2 * HALF_WALL) & (shapely.get_dimensions(merged) == 1)]
     areas = [Area(OUTLINE, "", outline), *cells, *(Area(DOOR, "", door) for door in doors)]
     areas += [Area("stairs", "", flight) for flight in stairs]
-    return (*areas, *(Area(WALL, "", part) for part in (*solid[shapely.area(solid) > RULES.half_wall], *merged)))
+    return (*areas, *(Area(WALL, "", part) for part in (*solid[shapely.area(solid) > HALF_WALL], *merged)))
 
 
 def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
@@ -126,17 +115,17 @@ def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
     if radius is None:
         return shapely.Polygon()
     closed = f"gaps of up to {2 * radius:g} m closed"
-    radius = max(radius, min(2 * radius, RULES.closing_radii[-1]))  # a disc of just that radius dents the gap
+    radius = max(radius, min(2 * radius, CLOSING_RADII[-1]))  # a disc of just that radius dents the gap
     wide = shapely.get_parts(shapely.union_all(shapely.buffer(shapely.get_parts(walls), radius, quad_segs=4)))
     filled = shapely.union_all(shapely.polygons(shapely.get_exterior_ring(wide)))
     narrowed = shapely.get_parts(shapely.buffer(filled, -radius, join_style="mitre"))
-    large = narrowed[shapely.area(narrowed) > RULES.room]
-    outline = shapely.simplify(shapely.union_all(large), RULES.half_wall)
+    large = narrowed[shapely.area(narrowed) > SMALLEST_ROOM]
+    outline = shapely.simplify(shapely.union_all(large), HALF_WALL)
     notes.append(f"the outline was derived from the lines, {closed}: {shapely.area(outline):.0f} m²")
     return outline
 
 
-PIXEL, MOST_CELLS = 0.05, 2000  # [m] of the raster, and its cells along the longer side of a large building
+PIXEL = 0.05  # [m] of the raster
 
 
 def closing_radius(points: Array) -> float | None:
@@ -146,8 +135,8 @@ def closing_radius(points: Array) -> float | None:
     large as with the largest radius.
     """
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    step = max(PIXEL, float(extent.max()) / MOST_CELLS)
-    around = int(np.ceil(2 * RULES.closing_radii[-1] / step))
+    step = max(PIXEL, float(extent.max()) / 2000)  # a large building has coarser cells
+    around = int(np.ceil(2 * CLOSING_RADII[-1] / step))
     cells = ((points - low) / step).astype(np.intp) + around
     free = np.ones((extent / step).astype(int) + 2 * around + 1, dtype=bool)
     free[tuple(cells.T)] = False
@@ -158,11 +147,12 @@ def closing_radius(points: Array) -> float | None:
         reached = np.asarray(ndimage.distance_transform_edt(parts != parts[0, 0])) * step
         return float(np.count_nonzero(reached > radius) * step**2)
 
-    largest = max(enclosed(radius) for radius in RULES.closing_radii[-2:])
-    if largest < RULES.least_area * extent[0] * extent[1]:
+    largest = max(enclosed(radius) for radius in CLOSING_RADII[-2:])
+    # a smaller outline encloses no building
+    if largest < 0.05 * extent[0] * extent[1]:
         return None
-    radii = [radius for radius in RULES.closing_radii if radius >= step]
-    return next((r for r in radii if enclosed(r) >= RULES.closed * largest), radii[-1])
+    radii = [radius for radius in CLOSING_RADII if radius >= step]
+    return next((r for r in radii if enclosed(r) >= 0.95 * largest), radii[-1])
 
 
 def _free_spaces(
@@ -172,10 +162,10 @@ def _free_spaces(
     stairs: tuple[shapely.Geometry, ...] = (),
 ) -> Geometries:
     """The connected parts of the free space, doors closed, without slivers and stairs."""
-    solid = shapely.buffer(walls, RULES.half_wall, cap_style="square", join_style="mitre")
-    shut = shapely.union_all([shapely.buffer(d, 2 * RULES.half_wall, cap_style="square") for d in doors])
+    solid = shapely.buffer(walls, HALF_WALL, cap_style="square", join_style="mitre")
+    shut = shapely.union_all([shapely.buffer(d, 2 * HALF_WALL, cap_style="square") for d in doors])
     free = shapely.difference(outline, shapely.union(solid, shut))
-    half = RULES.sliver / 2 - RULES.half_wall
+    half = SLIVER / 2 - HALF_WALL
     wide = shapely.buffer(shapely.buffer(free, -half, join_style="mitre"), half, join_style="mitre")
     return shapely.get_parts(shapely.difference(shapely.intersection(wide, free), shapely.union_all(stairs)))
 
@@ -188,18 +178,18 @@ def _cells(
     ways = np.zeros(len(spaces), dtype=int)
     for ends in (doors, stairs):
         if len(ends) and len(spaces):
-            which, _ = shapely.STRtree(spaces).query(ends, predicate="dwithin", distance=4 * RULES.half_wall)[::-1]
+            which, _ = shapely.STRtree(spaces).query(ends, predicate="dwithin", distance=4 * HALF_WALL)[::-1]
             np.add.at(ways, which, 1)
     area = shapely.area(spaces)
     main = int(np.argmax(area)) if len(area) else -1
-    narrow = shapely.is_empty(shapely.buffer(spaces, -RULES.strip / 2))
-    solid = (ways == 0) & ((area < RULES.room) | narrow)
+    narrow = shapely.is_empty(shapely.buffer(spaces, -STRIP / 2))
+    solid = (ways == 0) & ((area < SMALLEST_ROOM) | narrow)
     if solid.any():
         notes.append(
             f"{np.count_nonzero(solid)} enclosed spaces without a door were taken as solid: "
-            f"smaller than {RULES.room:g} m² or narrower than {RULES.strip:g} m"
+            f"smaller than {SMALLEST_ROOM:g} m² or narrower than {STRIP:g} m"
         )
-    corridor = (np.arange(len(spaces)) == main) | (ways >= RULES.corridor_doors)
+    corridor = (np.arange(len(spaces)) == main) | (ways >= 3)
     return [
         Area("corridor" if corridor[n] else "room", "", spaces[n]) for n in np.flatnonzero(~solid | corridor).tolist()
     ]

@@ -33,7 +33,6 @@ from pdr_graph.types import Array
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
 MOST_LEVEL_AREAS = 100_000  # features times the levels on which each is
-STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
 LEVEL_NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
@@ -198,13 +197,13 @@ def _connections(drawn: Sequence[Area], areas: Sequence[Area]) -> list[Area]:
 def _footprint(area: Area, areas: Sequence[Area]) -> shapely.Geometry:
     """The polygon of stairs drawn as a line, or of a lift drawn as a point: the room as small as a lift around it."""
     if area.kind != "lift":
-        return shapely.buffer(area.shape, _width(area.properties, STAIRS_WIDTH) / 2, cap_style="flat")
+        return shapely.buffer(area.shape, _width(area.properties, 1.5) / 2, cap_style="flat")
     for room in areas:
         # largest lift [m²]: a larger room around a lift's point is not its cabin
         small = room.kind == "room" and room.is_polygon and shapely.area(room.shape) < 15.0
         if small and set(room.floors) & set(area.floors) and shapely.intersects(room.shape, area.shape):
             return room.shape
-    return shapely.buffer(area.shape, LIFT_WIDTH / 2, cap_style="square")
+    return shapely.buffer(area.shape, 1.6 / 2, cap_style="square")
 
 
 def _width(tags: dict[str, Any], default: float) -> float:

@@ -55,7 +55,6 @@ def _georeferenced(path: Path, about: dict[str, Any], features: list[Feature]) -
     return enu(origin[1], origin[0])
 
 
-LONLAT_DIGITS, METRE_DIGITS = 8, 3  # digits of coordinates: 1 mm
 WRITTEN_ANEW = ("kind", "name", "floor", "level", "Type")  # properties that are not copied
 
 
@@ -91,7 +90,7 @@ def _feature(area: Area, floors: list[str], frame: Frame) -> dict[str, Any]:
     if floors:
         properties["floor"] = floors[0] if len(floors) == 1 else floors
     placed = shapely.transform(area.shape, frame.to_lonlat) if frame.georeferenced else area.shape
-    digits = LONLAT_DIGITS if frame.georeferenced else METRE_DIGITS
+    digits = 8 if frame.georeferenced else 3  # of a coordinate: 1 mm
     shape = shapely.transform(placed, lambda position: np.round(position, digits))
     if not shapely.is_valid(shape):  # rounded corners may make an outline cross itself
         shape = placed

@@ -20,7 +20,6 @@ from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
 PICTURE_FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
-OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # default thresholds of map_server
 LARGEST_NUMBER = 1e7  # in the file: metres of an origin far away
 MAP_MODES = ("trinary", "scale", "raw")
 
@@ -71,7 +70,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     )
     areas = areas_within(outline, walkable, notes)
     if not areas:
-        raise InputError(path, "", "no free pixels", f"free space, lighter than free_thresh {FREE_BELOW}")
+        raise InputError(path, "", "no free pixels", "free space, lighter than free_thresh")
     return Drawing({"": areas}, Frame(), tuple(notes))
 
 
@@ -109,8 +108,9 @@ def _cells_of(path: Path, settings: dict[str, Any], picture: Picture, notes: lis
         negate = _number(path, settings, "negate", 0) != 0
         occupancy = (picture if negate else 255 - picture.astype(int)) / 255.0
         known = np.ones(picture.shape, dtype=bool)
-    free = known & (occupancy < _number(path, settings, "free_thresh", FREE_BELOW))
-    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", OCCUPIED_ABOVE))
+    # the default thresholds of map_server
+    free = known & (occupancy < _number(path, settings, "free_thresh", 0.196))
+    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", 0.65))
     unknown = ~free & ~occupied
     notes.append(
         f"{np.mean(free):.0%} of the pixels free, {np.mean(occupied):.0%} occupied, {np.mean(unknown):.0%} unknown"
