@@ -301,8 +301,8 @@ def skeleton(area: shapely.Geometry) -> Skeleton:
     axis = Skeleton(position, np.asarray(KDTree(seeds).query(position)[0]), edges.reshape(-1, 2))
     while recesses := axis.recesses():
         pruned = np.concatenate([np.stack([chain[:-1], chain[1:]], axis=1) for chain in recesses])
-        numbers = (np.sort(each, axis=1) @ (len(position), 1) for each in (axis.edges, pruned))
-        axis = replace(axis, edges=axis.edges[~np.isin(*numbers)])
+        numbers, cut = (np.sort(each, axis=1) @ (len(position), 1) for each in (axis.edges, pruned))
+        axis = replace(axis, edges=axis.edges[~np.isin(numbers, cut)])
     return axis
 
 

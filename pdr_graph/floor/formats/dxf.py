@@ -20,8 +20,7 @@ from pdr_graph.floor.formats.drafting import (
     drawing_of_lines,
     holds,
 )
-from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.plan_limits import check_file_size, required_library
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.types import Array
 
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")

@@ -12,9 +12,8 @@ from scipy import ndimage
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.formats.drafting import metres_per_unit
-from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.drawing import Drawing, required_library
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
-from pdr_graph.floor.plan_limits import required_library
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
@@ -85,7 +84,7 @@ def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.G
     centre = _centre(picture.shape)
     if abs(skew) > 0.1:
         notes.append(f"a skew of {abs(skew):.1f}° was removed")
-        picture = ndimage.rotate(picture, -skew, order=1, cval=255)
+        picture = np.asarray(ndimage.rotate(picture, -skew, order=1, cval=255), dtype=np.uint8)
     polygons = outlines(_cleaned(picture <= threshold, metres, notes))
 
     def to_metres(pixels: Array) -> Array:
@@ -125,12 +124,12 @@ def skew_of(dark: Mask) -> float:
 def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     """Dark pixels of walls: without specks and letters, without thin strokes beside thick walls, gaps closed."""
     square = np.ones((3, 3))
-    padded = ndimage.binary_closing(np.pad(dark, GAP + 1), np.ones((GAP + 1,) * 2))
-    closed = np.asarray(padded)[GAP + 1 : -GAP - 1, GAP + 1 : -GAP - 1]
-    core = np.asarray(ndimage.binary_opening(closed, np.ones((THICK,) * 2)))
+    padded = ndimage.binary_closing(np.pad(dark, GAP + 1), np.ones((GAP + 1, GAP + 1)))
+    closed: Mask = np.asarray(padded, dtype=bool)[GAP + 1 : -GAP - 1, GAP + 1 : -GAP - 1]
+    core: Mask = np.asarray(ndimage.binary_opening(closed, np.ones((THICK, THICK))), dtype=bool)
     if core.sum() > 0.6 * closed.sum():
         thin = int(closed.sum() - core.sum())
-        closed = closed & ndimage.binary_dilation(core, square)
+        closed = closed & np.asarray(ndimage.binary_dilation(core, square), dtype=bool)
         if thin:
             notes.append(f"lines thinner than {THICK} pixels beside thick walls were left out ({thin} pixels)")
     parts: Any = ndimage.label(closed, square)

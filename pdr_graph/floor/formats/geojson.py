@@ -13,7 +13,7 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.plan_limits import check_crossings, check_file_size
+from pdr_graph.floor.formats.drawing import check_crossings, check_file_size
 from pdr_graph.frames import Frame
 
 # Limits of an untrusted file

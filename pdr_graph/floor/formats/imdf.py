@@ -17,8 +17,7 @@ import shapely
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, DOOR, ENTRANCE, OPEN, OUTLINE, WALL, Area, overlap
-from pdr_graph.floor.formats.doorless import DOOR_SLACK, open_doorless_rooms
-from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
+from pdr_graph.floor.formats.drawing import DOOR_SLACK, STOREY, Drawing, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees, features_of, read_json
 from pdr_graph.frames import Frame
 

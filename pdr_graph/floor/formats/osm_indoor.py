@@ -21,10 +21,8 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, CONNECTING, DOOR, OPEN, OUTLINE, SOLID, WALL, Area
-from pdr_graph.floor.formats.doorless import open_doorless_rooms
-from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
+from pdr_graph.floor.formats.drawing import STOREY, Drawing, check_file_size, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
-from pdr_graph.floor.plan_limits import check_file_size
 from pdr_graph.io.source import parsed_xml
 from pdr_graph.io.validation import float_of
 from pdr_graph.priors import PLANS
