@@ -18,7 +18,8 @@ from pdr_graph.floor.formats.drawing import storey_of
 from pdr_graph.floor.plan import FAR_FROM_PLAN
 from pdr_graph.frames import Frame, projected
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint
+from pdr_graph.io.likely_causes import CLOCK_MARGIN
+from pdr_graph.io.tables import check_clock
 from pdr_graph.types import Array, Beacons, Fixes, OneLineRepr, Recording, Trajectory
 
 # Chosen by hand
@@ -43,9 +44,6 @@ class Reach(OneLineRepr):
     def __len__(self) -> int:
         return len(self.margin)
 
-    def _summary(self) -> list[str]:
-        return [count(len(self), "box")]
-
     @classmethod
     def of_fixes(cls, fixes: Fixes, span: tuple[float, float], fastest: float) -> Reach:
         """Places that the walker can visit from fixes within a time span [s], at a speed [m/s]."""
@@ -59,10 +57,6 @@ class Reach(OneLineRepr):
         """Places within `margin` [m] of a building's bounding box."""
         low, high = building.corners
         return cls(low[None], high[None], np.array([margin]))
-
-    def joined(self, other: Reach) -> Reach:
-        """The boxes of both."""
-        return Reach(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("low", "high", "margin")))
 
     def distance(self, position: Array) -> Array:
         """Distance ``(n, k)`` [m] of positions ``(n, 2)`` from each box, without its margin."""
@@ -84,18 +78,18 @@ class Plausibility(OneLineRepr):
     fixes: Reach
     area: Reach
 
-    def _summary(self) -> list[str]:
-        return [repr(self.walk.source), f"{self.span[1] - self.span[0]:.0f} s", repr(self.area)]
-
     @classmethod
     def of(
         cls, walk: Recording, frame: Frame, fixes: Fixes, building: Building | None, fastest: float = FASTEST_WALK
     ) -> Plausibility:
         """The area of a walk; fixes: all of them, in the frame."""
-        span = _span(walk, fixes)
+        timed = [signal.time for signal in walk.signals.values() if len(signal)] or [fixes.time, walk.fixes.time]
+        time = np.concatenate([np.zeros(0 if any(map(len, timed)) else 1), *timed])
+        span = float(time.min()), float(time.max())
         area = reach = Reach.of_fixes(fixes, span, fastest)
         if building is not None:
-            area = reach.joined(Reach.of_plan(building, fastest * (span[1] - span[0])))
+            plan = Reach.of_plan(building, fastest * (span[1] - span[0]))
+            area = Reach(*(np.concatenate([getattr(r, n) for r in (reach, plan)]) for n in ("low", "high", "margin")))
         return cls(walk, frame, building, span, fastest, reach, area)
 
     def check_fixes(
@@ -113,7 +107,7 @@ class Plausibility(OneLineRepr):
             if hint == DEGREES_HINT:
                 raise InputError(source, "x, y", f"degrees on the plan{hint}", "metres in the plan's frame")
         if outline is not None and plan is not None:
-            self.check_plan(plan, outline, hint)
+            _check_plan(plan, self.frame, self.fixes, outline, hint)
         # fewest recorded: fixes inside a recording that can contradict a file: a single one is often an old position
         if source is None or len(recorded) < 3:
             return
@@ -121,7 +115,8 @@ class Plausibility(OneLineRepr):
             return  # the receiver is wrong
         widest = WIDEST_ERROR * float(listed.sigma.max(initial=0.0))
         reach = Reach.of_fixes(recorded, self.span, self.fastest)
-        self._check(source, "fix", listed.position, reach, widest, "those inside the recording", hint)
+        evidence = "those inside the recording"
+        _check_reach(source, self.frame, "fix", listed.position, reach, widest, evidence, hint)
 
     def check_list(self, source: Path | None, noun: str, position: Array, margin: float = 0.0) -> None:
         """Raise InputError if all places of a list ``(n, 2)`` [m] are out of reach of the fixes and the plan.
@@ -130,58 +125,52 @@ class Plausibility(OneLineRepr):
         """
         if source is not None:
             evidence = "the plan" if not len(self.fixes) else "all fixes" if self.building is None else "fixes and plan"
-            self._check(source, noun, position, self.area, margin, evidence)
+            _check_reach(source, self.frame, noun, position, self.area, margin, evidence)
 
     def check_truth(self, source: Path, truth: Trajectory) -> None:
         """Raise InputError if a truth is of another time than the walk, or out of its reach."""
-        start, end = self.span
-        if not ((truth.time >= start - CLOCK_MARGIN) & (truth.time <= end + CLOCK_MARGIN)).any():
-            first, last = (truth.time[[0, -1]] + self.walk.clock_origin).tolist()
-            start, end = start + self.walk.clock_origin, end + self.walk.clock_origin
-            found = f"{first:.3f} to {last:.3f}{clock_hint((first, last), (start, end))}"
-            raise InputError(source, "time", found, f"times within the recording, {start:.3f} to {end:.3f}")
+        check_clock(source, truth.time, self.walk, self.span)
         if truth.epsg is None:
             self.check_list(source, "row", truth.position)
 
-    def check_plan(self, plan: Path, outline: Reach, hint: str = "") -> None:
-        """Raise InputError if no fix can reach the plan. outline: of the plan; hint: at the cause, if it is known."""
-        far = outline.distance(self.fixes.low)[:, 0]
-        if not len(far) or (far <= np.maximum(self.fixes.margin, outline.margin)).any():
-            return
-        nearest = int(np.argmin(far - self.fixes.margin))
-        found = f"a plan {_distance(far[nearest])} or more from {_each(len(far), 'fix')}"
-        found += hint or self._swapped(self.fixes.low, outline)
-        expected = (
-            f"a plan within {_distance(max(self.fixes.margin[nearest], FAR_FROM_PLAN))}, which the walk can reach"
-        )
-        raise InputError(plan, "", found, expected)
 
-    def _check(
-        self, source: Path, noun: str, position: Array, reach: Reach, margin: float, evidence: str, hint: str = ""
-    ) -> None:
-        """Raise InputError if no position lies within reach and a margin [m].
+def _check_plan(plan: Path, frame: Frame, fixes: Reach, outline: Reach, hint: str = "") -> None:
+    """Raise InputError if no fix can reach the plan. outline: of the plan; hint: at the cause, if it is known."""
+    far = outline.distance(fixes.low)[:, 0]
+    if not len(far) or (far <= np.maximum(fixes.margin, outline.margin)).any():
+        return
+    nearest = int(np.argmin(far - fixes.margin))
+    found = f"a plan {_distance(far[nearest])} or more from {_each(len(far), 'fix')}"
+    within = _distance(max(fixes.margin[nearest], FAR_FROM_PLAN))
+    expected = f"a plan within {within}, which the walk can reach"
+    raise InputError(plan, "", found + (hint or _swapped(frame, fixes.low, outline)), expected)
 
-        evidence: what the reach follows from; hint: at the cause, if it is known.
-        """
-        far = reach.distance(position)
-        if not far.size or (far <= reach.margin + margin).any():
-            return
-        row, box = np.unravel_index(np.argmin(far - reach.margin), far.shape)
-        found = f"{_each(len(position), noun)} {_distance(far[row, box])} or more from {evidence}"
-        found += hint or self._swapped(position, reach)
-        raise InputError(
-            source, "", found, f"places within {_distance(reach.margin[box] + margin)}, in reach of the walk"
-        )
 
-    def _swapped(self, position: Array, reach: Reach) -> str:
-        """A hint if positions ``(n, 2)`` would be in reach with latitude and longitude swapped; else empty."""
-        if not self.frame.georeferenced:
-            return ""
-        swapped = self.frame.to_lonlat(position)[:, ::-1]
-        swapped = swapped[np.abs(swapped[:, 1]) <= 90]
-        back = self.frame.from_lonlat(swapped) if len(swapped) else swapped
-        near = (reach.distance(back[np.isfinite(back).all(axis=1)]) <= reach.margin).any()
-        return " (latitude and longitude swapped?)" if near else ""
+def _check_reach(
+    source: Path, frame: Frame, noun: str, position: Array, reach: Reach, margin: float, evidence: str, hint: str = ""
+) -> None:
+    """Raise InputError if no position ``(n, 2)`` [m] lies within reach and a margin [m].
+
+    noun: of one position; evidence: what the reach follows from; hint: at the cause, if it is known.
+    """
+    far = reach.distance(position)
+    if not far.size or (far <= reach.margin + margin).any():
+        return
+    row, box = np.unravel_index(np.argmin(far - reach.margin), far.shape)
+    found = f"{_each(len(position), noun)} {_distance(far[row, box])} or more from {evidence}"
+    expected = f"places within {_distance(reach.margin[box] + margin)}, in reach of the walk"
+    raise InputError(source, "", found + (hint or _swapped(frame, position, reach)), expected)
+
+
+def _swapped(frame: Frame, position: Array, reach: Reach) -> str:
+    """A hint if positions ``(n, 2)`` would be in reach with latitude and longitude swapped; else empty."""
+    if not frame.georeferenced:
+        return ""
+    swapped = frame.to_lonlat(position)[:, ::-1]
+    swapped = swapped[np.abs(swapped[:, 1]) <= 90]
+    back = frame.from_lonlat(swapped) if len(swapped) else swapped
+    near = (reach.distance(back[np.isfinite(back).all(axis=1)]) <= reach.margin).any()
+    return " (latitude and longitude swapped?)" if near else ""
 
 
 DEGREES_HINT = " (time,lat,lon,sigma in the header?)"
@@ -212,16 +201,12 @@ def _mistaken_metres(frame: Frame, position: Array, outline: Reach) -> str:
         "metres from a corner of the plan?": position + corner,
     }
     if frame.georeferenced:
-        zone, is_projected = _utm_at(frame, corner), (np.abs(position) < 2e7).all()
+        lon, lat = frame.to_lonlat(corner[None])[0].tolist()
+        zone = (32601 if lat >= 0 else 32701) + min(int((lon + 180) // 6), 59)
+        is_projected = (np.abs(position) < 2e7).all()
         from_utm = frame.from_lonlat(projected(zone).to_lonlat(position)) if is_projected else position
         guesses[f"metres of EPSG:{zone}?"] = from_utm[np.isfinite(from_utm).all(axis=1)]
     return next((f" ({guess})" for guess, metres in guesses.items() if on_plan(metres)), "")
-
-
-def _utm_at(frame: Frame, position: Array) -> int:
-    """EPSG code of the UTM zone at a position ``(2,)`` [m]."""
-    lon, lat = frame.to_lonlat(position[None])[0].tolist()
-    return (32601 if lat >= 0 else 32701) + min(int((lon + 180) // 6), 59)
 
 
 def check_floors(
@@ -262,29 +247,18 @@ def check_initial(plan: Path, building: Building, initial: Fixes) -> None:
         raise InputError(plan, "", "a plan without latitude", "one that has it, or positions by --format xy")
     outline, place = Reach.of_plan(building, np.sqrt(2) * FAR_FROM_PLAN), frame.place(initial)
     hint = "" if initial.epsg is not None else _mistaken_metres(frame, place.position, outline)
-    span = 0.0, LIVE_DURATION
-    reach = Reach.of_fixes(place, span, FASTEST_WALK)
-    walk = Recording("", 0.0, None)
-    Plausibility(walk, frame, building, span, FASTEST_WALK, reach, reach).check_plan(plan, outline, hint)
+    reach = Reach.of_fixes(place, (0.0, LIVE_DURATION), FASTEST_WALK)
+    _check_plan(plan, frame, reach, outline, hint)
 
 
 def check_beacons_on_plan(source: Path, beacons: Beacons, building: Building) -> None:
     """Raise InputError if no beacon of a list can be near a plan, before a live walk begins."""
-    frame, span = building.floors[0].frame, (0.0, LIVE_DURATION)
+    frame = building.floors[0].frame
     if beacons.epsg is not None and not frame.georeferenced:
         return
-    reach = Reach.of_plan(building, FASTEST_WALK * LIVE_DURATION)
-    no_fixes = Reach(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
-    places = Plausibility(Recording("", 0.0, None), frame, building, span, FASTEST_WALK, no_fixes, reach)
-    position = frame.place(beacons).position
-    places.check_list(source, "beacon", position[np.isfinite(position).all(axis=1)], RADIO_RANGE)
-
-
-def _span(walk: Recording, fixes: Fixes) -> tuple[float, float]:
-    """First and last time [s] of the sensors; without any, of the fixes."""
-    timed = [signal.time for signal in walk.signals.values() if len(signal)] or [fixes.time, walk.fixes.time]
-    time = np.concatenate([part for part in timed if len(part)] or [np.zeros(1)])
-    return float(time.min()), float(time.max())
+    reach, position = Reach.of_plan(building, FASTEST_WALK * LIVE_DURATION), frame.place(beacons).position
+    position = position[np.isfinite(position).all(axis=1)]
+    _check_reach(source, frame, "beacon", position, reach, RADIO_RANGE, "the plan")
 
 
 def _each(number: int, noun: str) -> str:

@@ -68,8 +68,17 @@ class OneLineRepr:
         return html_of(self)
 
     def _summary(self) -> list[str]:
-        """The parts of the `repr`: the number of rows and the span of their times; other types override it."""
-        return [count(len(getattr(self, "time", getattr(self, "position", ()))), self._row), *time_span(self)]
+        """Parts of the `repr`: the number of rows and the span of their times; without these, a part for each field."""
+        if hasattr(self, "time") or hasattr(self, "position"):
+            return [count(len(getattr(self, "time", getattr(self, "position", ()))), self._row), *time_span(self)]
+        parts = list[str]()
+        for name in getattr(self, "__dataclass_fields__", ()):
+            value = getattr(self, name)
+            if isinstance(value, str):
+                parts += [repr(one_line(value))] if value else []
+            elif isinstance(value, tuple | dict | list | np.ndarray):
+                parts.append(f"{len(value)} {name}")
+        return parts
 
 
 class Rows(OneLineRepr):

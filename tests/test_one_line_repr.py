@@ -26,10 +26,10 @@ POINTS = Points(np.zeros((3, 2)), np.array([5.0, 6.0, 7.0]))
 @pytest.mark.parametrize(
     ("record", "expected"),
     [
-        (TABLE, "Table('x.csv', 2 columns, 2 rows)"),
-        (TABLE.rows, "TextRows('x.csv', 2 rows)"),
+        (TABLE, "Table(2 header)"),
+        (TABLE.rows, "TextRows('x.csv', ',')"),
         (POINTS, "Points(3 points, 5.0 to 7.0 s)"),
-        (Track("a walk", (POINTS,)), "Track('a walk', 1 segment, 3 points)"),
+        (Track("a walk", (POINTS,)), "Track('a walk', 1 segments)"),
         (Source(MAPS / "loop.geojson"), "1 file)"),
         (WALK, "Simulation('scenario', 0.0 to "),
         (WALK.scenario, "Scenario('scenario', seed 0, 1 activities, about 30 s, hold 'hand')"),

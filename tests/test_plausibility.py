@@ -189,4 +189,4 @@ def test_a_live_walk_is_refused_beacons_of_another_town(tmp_path):
 def test_the_area_of_a_walk_is_its_fix_with_all_that_can_be_walked():
     places = Plausibility.of(WALK, FRAME, fix(0), None)
     assert places.area.margin == pytest.approx([5 * 2.0 + 2.0 * DURATION])
-    assert repr(places) == "Plausibility('walk', 120 s, Reach(1 box))"
+    assert repr(places) == "Plausibility(2 span)"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.errors import count, expect
-from pdr_graph.floor.cells import CONNECTING, NOWHERE, Area, overlap, stray_of
+from pdr_graph.floor.cells import CONNECTING, NOWHERE, overlap, stray_of
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
@@ -31,9 +31,6 @@ class Connection(OneLineRepr):
     name: str
     polygon: shapely.Geometry
     floors: tuple[int, ...]
-
-    def _summary(self) -> list[str]:
-        return [self.kind, repr(self.name), f"floors {self.floors}"]
 
     def distance(self, position: Array) -> Array:
         """Distance ``(n,)`` [m] of positions ``(n, 2)`` [m] to the polygon, 0 inside."""
@@ -111,7 +108,17 @@ class Building(OneLineRepr):
         drawn = [
             (n, area) for n, floor in enumerate(self.floors) for area in floor.of_kind(*CONNECTING) if area.is_polygon
         ]
-        pairs = np.array(list(self._joined(drawn)), dtype=np.intp).reshape(-1, 2)
+        tree, pairs = shapely.STRtree([area.shape for _, area in drawn]), list[tuple[int, int]]()
+        for i, (low, area) in enumerate(drawn):
+            next_floor = None  # above: the lowest with the same feature, or one of its kind that overlaps
+            for j in sorted(int(k) for k in tree.query(area.shape) if k > i):
+                high, other = drawn[j]
+                if high == low or other.kind != area.kind or next_floor not in (None, high):
+                    continue
+                if other is area or overlap(area.shape, other.shape):
+                    next_floor = high
+                    pairs.append((i, j))
+        pairs = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(drawn), len(drawn)))
         shaft = connected_components(links, directed=False)[1] if drawn else np.empty(0, dtype=np.intp)
         connections = []
@@ -125,24 +132,6 @@ class Building(OneLineRepr):
                 polygon = areas[0].shape if same else shapely.union_all([area.shape for area in areas])
                 connections.append(Connection(areas[0].kind, name, polygon, floors))
         return tuple(connections)
-
-    @staticmethod
-    def _joined(drawn: Sequence[tuple[int, Area]]) -> Iterator[tuple[int, int]]:
-        """Pairs of stairs or lifts that are one: the same feature on several floors, or of one kind over each other.
-
-        drawn: index of the floor and area, lowest floor first. The lower joins those of the next floor above that has
-        one which shares more than half of the smaller.
-        """
-        tree = shapely.STRtree([area.shape for _, area in drawn])
-        for i, (low, area) in enumerate(drawn):
-            next_floor = None
-            for j in sorted(int(k) for k in tree.query(area.shape) if k > i):
-                high, other = drawn[j]
-                if high == low or other.kind != area.kind or next_floor not in (None, high):
-                    continue
-                if other is area or overlap(area.shape, other.shape):
-                    next_floor = high
-                    yield i, j
 
     def crosses_wall(self, position: Array, labels: Sequence[str]) -> Mask:
         """``(n - 1,)`` True where the segment between consecutive positions ``(n, 2)`` [m] crosses a wall.
@@ -184,9 +173,6 @@ class FloorSequence(OneLineRepr):
 
     building: Building
     level: Index
-
-    def _summary(self) -> list[str]:
-        return [repr(self.building), count(len(self.level), "piece")]
 
     @classmethod
     def of(cls, plan: FloorPlan | Building, labels: Sequence[str]) -> FloorSequence:

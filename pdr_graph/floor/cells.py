@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.errors import count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
 from pdr_graph.priors import PLANS, REGIONS
@@ -55,10 +54,6 @@ class Area(OneLineRepr):
     properties: dict[str, Any] = field(default_factory=dict)
     floors: tuple[str, ...] = ()
 
-    def _summary(self) -> list[str]:
-        on = f"floors {', '.join(self.floors)}" if self.floors else "all floors"
-        return [self.kind, *([repr(self.name)] if self.name else []), on]
-
     @property
     def is_polygon(self) -> bool:
         """True if the shape is two-dimensional."""
@@ -76,9 +71,6 @@ class Cell(OneLineRepr):
     name: str
     polygon: shapely.Geometry
 
-    def _summary(self) -> list[str]:
-        return [self.kind, *([repr(self.name)] if self.name else []), f"{shapely.area(self.polygon):.1f} m²"]
-
     @property
     def is_closed(self) -> bool:
         """True if its border is a wall."""
@@ -95,7 +87,12 @@ class Cells(OneLineRepr):
     @classmethod
     def of(cls, areas: tuple[Area, ...]) -> Cells:
         """Construct the cells of a floor from its areas."""
-        drawn = _drawn(areas)
+        drawn = [a for a in areas if a.kind in WALKABLE]
+        within = [a.shape for a in drawn if a.kind in CONNECTING]
+        if within and all(a.kind in (*CONNECTING, DOOR) for a in drawn):  # the outline around stairs and lifts
+            outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
+            connecting = shapely.union_all(within)
+            drawn = [*(replace(a, shape=shapely.difference(a.shape, connecting)) for a in outlines), *drawn]
         doors = [_opening(a) for a in drawn if a.kind == DOOR]
         opened = shapely.union_all(doors)
         solid = shapely.difference(
@@ -115,10 +112,6 @@ class Cells(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.cells)
-
-    def _summary(self) -> list[str]:
-        area = sum(float(shapely.area(cell.polygon)) for cell in self.cells)
-        return [count(len(self), "cell"), f"{area:.0f} m²", f"{shapely.length(self.barriers):.0f} m of barriers"]
 
     @cached_property
     def _tree(self) -> shapely.STRtree:
@@ -162,16 +155,6 @@ class Cells(OneLineRepr):
     @cached_property
     def _wide_barriers(self) -> shapely.Geometry:
         return shapely.buffer(self.barriers, PLANS.crack, cap_style="flat")
-
-
-def _drawn(areas: tuple[Area, ...]) -> list[Area]:
-    """The areas that are cells; on a floor with only stairs, lifts and doors also the outline around them."""
-    drawn = [a for a in areas if a.kind in WALKABLE]
-    within = [a.shape for a in drawn if a.kind in CONNECTING]
-    if not within or any(a.kind not in (*CONNECTING, DOOR) for a in drawn):
-        return drawn
-    outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
-    return [replace(a, shape=shapely.difference(a.shape, shapely.union_all(within))) for a in outlines] + drawn
 
 
 def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:
@@ -244,10 +227,6 @@ class Regions(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.polygons)
-
-    def _summary(self) -> list[str]:
-        area = float(np.sum(shapely.area(self.polygons)))
-        return [count(len(self), "region"), f"{area:.0f} m²", count(len(self.doors), "door")]
 
     def along(self, track: Array, stray: Array | float | None = None, alike: float = 1.0) -> tuple[Index, float]:
         """Most probable sequence of regions (Viterbi) along points ``(n, 2)`` [m], and its cost.

@@ -6,7 +6,6 @@ from threading import Lock
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from pdr_graph.priors import PLANS
 from pdr_graph.types import Array, Index
@@ -16,8 +15,6 @@ NODES = 33  # per side of a tile, whose border nodes it shares with its neighbou
 BLOCKS = 3  # per side of a tile, for each of which the walls nearby are sought
 PAIRS = 1000  # pairs of a block and a wall
 TILE = NODE_SPACING * (NODES - 1)
-DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
-SIMPLIFIED = 0.01  # [m] by which such an outline may change
 PIXEL_BITS = 6
 PIXELS = 1 << PIXEL_BITS  # per side of a tile, for `DistanceField.approximate`
 NOT_COMPUTED = np.iinfo(np.intp).min  # address of a tile that was not computed
@@ -36,17 +33,18 @@ class DistanceField:
     def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
         """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls. [m]"""
         half = PLANS.narrowest / 2
-        if shapely.get_num_coordinates(walkable) > DENSEST * shapely.length(walkable):
-            walkable = shapely.simplify(walkable, SIMPLIFIED)
+        # corners per metre of walls: a finer outline is a curve that was cut into pieces
+        if shapely.get_num_coordinates(walkable) > 20.0 * shapely.length(walkable):
+            walkable = shapely.simplify(walkable, 0.01)
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
             raise ValueError(f"no walkable area wider than {PLANS.narrowest} m")
         lines = shapely.get_rings(shapely.get_parts(self._walkable))
         if barriers is not None:
             lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])
-        self._walls = _segments(lines)
-        self._ends = shapely.get_coordinates(self._walls).reshape(-1, 2, 2)
-        self._tree = shapely.STRtree(self._walls)
+        corners = [shapely.get_coordinates(line) for line in lines]
+        self._ends = np.concatenate([np.stack([c[:-1], c[1:]], axis=1) for c in corners])
+        self._tree = shapely.STRtree(np.asarray(shapely.linestrings(self._ends)))
         low, high = shapely.bounds(self._walkable).reshape(2, 2)
         self._corner = (np.floor(low / TILE) - SURROUNDING_TILES) * TILE
         self._columns, self._rows = (np.ceil((high - self._corner) / TILE).astype(int) + SURROUNDING_TILES).tolist()
@@ -121,17 +119,8 @@ class DistanceField:
         tiles, bits of a pixel in its tile, addresses of the tiles, pixels ``(n,)`` [m], address of a missing tile.
         """
         address = self._address if tiles is None else tiles
-        scale = PIXELS / TILE
-        return (
-            self._corner,
-            scale,
-            self._last_pixel,
-            self._rows,
-            PIXEL_BITS,
-            address,
-            self._pixels.ravel(),
-            NOT_COMPUTED,
-        )
+        layout = self._corner, PIXELS / TILE, self._last_pixel, self._rows, PIXEL_BITS
+        return *layout, address, self._pixels.ravel(), NOT_COMPUTED
 
     def _slots(self, tile: Index) -> Index:
         """Slots ``(n,)`` of tiles ``(n, 2)`` in storage; missing tiles are computed first."""
@@ -218,9 +207,3 @@ def _pixels(tiles: Array) -> Array:
         shape[axis] = PIXELS
         tiles = halves.reshape(shape)
     return tiles
-
-
-def _segments(lines: NDArray[np.object_]) -> NDArray[np.object_]:
-    """The straight segments of lines and rings."""
-    ends = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, lines)]
-    return np.asarray(shapely.linestrings(np.concatenate(ends)))

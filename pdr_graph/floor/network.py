@@ -14,23 +14,19 @@ the kinks of the medial axis at openings without moving a line through a wall.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
 from scipy.spatial import KDTree, Voronoi
 
-from pdr_graph.errors import count
 from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
-INTERSECTION_KIND, CORRIDOR_KIND = "intersection", "corridor"
-# Tolerances of a drawing, chosen by hand
-TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet
-WALL_THICKNESS = 0.05  # [m] of a wall drawn as a line
-SHORTEST_LINK = 1.0  # [m] of a line beyond an intersection; a shorter one is not a link
+TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -59,10 +55,6 @@ class Network(OneLineRepr):
 
     def __len__(self) -> int:
         return len(self.links)
-
-    def _summary(self) -> list[str]:
-        length = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in self.lines)
-        return [count(len(self.nodes), "node"), count(len(self), "link"), f"{length:.0f} m"]
 
     def walls(self, slack: float = 0.0) -> Array:
         """All wall segments ``(w, 2, 2)`` around the area, moved outwards by ``slack``. [m]
@@ -94,9 +86,6 @@ class Segments(OneLineRepr):
     start: Array
     along: Array
     link: Index
-
-    def _summary(self) -> list[str]:
-        return [count(len(self.link), "segment"), count(len(np.unique(self.link)), "link")]
 
     @classmethod
     def of(cls, network: Network) -> Segments:
@@ -163,7 +152,7 @@ def _network_area(cells: Cells, walkable: shapely.Geometry) -> shapely.Geometry:
         doors = {n for n, c in enumerate(cells.cells) if c.kind == DOOR and len(open_cells & set(beside[n])) > 1}
         parts = [cells.cells[n].polygon for n in sorted(open_cells | doors)]
         walkable = shapely.intersection(without_cracks(parts), walkable)
-    return shapely.difference(walkable, shapely.buffer(cells.barriers, WALL_THICKNESS, cap_style="flat"))
+    return shapely.difference(walkable, shapely.buffer(cells.barriers, 0.05, cap_style="flat"))
 
 
 def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Array]] | None:
@@ -171,11 +160,11 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
 
     Links follow the lines of kind ``link``, or the axes of the corridors if there are none.
     """
-    crossings = [a.shape for a in areas if a.kind == INTERSECTION_KIND and a.is_polygon]
+    crossings = [a.shape for a in areas if a.kind == "intersection" and a.is_polygon]
     if not crossings:
         return None
     axes = [a.shape for a in areas if a.kind == LINK]
-    axes = axes or [_axis(a.shape, crossings) for a in areas if a.kind == CORRIDOR_KIND and a.is_polygon]
+    axes = axes or [_axis(a.shape, crossings) for a in areas if a.kind == "corridor" and a.is_polygon]
     nodes = [shapely.get_coordinates(shapely.centroid(c))[0] for c in crossings]
     corners = [_four_corners(c) for c in crossings]
     links, lines = list[tuple[int, int]](), list[Array]()
@@ -183,7 +172,8 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
     for piece in shapely.get_parts(shapely.line_merge(between)):
         line = shapely.get_coordinates(piece)
         ends = [_crossing_at(line[end], crossings) for end in (0, -1)]
-        if ends == [None, None] or (None in ends and shapely.length(piece) < SHORTEST_LINK):
+        # shortest [m] line beyond an intersection that is a link
+        if ends == [None, None] or (None in ends and shapely.length(piece) < 1.0):
             continue
         for end, place in enumerate((line[0], line[-1])):
             if ends[end] is None:  # a dead end
@@ -193,7 +183,8 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
         i, j = (n for n in ends if n is not None)
         if i != j:
             links.append((i, j))
-            lines.append(_without_duplicates(np.concatenate([nodes[i][None], line, nodes[j][None]])))
+            whole = shapely.linestrings(np.concatenate([nodes[i][None], line, nodes[j][None]]))
+            lines.append(shapely.get_coordinates(shapely.simplify(whole, TOUCH / 10)))  # without repeated points
     return np.array(nodes), np.array(corners), np.array(links, dtype=np.intp).reshape(-1, 2), lines
 
 
@@ -222,16 +213,8 @@ def _four_corners(polygon: shapely.Geometry) -> Array:
     return corners if shapely.is_ccw(shapely.linearrings(corners)) else corners[::-1]
 
 
-def _without_duplicates(line: Array) -> Array:
-    """A line without repeated points."""
-    simple = shapely.simplify(shapely.linestrings(line), TOUCH / 10)
-    return shapely.get_coordinates(simple)
-
-
 NARROWEST_AISLE = 0.6  # [m] the width of a pair of shoulders; a narrower passage is a slit between shops
-SEED_SPACING = 0.3  # [m] half of the narrowest aisle, so that no line crosses a wall
-SHORTEST_DEAD_END = 3.0  # [m] from the circle where a branch begins; a shorter branch is a recess; chosen by hand
-RECESS = 0.5  # the same as a share of the circle's radius: a corner of a square hall has 0.41
+SEED_SPACING = NARROWEST_AISLE / 2  # [m] so that no line crosses a wall
 
 
 @dataclass(frozen=True)
@@ -246,37 +229,60 @@ class Skeleton:
     clearance: Array
     edges: Index
 
-    def chains(self, stops: Iterable[int] = ()) -> list[Index]:
+    @property
+    def degree(self) -> Index:
+        """Number of edges ``(v,)`` at each vertex."""
+        return np.bincount(self.edges.ravel(), minlength=len(self.position))
+
+    def chains(self, stops: Sequence[int] = ()) -> list[Index]:
         """The vertices of each line from one stop to the next; ends, junctions and the vertices ``stops`` are stops."""
-        neighbours: dict[int, list[int]] = {}
-        for i, j in self.edges.tolist():
-            neighbours.setdefault(i, []).append(j)
-            neighbours.setdefault(j, []).append(i)
-        all_stops = {v for v, near in neighbours.items() if len(near) != 2} | (set(stops) & set(neighbours))
-        used: set[tuple[int, int]] = set()
-        starts = ((v, w) for v in all_stops for w in neighbours[v])
-        found = [_walk(neighbours, all_stops, used, v, w) for v, w in starts if (v, w) not in used]
-        for v in neighbours:  # rings without a stop
-            if not any((v, w) in used for w in neighbours[v]):
-                found.append(_walk(neighbours, {v}, used, v, neighbours[v][0]))
-        return found
+        if not len(self.edges):
+            return []
+        merged = shapely.line_merge(shapely.multilinestrings(self.position[self.edges]))
+        vertex, degree, chains = KDTree(self.position), self.degree, list[Index]()
+        for line in shapely.get_parts(merged):
+            chain = np.asarray(vertex.query(shapely.get_coordinates(line))[1], dtype=np.intp)
+            first = np.flatnonzero(np.isin(chain, stops))[:1]
+            if degree[chain[0]] == 2 and len(first):  # a ring begins at a stop
+                chain = np.append(np.roll(chain[:-1], -first[0]), chain[first])
+            cuts = [0, *(np.flatnonzero(np.isin(chain[1:-1], stops)) + 1).tolist(), len(chain) - 1]
+            chains += [chain[i : j + 1] for i, j in pairwise(cuts)]
+        return chains
 
     def length(self, chain: Index) -> float:
         """Length of the line through vertices ``chain (m,)``. [m]"""
         return float(np.hypot(*np.diff(self.position[chain], axis=0).T).sum())
 
+    def recesses(self) -> list[Index]:
+        """Branches with one free end that hardly leave the circle where they begin.
+
+        Of a star in which all branches are recesses, the two longest are not: a hall keeps a line.
+        """
+        degree, found, at = self.degree, list[Index](), dict[int, list[Index]]()
+        for chain in self.chains():
+            for end in {int(chain[0]), int(chain[-1])}:
+                at.setdefault(end, []).append(chain)
+            if (degree[chain[[0, -1]]] == 1).sum() == 1:
+                tip, base = chain[[0, -1]] if degree[chain[0]] == 1 else chain[[-1, 0]]
+                reach = self.length(chain) + self.clearance[tip] - self.clearance[base]
+                # from the circle: at least 3 m, and half of its radius: a corner of a square hall has 0.41
+                if reach < max(3.0, self.clearance[base] / 2):
+                    found.append(chain)
+        recesses, kept = {id(chain) for chain in found}, set[int]()
+        for star in at.values():
+            if len(star) > 2 and recesses.issuperset(map(id, star)):
+                kept |= {id(chain) for chain in sorted(star, key=self.length)[-2:]}
+        return [chain for chain in found if id(chain) not in kept]
+
 
 def skeleton(area: shapely.Geometry) -> Skeleton:
-    """The pruned medial axis of a (multi)polygon [m], without passages narrower than 0.6 m."""
+    """The medial axis of a (multi)polygon [m], without passages narrower than 0.6 m and branches that lead nowhere.
+
+    It is taken from the Voronoi diagram of points on the border.
+    """
     half = NARROWEST_AISLE / 2
-    wide = shapely.buffer(shapely.buffer(area, -half, quad_segs=4), half, quad_segs=4)
-    return _pruned(_medial_axis(wide))
-
-
-def _medial_axis(area: shapely.Geometry) -> Skeleton:
-    """The medial axis of a (multi)polygon [m], from the Voronoi diagram of points on its border."""
-    rings = shapely.get_rings(shapely.get_parts(area))
-    seeds = shapely.get_coordinates(shapely.segmentize(rings, SEED_SPACING))
+    area = shapely.buffer(shapely.buffer(area, -half, quad_segs=4), half, quad_segs=4)
+    seeds = shapely.get_coordinates(shapely.segmentize(shapely.get_rings(shapely.get_parts(area)), SEED_SPACING))
     seeds = seeds[np.unique(np.round(seeds, 3), axis=0, return_index=True)[1]]
     if len(seeds) < 4:
         return Skeleton(np.empty((0, 2)), np.empty(0), np.empty((0, 2), dtype=np.intp))
@@ -292,112 +298,52 @@ def _medial_axis(area: shapely.Geometry) -> Skeleton:
     inner = (edges >= 0).all(axis=1) & inside[edges].all(axis=1) & (apart > NARROWEST_AISLE - SEED_SPACING / 4)
     used, edges = np.unique(edges[inner], return_inverse=True)
     position = vertices[used]
-    return Skeleton(position, np.asarray(KDTree(seeds).query(position)[0]), edges.reshape(-1, 2))
+    axis = Skeleton(position, np.asarray(KDTree(seeds).query(position)[0]), edges.reshape(-1, 2))
+    while recesses := axis.recesses():
+        pruned = np.concatenate([np.stack([chain[:-1], chain[1:]], axis=1) for chain in recesses])
+        numbers, cut = (np.sort(each, axis=1) @ (len(position), 1) for each in (axis.edges, pruned))
+        axis = replace(axis, edges=axis.edges[~np.isin(numbers, cut)])
+    return axis
 
 
-def _pruned(axis: Skeleton) -> Skeleton:
-    """The skeleton without branches that lead nowhere, repeated until there are none."""
-    while True:
-        chains = axis.chains()
-        degree = np.bincount(axis.edges.ravel(), minlength=len(axis.position))
-        recesses = [n for n, chain in enumerate(chains) if _is_recess(axis, chain, degree)]
-        recesses = _without_longest_of_stars(axis, chains, recesses)
-        if not recesses:
-            return axis
-        pruned = np.concatenate([np.stack([chains[n][:-1], chains[n][1:]], axis=1) for n in recesses])
-        size = len(axis.position)
-        keep = ~np.isin(_codes(axis.edges, size), _codes(pruned, size))
-        axis = replace(axis, edges=axis.edges[keep])
-
-
-def _is_recess(axis: Skeleton, chain: Index, degree: Index) -> bool:
-    """True for a branch with one free end that hardly leaves the circle where it begins."""
-    loose = degree[chain[[0, -1]]] == 1
-    if loose.sum() != 1:
-        return False
-    tip, base = (chain[0], chain[-1]) if loose[0] else (chain[-1], chain[0])
-    reach = axis.length(chain) + axis.clearance[tip] - axis.clearance[base]
-    return bool(reach < max(SHORTEST_DEAD_END, RECESS * axis.clearance[base]))
-
-
-def _without_longest_of_stars(axis: Skeleton, chains: list[Index], recesses: list[int]) -> list[int]:
-    """The recesses, except for the two longest of a star in which all branches are recesses: a hall keeps a line."""
-    at: dict[int, list[int]] = {}
-    for n, chain in enumerate(chains):
-        for v in {int(chain[0]), int(chain[-1])}:
-            at.setdefault(v, []).append(n)
-    longest: set[int] = set()
-    for star in at.values():
-        if len(star) > 2 and set(star) <= set(recesses):
-            longest |= set(sorted(star, key=lambda n: axis.length(chains[n]))[-2:])
-    return [n for n in recesses if n not in longest]
-
-
-def _walk(
-    neighbours: dict[int, list[int]], all_stops: set[int], used: set[tuple[int, int]], start: int, second: int
-) -> Index:
-    """The vertices from a stop through ``second`` to the next stop."""
-    chain = [start, second]
-    used |= {(start, second), (second, start)}
-    while chain[-1] not in all_stops:
-        ahead = next(v for v in neighbours[chain[-1]] if v != chain[-2])
-        used |= {(chain[-1], ahead), (ahead, chain[-1])}
-        chain.append(ahead)
-    return np.array(chain, dtype=np.intp)
-
-
-def _codes(edges: Index, size: int) -> Index:
-    """One number ``(e,)`` per edge, equal for both directions."""
-    return edges.min(axis=1) * size + edges.max(axis=1)
-
-
-@dataclass(frozen=True)
-class DerivationSettings:
-    """Constants by which a medial axis becomes a network, chosen by hand. Clearances are distances to the nearest wall.
-
-    bend: turn within a corridor that makes a node [rad].
-    arm, shortest_arm: length of the part of a line that determines its direction, in clearances, and at least [m].
-    sampling: interval at which a line's direction is evaluated [m].
-    inner: share of the radius of a circle that is certainly free of walls.
-    slack, most_slack: deviation of a simplified line from the medial axis, in clearances, and at most [m].
-    parallel: |sin| of the angle up to which two links are of one corridor.
-    farthest_corner: distance of a corner from the centre of its intersection, in clearances; a plaza has no corners.
-    island: length of a loop around something small, in clearances; a shorter loop is not a link.
-    """
-
-    bend: float = np.radians(40)
-    arm: float = 1.5
-    shortest_arm: float = 1.0
-    sampling: float = 0.1
-    inner: float = 0.9
-    slack: float = 0.4
-    most_slack: float = 1.5
-    parallel: float = 0.6
-    farthest_corner: float = 2.5
-    island: float = 4.0
-
-
-DERIVATION = DerivationSettings()
+# Constants by which a medial axis becomes a network, chosen by hand
+SHORTEST_ARM = 1.0  # [m] least length of the part of a line that determines its direction
+INNER = 0.9  # share of the radius of a circle that is certainly free of walls
+PARALLEL = 0.6  # |sin| of the angle up to which two links are of one corridor
 
 
 def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
     """Nodes ``(n, 2)``, corners ``(n, 4, 2)``, links ``(l, 2)`` and their lines from a (multi)polygon. [m]"""
     middle = skeleton(area)
     vertex, at = _hubs(middle)
-    clearance = middle.clearance[vertex]
-    links, chains = list[tuple[int, int]](), list[Index]()
+    clearance, nodes = middle.clearance[vertex], middle.position[vertex]
+    links, lines, widths = list[tuple[int, int]](), list[Array](), list[float]()
     for chain in middle.chains(np.flatnonzero(at >= 0).tolist()):
         i, j = (int(n) for n in at[chain[[0, -1]]])
-        if i != j or middle.length(chain) >= DERIVATION.island * clearance[i]:
+        # a shorter loop, in clearances, around something small is not a link
+        if i != j or middle.length(chain) >= 4.0 * clearance[i]:
             links.append((i, j))
-            chains.append(chain)
-    lines = [_straightened(middle, vertex[list(ij)], chain, area) for ij, chain in zip(links, chains, strict=True)]
-    nodes = _centred(middle.position[vertex], DERIVATION.inner * clearance, links, lines)
+            lines.append(_straightened(middle, vertex[[i, j]], chain, area))
+            widths.append(float(np.median(middle.clearance[chain])))
+    corners = np.full((len(nodes), 4, 2), np.nan)
+    # the lines that leave each node, their directions beyond its circle, and half the width of their corridors
+    leaving = [list[tuple[Array, Array, float]]() for _ in nodes]
+    for link, line, width in zip(links, lines, widths, strict=True):
+        for n, path in zip(link, (line, line[::-1]), strict=True):
+            far = np.flatnonzero(np.hypot(*(path - path[1]).T) > SHORTEST_ARM)
+            far = far[far > 1]
+            ahead = path[far[0]] - path[1] if len(far) else path[-1] - path[0]
+            leaving[n].append((path[1].copy(), ahead / max(float(np.hypot(*ahead)), 1e-9), width))
+    for n, paths in enumerate(leaving):
+        if len(paths) > 1:
+            place, direction, half = (np.array(values) for values in zip(*paths, strict=True))
+            normal = direction[:, ::-1] * (-1, 1)
+            nodes[n] = _crossing(nodes[n], place, normal, INNER * clearance[n])
+            corners[n] = _corners(nodes[n], direction, normal, half)
     for (i, j), line in zip(links, lines, strict=True):
         line[0], line[-1] = nodes[i], nodes[j]
-    widths = [float(np.median(middle.clearance[chain])) for chain in chains]
-    corners = np.array([_corners(n, nodes, links, lines, widths) for n in range(len(nodes))]).reshape(-1, 4, 2)
-    far = np.hypot(*(corners - nodes[:, None]).T).max(axis=0) > DERIVATION.farthest_corner * clearance
+    # farthest corner from the centre of its intersection, in clearances: a plaza has no corners
+    far = np.hypot(*(corners - nodes[:, None]).T).max(axis=0) > 2.5 * clearance
     corners[far] = np.nan
     linked, renumbered = np.unique(np.array(links, dtype=np.intp), return_inverse=True)
     return nodes[linked], corners[linked], renumbered.reshape(-1, 2), lines
@@ -409,22 +355,19 @@ def _hubs(middle: Skeleton) -> tuple[Index, Index]:
     Nodes are junctions, then bends, then ends, by decreasing clearance; each absorbs the later ones within its circle.
     A ring without a bend has a node somewhere on it.
     """
-    degree = np.bincount(middle.edges.ravel(), minlength=len(middle.position))
-    chains = middle.chains()
-    bends = [_bends(middle, chain) for chain in chains]
-    rings = [c[:1] for c, bent in zip(chains, bends, strict=True) if degree[c[0]] == 2 and not len(bent)]
-    bends = np.concatenate([*bends, *rings, np.empty(0, dtype=np.intp)])
-    junctions, ends = np.flatnonzero(degree > 2), np.flatnonzero(degree == 1)
-    rank = np.concatenate([np.zeros(len(junctions)), np.ones(len(bends)), np.full(len(ends), 2)])
-    candidates = np.concatenate([junctions, bends, ends]).astype(np.intp)
+    degree, bends = middle.degree, list[Index]()
+    for chain in middle.chains():
+        bent = _bends(middle, chain)
+        bends.append(chain[:1] if degree[chain[0]] == 2 and not len(bent) else bent)
+    kinds = [np.flatnonzero(degree > 2), np.concatenate([*bends, np.empty(0, np.intp)]), np.flatnonzero(degree == 1)]
+    candidates = np.concatenate(kinds)
+    rank = np.repeat([0, 1, 2], [len(kind) for kind in kinds])
     chosen, at = list[int](), np.full(len(middle.position), -1)
     for v in candidates[np.lexsort((-middle.clearance[candidates], rank))].tolist():
         if at[v] < 0:
             apart = np.hypot(*(middle.position[candidates] - middle.position[v]).T)
-            near = apart < DERIVATION.inner * middle.clearance[v]
-            absorbed = candidates[near & (at[candidates] < 0)]
-            at[absorbed] = len(chosen)
-            at[v] = len(chosen)
+            near = apart < INNER * middle.clearance[v]
+            at[candidates[near & (at[candidates] < 0)]] = at[v] = len(chosen)
             chosen.append(v)
     return np.array(chosen, dtype=np.intp), at
 
@@ -433,27 +376,23 @@ def _bends(middle: Skeleton, chain: Index) -> Index:
     """Vertices ``(b,)`` at which a line turns most, by more than 40°, between an arm's length before and after."""
     from scipy.signal import find_peaks  # here: few walks need it and it takes half a second to load
 
-    line = middle.position[chain]
+    line, interval = middle.position[chain], 0.1  # [m] at which the direction is evaluated
     walked = length_along(line)
-    arm = max(DERIVATION.shortest_arm, DERIVATION.arm * float(np.median(middle.clearance[chain])))
+    arm = max(SHORTEST_ARM, 1.5 * float(np.median(middle.clearance[chain])))
     period = walked[-1] if chain[0] == chain[-1] else None
-    ends = (0.0, walked[-1]) if period else (arm, walked[-1] - arm)
-    at = np.arange(*ends, DERIVATION.sampling)
+    at = np.arange(0.0, walked[-1], interval) if period else np.arange(arm, walked[-1] - arm, interval)
     if len(at) < 3:
         return np.empty(0, dtype=np.intp)
-    before, here, after = (_point_at(s, walked, line, period) for s in (at - arm, at, at + arm))
+    before, here, after = (
+        np.stack([np.interp(s, walked, axis, period=period) for axis in line.T], axis=1)
+        for s in (at - arm, at, at + arm)
+    )
     heading = [np.arctan2(*(b - a).T[::-1]) for a, b in ((before, here), (here, after))]
     turned = np.abs(wrap_angle(heading[1] - heading[0]))
     rolled = int(np.argmin(turned)) if period else 0  # cut a ring where it is straight
     padded = np.pad(np.roll(turned, -rolled), 1)
-    peaks, _ = find_peaks(padded, height=DERIVATION.bend, distance=max(1, arm / DERIVATION.sampling))
-    found = at[(peaks - 1 + rolled) % len(at)]
-    return chain[np.searchsorted(walked, found).clip(0, len(chain) - 1)]
-
-
-def _point_at(s: Array, walked: Array, line: Array, period: float | None) -> Array:
-    """Points ``(n, 2)`` at arc lengths ``s (n,)`` of a line; period: of a ring, None for an open line. [m]"""
-    return np.stack([np.interp(s, walked, axis, period=period) for axis in line.T], axis=1)
+    peaks, _ = find_peaks(padded, height=np.radians(40), distance=max(1, arm / interval))
+    return chain[np.searchsorted(walked, at[(peaks - 1 + rolled) % len(at)]).clip(0, len(chain) - 1)]
 
 
 def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geometry) -> Array:
@@ -461,17 +400,13 @@ def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geo
 
     ends: ``(2,)`` vertices of its nodes; chain: ``(m,)`` vertices from one to the other.
     """
-    line = middle.position[chain]
-    first, last = 0, len(line) - 1
-    for end, v in enumerate(ends):
-        centre, radius = middle.position[v], DERIVATION.inner * middle.clearance[v]
-        beyond = np.flatnonzero(np.hypot(*(line - centre).T) > radius)
-        if end == 0:
-            first = max(int(beyond[0]) - 1, 0) if len(beyond) else len(line) // 2
-        else:
-            last = min(int(beyond[-1]) + 1, len(line) - 1) if len(beyond) else len(line) // 2
+    line, half = middle.position[chain], len(chain) // 2
+    outside = [np.flatnonzero(np.hypot(*(line - middle.position[v]).T) > INNER * middle.clearance[v]) for v in ends]
+    first = max(int(outside[0][0]) - 1, 0) if len(outside[0]) else half
+    last = min(int(outside[1][-1]) + 1, len(line) - 1) if len(outside[1]) else half
     between = line[min(first, last) : max(first, last) + 1]
-    slack = min(DERIVATION.slack * float(np.median(middle.clearance[chain])), DERIVATION.most_slack)
+    # deviation of a simplified line from the medial axis, in clearances, and at most [m]
+    slack = min(0.4 * float(np.median(middle.clearance[chain])), 1.5)
     if len(between) > 2:
         simple = shapely.simplify(shapely.linestrings(between), slack)
         if not shapely.covers(area, simple):
@@ -481,48 +416,28 @@ def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geo
     return np.concatenate([middle.position[ends[:1]], between, middle.position[ends[1:]]])
 
 
-def _centred(nodes: Array, radius: Array, links: list[tuple[int, int]], lines: list[Array]) -> Array:
-    """Nodes ``(n, 2)`` moved to the crossing of their corridors' centre lines, if it is within their circle. [m]"""
-    moved = nodes.copy()
-    for n in range(len(nodes)):
-        leaving = _leaving(n, links, lines)
-        if len(leaving) < 2:
-            continue
-        at = np.array([line[1] for line, _ in leaving])
-        normal = np.array([(-u[1], u[0]) for _, u in leaving])
-        if np.abs(np.linalg.det(normal.T @ normal / len(leaving))) < 0.05:  # nearly parallel
-            continue
-        crossing = np.linalg.solve(normal.T @ normal, normal.T @ np.sum(normal * at, axis=1))
-        if np.hypot(*(crossing - nodes[n])) < radius[n]:
-            moved[n] = crossing
-    return moved
+def _crossing(node: Array, place: Array, normal: Array, radius: float) -> Array:
+    """Crossing ``(2,)`` [m] of the centre lines of corridors, if it is within a radius of their node; else the node.
+
+    place, normal: ``(k, 2)`` a point of each centre line, and the unit vector across it.
+    """
+    square = normal.T @ normal
+    if np.abs(np.linalg.det(square / len(normal))) < 0.05:  # nearly parallel
+        return node
+    crossing = np.linalg.solve(square, normal.T @ np.sum(normal * place, axis=1))
+    return crossing if np.hypot(*(crossing - node)) < radius else node
 
 
-def _leaving(n: int, links: list[tuple[int, int]], lines: list[Array]) -> list[tuple[Array, Array]]:
-    """The lines that leave a node, each with its direction ``(2,)`` beyond the node's circle."""
-    leaving = []
-    for link, line in zip(links, lines, strict=True):
-        for end, path in zip(link, (line, line[::-1]), strict=True):
-            if end == n:
-                far = np.flatnonzero(np.hypot(*(path - path[1]).T) > DERIVATION.shortest_arm)
-                far = far[far > 1]
-                ahead = path[far[0]] - path[1] if len(far) else path[-1] - path[0]
-                leaving.append((path, ahead / max(float(np.hypot(*ahead)), 1e-9)))
-    return leaving
+def _corners(node: Array, direction: Array, normal: Array, half: Array) -> Array:
+    """Corners ``(4, 2)`` of the two corridors that cross at a node, counter-clockwise; NaN if none cross. [m]
 
-
-def _corners(n: int, nodes: Array, links: list[tuple[int, int]], lines: list[Array], widths: list[float]) -> Array:
-    """Corners ``(4, 2)`` of the two corridors that cross at a node, counter-clockwise; NaN if none cross. [m]"""
-    directions = [u for _, u in _leaving(n, links, lines)]
-    half = [w for link, w in zip(links, widths, strict=True) for end in link if end == n]
-    if len(directions) < 2:
-        return np.full((4, 2), np.nan)
-    across = np.abs([[u[0] * v[1] - u[1] * v[0] for v in directions] for u in directions])
+    direction, normal, half: of the links that leave it, unit vectors along and across ``(k, 2)`` and half their width.
+    """
+    across = np.abs(direction @ normal.T)
     i, j = np.unravel_index(np.argmax(across), across.shape)
-    if across[i, j] < DERIVATION.parallel:
+    if across[i, j] < PARALLEL:
         return np.full((4, 2), np.nan)
-    normal = np.array([(-directions[k][1], directions[k][0]) for k in (i, j)])
-    reach = [min(h for h, s in zip(half, across[k], strict=True) if s < DERIVATION.parallel) for k in (i, j)]
+    reach = [half[across[k] < PARALLEL].min() for k in (i, j)]
     signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
-    corners = nodes[n] + np.linalg.solve(normal, (signs * reach).T).T
+    corners = node + np.linalg.solve(normal[[i, j]], (signs * reach).T).T
     return corners if shapely.is_ccw(shapely.linearrings(corners)) else corners[::-1]

@@ -16,7 +16,6 @@ from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask, OneLineRepr
 
-EDGE = 0.05  # [m] of the walkable area along walls where `nearest_walkable` puts no one
 FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is not on this plan
 
 
@@ -65,8 +64,8 @@ class FloorPlan(OneLineRepr):
 
     @cached_property
     def _inside(self) -> shapely.Geometry:
-        """The walkable area without its edge, where no walker's centre can be [m]."""
-        inside = shapely.buffer(self.walkable, -EDGE)
+        """The walkable area without its edge of 0.05 m, where no walker's centre can be [m]."""
+        inside = shapely.buffer(self.walkable, -0.05)
         shapely.prepare(inside)
         return inside
 

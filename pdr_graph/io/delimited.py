@@ -1,81 +1,63 @@
-"""Columns of numbers from delimited text, at the speed of NumPy or pyarrow, with errors that name the line."""
+"""Columns of numbers from delimited text, by pyarrow where tables are long, with errors that name the line."""
 
 from __future__ import annotations
 
 import csv
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
 
 import numpy as np
 
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError
 from pdr_graph.types import Array, OneLineRepr
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders write for a missing value
-FOR_ARROW = 20_000  # rows from which the import of pyarrow, 0.1 s, is repaid
+FOR_ARROW = 500_000  # bytes from which the import of pyarrow, 0.1 s, is repaid
 MAXIMUM_LINE = 10_000  # characters; rows of recorders have some hundred
-
-
-class Lines(Sequence[str]):
-    """The lines of a UTF-8 text, split when one of them is asked for: pyarrow splits long tables itself."""
-
-    def __init__(self, content: bytes, begin: int = 0, count: int | None = None):
-        """begin: of the first line in ``content`` [bytes]; count: number of lines, if it is known."""
-        self.content, self.begin = content, begin
-        self.end = max(begin, len(content) - content.endswith(b"\n"))
-        self._count = content.count(b"\n", begin, self.end) + 1 if count is None else count
-        self._count *= self.end > begin
-
-    def __len__(self) -> int:
-        return self._count
-
-    @overload
-    def __getitem__(self, index: int) -> str: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[str]: ...
-    def __getitem__(self, index: int | slice) -> str | list[str]:
-        return self._split[index]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._split)
-
-    @cached_property
-    def _split(self) -> list[str]:
-        return self.content[self.begin : self.end].decode().split("\n") if self._count else []
-
-    def head(self, count: int) -> list[str]:
-        """The first few lines."""
-        head, end = [], self.begin - 1
-        while len(head) < min(count, self._count):
-            first = end + 1
-            end = self.content.find(b"\n", first, self.end)
-            end = self.end if end < 0 else end
-            head.append(self.content[first:end].decode())
-        return head
 
 
 @dataclass(frozen=True)
 class TextRows(OneLineRepr):
     """Rows of one delimited text file.
 
-    where: name of the file in messages; lines: text of the rows; numbers: their line numbers, from 1.
+    where: name of the file in messages; content: the rows in UTF-8; first: number of the first line, or of each line.
+    Blank rows, and rows of empty cells alone, are not counted.
     """
 
     where: str
-    lines: Sequence[str]
-    numbers: Sequence[int]
+    content: bytes
+    first: int | Sequence[int] = 1
     delimiter: str = ","
+
+    @classmethod
+    def of(cls, where: str, lines: Sequence[str], numbers: Sequence[int], delimiter: str = ",") -> TextRows:
+        """Rows from some lines of a file and their line numbers."""
+        return cls(where, "\n".join(lines).encode(), numbers, delimiter)
 
     def __len__(self) -> int:
         return len(self.lines)
 
-    def _summary(self) -> list[str]:
-        return [repr(self.where), count(len(self.lines), "row")]
+    @cached_property
+    def _numbered(self) -> list[tuple[int, str]]:
+        """Line number and text of each row that is not blank."""
+        lines = self.content.decode().split("\n")
+        numbers = range(self.first, self.first + len(lines)) if isinstance(self.first, int) else self.first
+        return [(number, line) for number, line in zip(numbers, lines, strict=False) if line.strip(" \r\t;,")]
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """Text of each row."""
+        return [line for _, line in self._numbered]
+
+    @cached_property
+    def numbers(self) -> list[int]:
+        """Line number of each row, from 1."""
+        return [number for number, _ in self._numbered]
 
     def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
         """The columns as numbers ``(n, k)``; NaN where a cell is empty or its number is too large.
@@ -83,10 +65,7 @@ class TextRows(OneLineRepr):
         cut_off_allowed: leave out a last row that is too short; False for formats with an end mark.
         Raises InputError, with the line, if a cell is neither empty nor a number.
         """
-        if not self.lines:
-            return np.empty((0, len(columns)))
-        table = self._floats_by_arrow(columns) if len(self.lines) > FOR_ARROW else None
-        table = self._floats_by_numpy(columns) if table is None else table
+        table = self._floats_by_arrow(columns) if len(self.content) > FOR_ARROW else None
         table = self._floats_by_cell(columns, cut_off_allowed) if table is None else table
         with np.errstate(invalid="ignore"):
             # maximum number: a larger number is treated as missing; Unix times in nanoseconds are about 1e18
@@ -97,72 +76,58 @@ class TextRows(OneLineRepr):
 
     def words(self, column: int) -> list[str]:
         """One column as texts ``(n,)``, empty where a row is too short."""
-        return [row[column].strip() if column < len(row) else "" for row in self._cells()]
+        return [row[column].strip() if column < len(row) else "" for row in self._cells]
 
-    def word(self, column: int) -> str:
-        """A cell of the first row; empty if the row is too short or there is none."""
-        return next(iter(TextRows(self.where, self.lines[:1], self.numbers[:1], self.delimiter).words(column)), "")
-
+    @cached_property
     def _cells(self) -> list[list[str]]:
         """The cells of each row; raises InputError if a line is too long."""
-        if any(len(line) > MAXIMUM_LINE for line in self.lines):
-            longest = int(np.argmax([len(line) for line in self.lines]))
-            found = f"{len(self.lines[longest])} characters"
-            raise InputError(self.where, f"line {self.numbers[longest]}", found, f"at most {MAXIMUM_LINE} characters")
-        if any('"' in line for line in self.lines):
-            return [split(line, self.delimiter) for line in self.lines]
-        return [line.split(self.delimiter) for line in self.lines]
+        for number, line in self._numbered:
+            if len(line) > MAXIMUM_LINE:
+                expected = f"at most {MAXIMUM_LINE} characters"
+                raise InputError(self.where, f"line {number}", f"{len(line)} characters", expected)
+        if b'"' in self.content:
+            return [split(line, self.delimiter) for _, line in self._numbered]
+        return [line.split(self.delimiter) for _, line in self._numbered]
 
     def _floats_by_arrow(self, columns: Sequence[int]) -> Array | None:
-        """The columns as numbers, thrice as fast as by NumPy; None without pyarrow or if a cell is no plain number."""
+        """The columns as numbers, six times as fast; None without pyarrow, or if a cell is no plain number."""
         try:
             import pyarrow
             from pyarrow import csv as arrow
         except ImportError:
             return None
-        lines = (
-            self.lines if isinstance(self.lines, Lines) else Lines("\n".join(self.lines).encode(), 0, len(self.lines))
-        )
-        width = lines.head(1)[0].count(self.delimiter) + 1
-        if lines.content.find(b'"', lines.begin, lines.end) >= 0 or max(columns) >= width:
+        names = [str(k) for k in range(self.content.partition(b"\n")[0].count(self.delimiter.encode()) + 1)]
+        if b'"' in self.content or max(columns) >= len(names):
             return None
-        names = [str(k) for k in range(width)]
         kept = [names[k] for k in columns]
         try:
             table = arrow.read_csv(
-                pyarrow.py_buffer(memoryview(lines.content)[lines.begin : lines.end]),
+                pyarrow.py_buffer(self.content),
                 arrow.ReadOptions(use_threads=False, column_names=names),
-                arrow.ParseOptions(delimiter=self.delimiter, quote_char=False),
+                arrow.ParseOptions(delimiter=self.delimiter, quote_char=False, ignore_empty_lines=False),
                 arrow.ConvertOptions(include_columns=kept, column_types=dict.fromkeys(kept, pyarrow.float64())),
             )
         except pyarrow.ArrowInvalid:
             return None
-        if len(table) != len(self.lines) or any(column.null_count for column in table.columns):
+        if any(column.null_count for column in table.columns):
             return None
         # `to_numpy` would import pandas
         parts = [np.concatenate([*map(np.from_dlpack, column.chunks)]) for column in table.columns]
         return np.stack(parts, axis=1, dtype=float)
 
-    def _floats_by_numpy(self, columns: Sequence[int]) -> Array | None:
-        """The columns as numbers; None if a cell is none."""
-        try:
-            table = np.loadtxt(
-                self.lines, delimiter=self.delimiter, usecols=columns, comments=None, quotechar='"', ndmin=2
-            )
-        except (ValueError, OverflowError):
-            return None
-        return table if len(table) == len(self.lines) else None  # an open quote joins a line to the next
-
     def _floats_by_cell(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
         """The columns as numbers, cell by cell: slow, but allows empty cells and names the line of an error."""
-        table: list[list[float]] = []
-        for number, line, row in zip(self.numbers, self.lines, self._cells(), strict=True):
-            if len(row) <= max(columns):
-                if cut_off_allowed and number == self.numbers[-1]:
-                    break  # the recorder stopped in mid-line
-                found = f"{len(row)} fields, {line[:40]!r}"
-                raise InputError(self.where, f"line {number}", found, f"at least {max(columns) + 1} fields")
-            table.append([self._number(number, row[c]) for c in columns])
+        cells = self._cells
+        with suppress(ValueError, IndexError):
+            return np.array([[float(row[c]) for row in cells] for c in columns]).T.copy()
+        last, table = max(columns), list[list[float]]()
+        for (number, line), row in zip(self._numbered, cells, strict=True):
+            if len(row) > last:
+                table.append([self._number(number, row[c]) for c in columns])
+            elif not cut_off_allowed or number < self._numbered[-1][0]:  # else the recorder stopped in mid-line
+                raise InputError(
+                    self.where, f"line {number}", f"{len(row)} fields, {line[:40]!r}", f"at least {last + 1} fields"
+                )
         return np.array(table).reshape(-1, len(columns))
 
     def _number(self, line: int, cell: str) -> float:
@@ -182,9 +147,6 @@ class Table(OneLineRepr):
     header: tuple[str, ...]
     rows: TextRows
 
-    def _summary(self) -> list[str]:
-        return [repr(self.rows.where), count(len(self.header), "column"), count(len(self.rows), "row")]
-
     def find(self, wanted: Callable[[str], bool]) -> int | None:
         """The number of the first column whose lower-case name is `wanted`; None if there is none."""
         return next((k for k, name in enumerate(self.header) if wanted(name.lower())), None)
@@ -200,8 +162,6 @@ class Table(OneLineRepr):
             raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
         present = [n for n, column in enumerate(columns) if column is not None]
         values = self.rows.floats([column for column in columns if column is not None])
-        if len(present) == len(columns):
-            return values
         wide = np.full((len(values), len(columns)), np.nan)
         wide[:, present] = values
         return wide
@@ -215,12 +175,6 @@ def split(line: str, delimiter: str) -> list[str]:
         return line.split(delimiter)
 
 
-BLANKS = " \r\t;,"  # the only characters of a row with empty cells
-BLANK_ROW = re.compile(rf"\n[{BLANKS}]*\n|\n[{BLANKS}]+\Z".encode())
-BEGINS_BLANK_ROW = np.isin(np.arange(256), [*f"{BLANKS}\n".encode()])  # by the first byte of a line
-CHUNK = 1 << 22  # bytes
-
-
 def table(where: str, text: str | bytes) -> Table:
     """Split the text of a CSV with a header. Delimiters are tab, semicolon or comma; decimal marks point or comma.
 
@@ -228,46 +182,34 @@ def table(where: str, text: str | bytes) -> Table:
     is too long.
     """
     content = text.encode() if isinstance(text, str) else text
-    begin, end = _first_line(where, content)
-    if end - begin > MAXIMUM_LINE and (length := len(content[begin:end].decode())) > MAXIMUM_LINE:
-        raise InputError(where, "line 1", f"{length} characters", "a header")
-    head = content[begin:end].decode()
-    delimiter = next((d for d in DELIMITERS if d in head), ",")
-    header = tuple(name.strip() for name in split(head, delimiter))
-    newlines, maybe_blank = _scan(content, end)
-    rows: Sequence[str] = Lines(content, end + 1, newlines - content.endswith(b"\n"))
-    first = content.count(b"\n", 0, begin) + 2
-    numbers: Sequence[int] = range(first, first + len(rows))
-    if maybe_blank and BLANK_ROW.search(content):
-        kept = [(number, line) for number, line in zip(numbers, rows, strict=True) if line.strip(BLANKS)]
-        numbers, rows = [number for number, _ in kept], [line for _, line in kept]
-    if delimiter != "," and any("," in line for line in (rows.head(10) if isinstance(rows, Lines) else rows[:10])):
-        with_points = Lines(content.replace(b",", b"."), end + 1, len(rows))
-        rows = with_points if isinstance(rows, Lines) else [line.replace(",", ".") for line in rows]
-    return Table(header, TextRows(where, rows, numbers, delimiter))
+    blank = re.match(rb"(?:\s*\n)?", content)
+    body = content[blank.end() if blank else 0 :]
+    if not body or body.isspace():
+        raise InputError(where, "", "an empty file", "a header and rows")
+    head, _, rows = body.partition(b"\n")
+    line = head.decode()
+    if len(line) > MAXIMUM_LINE:
+        raise InputError(where, "line 1", f"{len(line)} characters", "a header")
+    delimiter = next((d for d in DELIMITERS if d in line), ",")
+    header = tuple(name.strip() for name in split(line.rstrip("\r"), delimiter))
+    if delimiter != "," and b"," in b"".join(rows.split(b"\n", 10)[:10]):
+        rows = rows.replace(b",", b".")
+    first = content.count(b"\n", 0, len(content) - len(body)) + 2
+    return Table(header, TextRows(where, rows, first, delimiter))
 
 
-def _first_line(where: str, content: bytes) -> tuple[int, int]:
-    """Begin and end of the first line that is not blank [bytes]; raises InputError without one."""
-    begin = 0
-    while begin < len(content):
-        end = content.find(b"\n", begin)
-        end = len(content) if end < 0 else end
-        if content[begin:end].decode().strip():
-            return begin, end
-        begin = end + 1
-    raise InputError(where, "", "an empty file", "a header and rows")
+def rows_by_kind(
+    where: str, lines: Iterable[str], kinds: Sequence[str], kind_of: Callable[[str], str], delimiter: str
+) -> dict[str, TextRows]:
+    """The rows of each kind that occurs, with their line numbers, of a file in which rows of several kinds alternate.
 
-
-def _scan(content: bytes, begin: int) -> tuple[int, bool]:
-    """Number of newlines from byte ``begin`` on, and False if it is certain that no line after one of them is blank.
-
-    Ten times as fast as to search for a blank line.
+    kind_of: the kind of a line; other lines are left out.
     """
-    newlines, blank = 0, False
-    for first in range(begin, len(content), CHUNK):
-        text = np.frombuffer(content, np.uint8, min(CHUNK + 1, len(content) - first), first)
-        after = np.flatnonzero(text[:CHUNK] == ord("\n")) + 1
-        newlines += len(after)
-        blank = blank or bool(BEGINS_BLANK_ROW[text[after[after < len(text)]]].any())
-    return newlines, blank
+    texts: dict[str, list[str]] = {kind: [] for kind in kinds}
+    numbers: dict[str, list[int]] = {kind: [] for kind in kinds}
+    for number, line in enumerate(lines, start=1):
+        kind = kind_of(line)
+        if kind in texts:
+            texts[kind].append(line)
+            numbers[kind].append(number)
+    return {kind: TextRows.of(where, texts[kind], numbers[kind], delimiter) for kind in kinds if texts[kind]}

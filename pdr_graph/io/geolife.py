@@ -10,7 +10,6 @@ from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import DAY_LENGTH, Array, Fixes, Recording
 
 NAME = "GeoLife"
-HEADER_LINES = 6
 EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, where days count from
 
 
@@ -29,8 +28,7 @@ def read(source: Source) -> Recording:
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """Read positions as fixes at Unix times [s]. The format has no accuracy."""
     name = source.single or ""
-    lines = source.text(name).rstrip().split("\n")[HEADER_LINES:]
-    rows = TextRows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
+    rows = TextRows(source.where(name), (source.utf8(name).split(b"\n", 6) + [b""] * 7)[6], 7)  # after 6 header lines
     lat, lon, days = rows.floats((0, 1, 4)).T
     time: Array = np.round(days * DAY_LENGTH + EPOCH_1899)  # whole seconds; the decimals of a day are not exact
     return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

@@ -16,7 +16,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from pdr_graph.io.delimited import TextRows
+from pdr_graph.io.delimited import TextRows, rows_by_kind
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes, surveyed
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
@@ -24,7 +24,6 @@ from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajecto
 NAME = "GetSensorData (IPIN, xDR)"
 SENSOR_TAGS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
 TAGS = (*SENSOR_TAGS, "GNSS", "POSI", "BLE4", "WIFI")
-SEPARATORS = (";", ",", "\t")
 FIRST_TAGGED_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
 MAXIMUM_CLOCK_DRIFT = 1.0  # [s] between the clocks of app and sensor; up to 0.35 s on real logs
 
@@ -60,14 +59,9 @@ def read(source: Source) -> Recording:
 
 def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, TextRows]:
     """The rows of each tag of TAGS, with their line numbers."""
-    texts: dict[str, list[str]] = {tag: [] for tag in TAGS}
-    numbers: dict[str, list[int]] = {tag: [] for tag in TAGS}
-    for number, line in enumerate(lines, start=1):
-        tag, separator = line[:4], line[4:5]
-        if tag in texts and separator in SEPARATORS:
-            texts[tag].append(line if separator == ";" else line.replace(separator, ";"))
-            numbers[tag].append(number)
-    return {tag: TextRows(where, texts[tag], numbers[tag], ";") for tag in TAGS if texts[tag]}
+    tagged = ((line, line[4:5]) for line in lines)
+    same = (line.replace(cut, ";") if cut in (",", "\t") and line[:4] in TAGS else line for line, cut in tagged)
+    return rows_by_kind(where, same, TAGS, lambda line: line[:4] if line[4:5] == ";" else "", ";")
 
 
 def samples(tag: str, rows: TextRows) -> Array:

@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.delimited import Table, TextRows
+from pdr_graph.io.delimited import Table, rows_by_kind
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
@@ -41,8 +41,7 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     sensors = {}
     for sensor, kinds in SENSOR_ROWS.items():
-        kind = next((kind for kind in kinds if kind in tables), None)
-        if kind is not None:
+        for kind in [kind for kind in kinds if kind in tables][:1]:
             sensors[sensor] = _sensor(tables[kind])
     fixes = _fixes(tables["Fix"], notes) if "Fix" in tables else None
     return build_recording(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
@@ -50,22 +49,15 @@ def read(source: Source) -> Recording:
 
 def _tables(where: str, text: str) -> dict[str, Table]:
     """A table of each kind of row, with the column names of the header comment."""
-    headers: dict[str, tuple[str, ...]] = {}
-    lines: dict[str, list[str]] = {kind: [] for kind in ROW_KINDS}
-    numbers: dict[str, list[int]] = {kind: [] for kind in ROW_KINDS}
-    for number, line in enumerate(text.split("\n"), start=1):
-        kind = line[: line.find(",")]
-        if kind in lines:
-            lines[kind].append(line)
-            numbers[kind].append(number)
-        elif line.startswith("#"):
-            names = tuple(name.strip() for name in line[1:].split(","))
-            headers[names[0]] = names
-    nameless = [kind for kind in ROW_KINDS if lines[kind] and kind not in headers]
-    if nameless:
-        found = f"{nameless[0]} rows, without a comment that names their columns"
-        raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
-    return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in ROW_KINDS if lines[k]}
+    lines = text.split("\n")
+    named = (tuple(name.strip() for name in line[1:].split(",")) for line in lines if line.startswith("#"))
+    headers = {names[0]: names for names in named}
+    rows = rows_by_kind(where, lines, ROW_KINDS, lambda line: line[: line.find(",")], ",")
+    for kind in rows:
+        if kind not in headers:
+            found = f"{kind} rows, without a comment that names their columns"
+            raise InputError(where, f"line {rows[kind].numbers[0]}", found, f"a comment '# {kind},…' above")
+    return {kind: Table(headers[kind], rows[kind]) for kind in rows}
 
 
 def _sensor(table: Table) -> Array:

@@ -12,10 +12,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.delimited import TextRows
+from pdr_graph.io.delimited import TextRows, rows_by_kind
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, surveyed
-from pdr_graph.types import Array, Recording, Sightings, Trajectory
+from pdr_graph.types import Array, Recording, Sightings
 
 NAME = "Indoor Location Competition 2.0"
 SENSOR_TYPES = {
@@ -40,9 +40,16 @@ def read(source: Source) -> Recording:
     """
     name = source.single or ""
     where = source.where(name)
-    lines = _complete(where, source.text(name).split("\n"))
-    rows, notes = _rows_by_kind(where, lines)
-    tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSOR_TYPES.items() if len(rows[kind])}
+    lines = source.text(name).split("\n")
+    last = next((n for n in range(len(lines) - 1, -1, -1) if lines[n].strip()), 0)
+    if not lines[last].startswith("#\tendTime:"):
+        found, expected = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
+        raise InputError(where, f"line {last + 1}, the last", found, expected)
+    rows = rows_by_kind(where, lines, RECORD_TYPES, lambda line: line.partition("\t")[2].partition("\t")[0], "\t")
+    unknown = [n for n, line in enumerate(lines, 1) if line and line[0] != "#" and "\tTYPE_" not in line[:40]]
+    notes = [f"{len(unknown)} lines are not rows (the first: line {unknown[0]})"] if unknown else []
+    tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSOR_TYPES.items() if kind in rows}
+    truth = _table(WAYPOINT, rows[WAYPOINT]) if WAYPOINT in rows else None
     if not {"accelerometer", "gyroscope"} & set(tables):
         raise InputError(where, "", "no accelerometer and no gyroscope rows", "the rows of an inertial sensor")
     return build_recording(
@@ -50,38 +57,11 @@ def read(source: Source) -> Recording:
         PurePosixPath(name).name,
         tables,
         0.0,
-        bluetooth=_sightings(rows["TYPE_BEACON"], transmitter=8, rssi=6),
-        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4, last_seen=6),
-        truth=_truth(_table(WAYPOINT, rows[WAYPOINT])),
+        bluetooth=_sightings(rows.get("TYPE_BEACON"), transmitter=8, rssi=6),
+        wifi=_sightings(rows.get("TYPE_WIFI"), transmitter=3, rssi=4, last_seen=6),
+        truth=None if truth is None else surveyed(truth[:, 0], truth[:, 1:]),
         notes=notes,
     )
-
-
-def _complete(where: str, lines: list[str]) -> list[str]:
-    """The lines unchanged; raises InputError if the closing line is missing."""
-    last = next((n for n in range(len(lines) - 1, -1, -1) if lines[n].strip()), 0)
-    if not lines[last].startswith("#\tendTime:"):
-        found, expected = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
-        raise InputError(where, f"line {last + 1}, the last", found, expected)
-    return lines
-
-
-def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], list[str]]:
-    """The rows of each of RECORD_TYPES, with their line numbers; and a note on lines that are not rows."""
-    texts: dict[str, list[str]] = {kind: [] for kind in RECORD_TYPES}
-    numbers: dict[str, list[int]] = {kind: [] for kind in RECORD_TYPES}
-    unknown: list[int] = []
-    for number, line in enumerate(lines, start=1):
-        second = line.find("\t") + 1
-        end = line.find("\t", second)
-        kind = line[second:end] if end > 0 else line[second:]
-        if kind in texts:
-            texts[kind].append(line)
-            numbers[kind].append(number)
-        elif line and line[0] != "#" and not kind.startswith("TYPE_"):
-            unknown.append(number)
-    notes = [f"{len(unknown)} lines are not rows (the first: line {unknown[0]})"] if unknown else []
-    return {kind: TextRows(where, texts[kind], numbers[kind], "\t") for kind in RECORD_TYPES}, notes
 
 
 def _table(kind: str, rows: TextRows) -> Array:
@@ -102,14 +82,14 @@ def _table(kind: str, rows: TextRows) -> Array:
     return table
 
 
-def _sightings(rows: TextRows, transmitter: int, rssi: int, last_seen: int | None = None) -> Sightings | None:
+def _sightings(rows: TextRows | None, transmitter: int, rssi: int, last_seen: int | None = None) -> Sightings | None:
     """Receptions with time, transmitter and level; rows without them are left out.
 
     transmitter, rssi, last_seen: column numbers. last_seen: the time of the reception [ms], where rows repeat
     receptions for minutes; each is returned once.
     """
     sightings: set[tuple[float, str, float]] = set()
-    for line in rows.lines:
+    for line in rows.lines if rows else ():
         fields = line.split("\t")
         try:
             written, level = float(fields[0]) / 1000, float(fields[rssi])
@@ -121,7 +101,3 @@ def _sightings(rows: TextRows, transmitter: int, rssi: int, last_seen: int | Non
             continue
     times, transmitters, levels = zip(*sorted(sightings), strict=True) if sightings else ((), (), ())
     return Sightings(np.array(times), transmitters, np.array(levels))
-
-
-def _truth(waypoints: Array) -> Trajectory | None:
-    return surveyed(waypoints[:, 0], waypoints[:, 1:]) if len(waypoints) else None

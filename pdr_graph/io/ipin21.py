@@ -68,9 +68,6 @@ def _sensor(source: Source, name: str) -> Array:
 
 def _numbers(where: str, text: str, values: int) -> Array:
     """Times [s] and values ``(n, 1 + values)`` of a file without a header."""
-    lines = text.split("\n")
-    numbers = [n for n, line in enumerate(lines, start=1) if line and not line.isspace()]
-    first = lines[numbers[0] - 1] if numbers else ""
-    delimiter = next((d for d in "\t, " if d in first), " ")
-    rows = TextRows(where, [lines[n - 1] for n in numbers], numbers, delimiter)
+    delimiter = next((d for d in "\t, " if d in text.strip().partition("\n")[0]), " ")
+    rows = TextRows(where, text.encode(), delimiter=delimiter)
     return rows.floats(range(1 + values)) * ([0.001] + values * [1.0])

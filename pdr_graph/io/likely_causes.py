@@ -11,7 +11,6 @@ from pdr_graph.types import DAY_LENGTH
 
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
 FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
-PER_SECOND = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in which times are written, per second
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 
 
@@ -29,7 +28,7 @@ def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str
         return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
     if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
         return " (Unix times, while the recorder's clock counts from another moment?)"
-    for unit, factor in PER_SECOND.items():
+    for unit, factor in {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}.items():
         if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:
             return f" ({unit}? seconds are expected)" if unit != "milliseconds" else " (milliseconds?)"
     if last < FIRST_UNIX_TIME <= start:
@@ -70,7 +69,6 @@ def number_hint(cell: str) -> str:
     return ""
 
 
-SNIFFED_BYTES = 4096  # bytes of a file that are looked at
 QUOTED = 80  # characters of a file's header that are quoted
 AN_ARCHIVE = "a zip, a folder or a file (unpack it, or pack it again as zip)"
 A_RECORDING = "a recording (is this a floor plan? --map takes it)"
@@ -91,9 +89,17 @@ MARKS: tuple[tuple[bytes, str, str], ...] = (
 def description(source: Source, readers: str) -> tuple[str, str]:
     """What was found in the files, and what is expected. readers: names of all recorders."""
     expected = f"a recording of a supported recorder: {readers}"
+    names = source.names
+    if not names:
+        return "an empty folder", expected
     if source.single is None:
-        return _folder(source, expected)
-    head = source.head(source.single, SNIFFED_BYTES)
+        if "summary.json" in names and "trajectory.csv" in names:
+            return "a result of pdr-graph", "the recording that it was made from"
+        if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
+            return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
+        kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in names})
+        return f"{len(names)} files ({', '.join(kinds[:4])}), {', '.join(names[:3])[:QUOTED]}", expected
+    head = source.head(source.single)
     if not head.strip(b"\0"):
         return ("an empty file" if not head else "bytes that are all 0", expected)
     for mark, name, instead in MARKS:
@@ -108,38 +114,17 @@ def description(source: Source, readers: str) -> tuple[str, str]:
         return f"XML of another kind, {text[:QUOTED]!r}", expected
     if "\ufffd" in text[:200] or "\0" in text[:200]:
         return f"the bytes {head[:24]!r}", expected
-    return _table(source, text, expected)
-
-
-def _folder(source: Source, expected: str) -> tuple[str, str]:
-    """The same for several files."""
-    names = source.names
-    if not names:
-        return "an empty folder", expected
-    if "summary.json" in names and "trajectory.csv" in names:
-        return "a result of pdr-graph", "the recording that it was made from"
-    if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
-        return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
-    kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in names})
-    found = f"{len(names)} files ({', '.join(kinds[:4])}), {', '.join(names[:3])[:QUOTED]}"
-    return found, expected
-
-
-def _table(source: Source, text: str, expected: str) -> tuple[str, str]:
-    """The same for a text: its header, or its first line."""
     first = text.split("\n", 1)[0].strip()
     ending = " named .zip" if source.path.suffix.lower() == ".zip" else ""
-    cells = [cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)]
-    if len(cells) < 2 or all(re.fullmatch(NUMBER, cell) for cell in cells):
+    names = {cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)}
+    if len(names) < 2 or all(re.fullmatch(NUMBER, name) for name in names):
         return f"a text{ending} that begins with {first[:QUOTED]!r}", expected
-    found = f"a text{ending} with the header {first[:QUOTED]}"
-    names = set(cells)
-    position = {"x", "y"} <= names or {"lat", "lon"} <= names
-    if "time" in names and position and "sigma" in names:
-        return found, "a recording (are these fixes? smooth RECORDING --fixes takes them)"
-    if "time" in names and position and "z" not in names:
-        return found, "a recording (is this a trajectory? evaluate and --truth take it)"
-    if any(cell.startswith(("time", "seconds")) for cell in cells):
+    if "time" in names and ({"x", "y"} <= names or {"lat", "lon"} <= names):
+        if "sigma" in names:
+            expected = "a recording (are these fixes? smooth RECORDING --fixes takes them)"
+        elif "z" not in names:
+            expected = "a recording (is this a trajectory? evaluate and --truth take it)"
+    elif any(name.startswith(("time", "seconds")) for name in names):
         header = "Time (s),X (m/s^2),Y (m/s^2),Z (m/s^2)"
-        return found, f"a recording; a table of an accelerometer has phyphox's header: {header}"
-    return found, expected
+        expected = f"a recording; a table of an accelerometer has phyphox's header: {header}"
+    return f"a text{ending} with the header {first[:QUOTED]}", expected

@@ -33,8 +33,7 @@ def read(source: Source) -> Recording:
     """Read one recording. Leading rows of zeros, from before the phone's filter started, are left out."""
     name = _accelerometer(source) or ""
     first = 2 if WITH_ACCURACY.match(source.head(name)) else 1
-    lines = source.text(name).rstrip().split("\n")
-    rows = TextRows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
+    rows = TextRows(source.where(name), source.utf8(name)).floats((0, first, first + 1, first + 2))
     started = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
     rows = rows[started] * (1e-9, 1, 1, 1)
     zeros = count(int((~started).sum()), "row")

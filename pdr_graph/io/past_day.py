@@ -98,7 +98,8 @@ def from_text(where: str, text: str) -> tuple[Rows, Rows]:
         for name in ("time", "lat", "lon"):
             positions[name] = rows[name]
         positions["accuracy"] = np.where(rows["accuracy"] < 0, NO_ACCURACY, rows["accuracy"])
-        positions["source"] = _codes(rows["source"])
+        names, code = np.unique(rows["source"], return_inverse=True)
+        positions["source"] = np.array([SOURCES.index(name) for name in names.tolist()], np.uint8)[code]
         for name in SIGHTING.names or ():
             sightings[name] = heard[name]
     except (ValueError, OverflowError) as error:
@@ -111,12 +112,6 @@ def from_text(where: str, text: str) -> tuple[Rows, Rows]:
 
 def _loaded(text: str, kind: list[tuple[str, str]]) -> NDArray[np.void]:
     """The rows of a table as a structured array."""
-    if not text:
-        return np.empty(0, kind)
-    return np.loadtxt(io.StringIO(text), delimiter=",", dtype=kind, ndmin=1, comments=None)
-
-
-def _codes(names: NDArray[np.str_]) -> NDArray[np.uint8]:
-    """Numbers of sources. Raises ValueError for an unknown name."""
-    unique, code = np.unique(names, return_inverse=True)
-    return np.array([SOURCES.index(name) for name in unique.tolist()], np.uint8)[code]
+    return (
+        np.loadtxt(io.StringIO(text), delimiter=",", dtype=kind, ndmin=1, comments=None) if text else np.empty(0, kind)
+    )

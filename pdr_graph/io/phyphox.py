@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -38,7 +37,7 @@ def recognizes(source: Source) -> bool:
 def read(source: Source) -> Recording:
     """Read one experiment. Raises InputError if a table is damaged."""
     notes: list[str] = []
-    clock = _clock(source)
+    begins, offset, unix = _clock(source)
     tables: dict[str, Array] = {}
     fixes: Fixes | None = None
     for name in _tables_named(source):
@@ -50,13 +49,13 @@ def read(source: Source) -> Recording:
             accuracy = _accuracy(table) if sensor == "location" else []
             values = table.rows.floats([*chosen, *accuracy])
             values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns end in empty cells
-            values[:, 0] = clock(values[:, 0])
+            values[:, 0] += offset[np.maximum(np.searchsorted(begins, values[:, 0], side="right") - 1, 0)]
             if sensor == "location":
                 unknown = np.full((len(values), 1 - len(accuracy)), np.nan)
                 fixes = receiver_fixes(np.column_stack([values, unknown]), notes)
             else:
                 tables[sensor] = values
-    return build_recording(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
+    return build_recording(str(source.path), source.path.stem, tables, 0.0 if unix else None, fixes, notes=notes)
 
 
 def _tables_named(source: Source) -> Iterator[str]:
@@ -69,29 +68,14 @@ def _tables_named(source: Source) -> Iterator[str]:
                 yield name
 
 
-@dataclass(frozen=True)
-class ExperimentClock:
-    """Converts experiment time, which stops in pauses, to the recorder's clock.
+def _clock(source: Source) -> tuple[Array, Array, bool]:
+    """Parts of the experiment's time, which stops in pauses: begin [s], and the recorder's clock minus it [s] ``(n,)``.
 
-    begins: ``(n,)`` experiment time at which each part begins [s]; offset: ``(n,)`` clock minus experiment time [s].
-    unix: True if the clock is Unix time.
+    True if that clock is Unix time, of ``meta/time.csv``; without that file it is the experiment's time.
     """
-
-    begins: Array
-    offset: Array
-    unix: bool
-
-    def __call__(self, time: Array) -> Array:
-        """Times [s] on the recorder's clock."""
-        part = np.searchsorted(self.begins, time, side="right") - 1
-        return time + self.offset[np.maximum(part, 0)]
-
-
-def _clock(source: Source) -> ExperimentClock:
-    """The clock of ``meta/time.csv``; without that file, the experiment time itself."""
     name = source.named("time.csv")
     if name is None:
-        return ExperimentClock(np.zeros(1), np.zeros(1), unix=False)
+        return np.zeros(1), np.zeros(1), False
     events = delimited.table(source.where(name), source.utf8(name))
     table = events.rows.floats((1, 2))
     words = events.rows.words(0)[: len(table)]
@@ -100,11 +84,14 @@ def _clock(source: Source) -> ExperimentClock:
     if not len(starts):
         raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
     unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # unix milliseconds from: a larger system time is in milliseconds
-    return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
+    return starts[:, 0], starts[:, 1] / unit - starts[:, 0], True
 
 
 def _sensors(name: str, table: Table) -> dict[str, list[int]]:
-    """The column numbers of each sensor in a table: the time column to its left, then the values."""
+    """The column numbers of each sensor in a table: the time column to its left, then the values.
+
+    Of three values they are those named x, y and z. Sensors with too few columns are left out.
+    """
     units = [_unit(cell) for cell in table.header]
     columns: dict[str, list[int]] = {}
     time = 0
@@ -116,17 +103,16 @@ def _sensors(name: str, table: Table) -> dict[str, list[int]]:
             sensor = "linear_acceleration"
         if sensor is not None:
             columns.setdefault(sensor, [time]).append(k)
-    size = {"barometer": 1, "location": 2}
-    return {s: chosen for s, ks in columns.items() if (chosen := _axes(table, ks, size.get(s, 3)))}
-
-
-def _axes(table: Table, columns: list[int], size: int) -> list[int]:
-    """The time column and ``size`` value columns, of three those named x, y and z; empty if there are too few."""
-    time, values = columns[0], columns[1:]
-    if size == 3:
-        named = {axis[1]: k for k in values if (axis := AXIS.search(UNIT_PATTERN.sub("", table.header[k]).lower()))}
-        values = [named[axis] for axis in "xyz" if axis in named] or values
-    return [time, *values[:size]] if len(values) >= size else []
+    size, chosen = {"barometer": 1, "location": 2}, dict[str, list[int]]()
+    for sensor, (time, *values) in columns.items():
+        number = size.get(sensor, 3)
+        if number == 3:
+            names = {k: UNIT_PATTERN.sub("", table.header[k]).lower() for k in values}
+            named = {axis[1]: k for k in values if (axis := AXIS.search(names[k]))}
+            values = [named[axis] for axis in "xyz" if axis in named] or values
+        if len(values) >= number:
+            chosen[sensor] = [time, *values[:number]]
+    return chosen
 
 
 def _accuracy(table: Table) -> list[int]:

@@ -17,7 +17,7 @@ from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.types import Array, Fixes, Recording, Sightings
+from pdr_graph.types import Array, Recording, Sightings
 
 NAME = "Sensor Logger"
 XYZ = ("x", "y", "z")
@@ -46,12 +46,16 @@ def read(source: Source) -> Recording:
             tables[sensor] = table
     if (table := _samples(source, "Barometer.csv", values=("pressure",))) is not None:
         tables["barometer"] = table
+    fixes = None
+    if (location := _table(source, "Location.csv", "LocationGps.csv")) is not None:
+        rows = location.floats("time", "latitude", "longitude", optional=("horizontalAccuracy",))
+        fixes = receiver_fixes(rows * (NANOSECOND, 1, 1, 1), notes)
     return build_recording(
         str(source.path),
         source.path.stem,
         tables,
         0.0,
-        _location(source, notes),
+        fixes,
         bluetooth=_sightings(source, "Bluetooth.csv", "id", "rssi"),
         wifi=_sightings(source, "WiFi.csv", "bssid", "level"),
         notes=notes,
@@ -83,11 +87,10 @@ def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float
 
     Without metadata the sign of gravity decides: the screen of a carried phone faces up more than down.
     """
-    about = _metadata(source)
-    if "platform" in about:
-        return (
-            -1.0 if about["platform"].lower() == "ios" and about.get("standardisation", "").lower() != "true" else 1.0
-        )
+    if (table := _table(source, "Metadata.csv")) is not None:
+        about = {key.lower(): table.rows.words(k)[0].lower() for k, key in enumerate(table.header)}
+        if "platform" in about:
+            return -1.0 if about["platform"] == "ios" and about.get("standardisation") != "true" else 1.0
     z = np.empty(0) if with_gravity is None else with_gravity[np.isfinite(with_gravity[:, 3]), 3]
     if not len(z):
         return 1.0
@@ -101,22 +104,13 @@ def sign_by_gravity(z: Array) -> tuple[float, str]:
     return (-1.0, "iOS") if np.median(z) < 0 else (1.0, "Android")
 
 
-def _metadata(source: Source) -> dict[str, str]:
-    """Lower-case keys and values of ``Metadata.csv``; empty without it."""
-    name = source.named("Metadata.csv")
-    if name is None:
-        return {}
-    table = delimited.table(source.where(name), source.utf8(name))
-    return {key.lower(): (table.rows.words(k) or [""])[0] for k, key in enumerate(table.header)}
-
-
 def _table(source: Source, *files: str) -> Table | None:
     """The table of the first of some files that exists and has rows; None without one."""
     for file in files:
         name = source.named(file)
         if name is not None and source.head(name, 1):
             table = delimited.table(source.where(name), source.utf8(name))
-            if len(table.rows):
+            if table.rows.content.strip():
                 return table
     return None
 
@@ -125,15 +119,6 @@ def _samples(source: Source, *files: str, values: tuple[str, ...] = XYZ) -> Arra
     """Unix time [s] and values of a sensor; None if it was not recorded."""
     table = _table(source, *files)
     return None if table is None else table.floats("time", *values) * ([NANOSECOND] + len(values) * [1.0])
-
-
-def _location(source: Source, notes: list[str]) -> Fixes | None:
-    """The phone's position fixes at Unix times [s]; None if there are none."""
-    table = _table(source, "Location.csv", "LocationGps.csv")
-    if table is None:
-        return None
-    rows = table.floats("time", "latitude", "longitude", optional=("horizontalAccuracy",))
-    return receiver_fixes(rows * (NANOSECOND, 1, 1, 1), notes)
 
 
 def _sightings(source: Source, file: str, identity: str, level: str) -> Sightings | None:

@@ -16,11 +16,12 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, cast
 
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
+
 from pdr_graph.errors import InputError, check_not_special, count
 from pdr_graph.types import OneLineRepr
 
 MAXIMUM_FILES = 1000
-DEEPEST = 3  # levels of folders that are searched
 MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
 ZIP_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
@@ -49,7 +50,7 @@ class Source(OneLineRepr):
         subject: str = "recording",
         limit: int | None = None,
         most_files: int = MAXIMUM_FILES,
-        deepest: int = DEEPEST,
+        deepest: int = 3,
     ):
         """Raises InputError if the path does not exist, or is a damaged or hostile archive.
 
@@ -123,26 +124,20 @@ class Source(OneLineRepr):
 
         Raises InputError for other bytes, and for more than MOST_LINES, each of which takes some 200 bytes of memory.
         """
-        return self._decoded(name, self._lines(name), errors)
+        return self.utf8(name, errors).decode()
 
-    def _decoded(self, name: str, data: bytes, errors: str) -> str:
-        encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
-        try:
-            return data.decode(encoding, errors)
-        except UnicodeDecodeError as error:
-            raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
-
-    def utf8(self, name: str) -> bytes:
+    def utf8(self, name: str, errors: str = "strict") -> bytes:
         """A whole file as UTF-8, without a byte-order mark. Raises InputError as `text`; takes half its memory."""
-        data = self._lines(name)
-        return data if data.isascii() else self._decoded(name, data, "strict").encode()
-
-    def _lines(self, name: str) -> bytes:
-        """A whole file. Raises InputError for too many lines."""
         data = self.content(name)
         if (lines := data.count(b"\n")) > MOST_LINES:
             raise InputError(self.where(name), "", f"{lines} lines", f"at most {MOST_LINES}: a shorter recording")
-        return data
+        if data.isascii():
+            return data
+        encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+        try:
+            return data.decode(encoding, errors).encode()
+        except UnicodeDecodeError as error:
+            raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
 
     def size(self, name: str) -> int:
         """The size of a file [bytes], as the archive states it."""
@@ -292,3 +287,20 @@ def _without_top_folder(entries: dict[str, str]) -> dict[str, str]:
     if len(tops) == 1 and all("/" in name for name in entries):
         return {name.split("/", 1)[1]: entry for name, entry in entries.items()}
     return entries
+
+
+def parsed_xml(where: str, data: bytes, expected: str) -> etree._Element:
+    """The root element of an XML document, without comments. where, expected: name of the file and what it should be.
+
+    Raises InputError if the XML is broken, or has a document type definition, by which it could read other files or
+    grow without end.
+    """
+    if b"<!DOCTYPE" in data.replace(b"\0", b""):  # also of UTF-16
+        raise InputError(where, "", "a document type definition", "plain XML, which has none")
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
+    )
+    try:
+        return etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise InputError(where, "", f"broken XML ({str(error)[:120]})", expected) from None

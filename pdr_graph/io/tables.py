@@ -14,7 +14,7 @@ from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, NUMBER, clock_hint, header_hint, number_hint
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import iso_time
+from pdr_graph.io.validation import float_of, iso_time
 from pdr_graph.types import FARTHEST, FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 
@@ -34,28 +34,22 @@ def read_fixes(
     expect("read_fixes, recording", recording, Recording, instead="load(path)")
     expect("read_fixes, frame", frame, Frame, None, instead="FloorPlan.load(path).frame")
     path = Path(path)
-    unix = _unix_fixes(path, [] if notes is None else notes)
-    if unix is None:
+    source, notes = _one_file(path), [] if notes is None else notes
+    if (reader := next((each for each in (gpx, geolife) if each.recognizes(source)), None)) is not None:
+        fixes = reader.read_fixes(source, notes)
+    elif ipin21.is_fixes(source.head(source.single or "")):
+        fixes = ipin21.read_fixes(path, source.text(source.single or ""))
+    else:
+        fixes = None
+    if fixes is None:
         fixes = _tabular_fixes(path, recording)
         fixes = replace(fixes, time=fixes.time - recording.clock_origin)
     elif recording.epoch is not None:
-        fixes = replace(unix, time=unix.time - recording.epoch)
+        fixes = replace(fixes, time=fixes.time - recording.epoch)
     else:
         raise InputError(path, "time", "Unix times", f"a recording with a clock: {recording.source} has none")
-    _check_clock(path, fixes, recording)
+    check_clock(path, fixes.time, recording)
     return frame.place(fixes) if frame else fixes
-
-
-def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
-    """Read fixes at Unix times [s] from GPX, GeoLife or IPIN21; None for a table."""
-    source = _one_file(path)
-    if gpx.recognizes(source):
-        return gpx.read_fixes(source, notes)
-    if geolife.recognizes(source):
-        return geolife.read_fixes(source, notes)
-    if ipin21.is_fixes(source.head(source.single or "")):
-        return ipin21.read_fixes(path, source.text(source.single or ""))
-    return None
 
 
 def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
@@ -67,7 +61,7 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
     needed = f"a standard deviation of {FINEST:g} m or more"
-    _check_rows(path, numbers["sigma"] < FINEST, numbers["sigma"], "sigma", needed)
+    check_rows(path, numbers["sigma"] < FINEST, numbers["sigma"], "sigma", needed)
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
@@ -77,8 +71,8 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
     """Raise InputError unless all latitudes are within ±90° and all longitudes within ±180°."""
     swapped = " (latitude and longitude swapped?)" if (np.abs(numbers["lon"]) <= 90).all() else ""
-    _check_rows(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", f"a latitude within ±90°{swapped}")
-    _check_rows(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
+    check_rows(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", f"a latitude within ±90°{swapped}")
+    check_rows(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 
 def read_trajectory(path: str | Path, recording: Recording | None = None) -> Trajectory:
@@ -97,23 +91,20 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
     numbers, words = read_table(Path(path), [("time", "x", "y")], optional, ("floor",), recording)
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
-    _check_rows(path, back, time, "time", "times that increase from row to row")
+    check_rows(path, back, time, "time", "times that increase from row to row")
+    covariance = None
+    if all(name in numbers for name in optional):
+        covariance = np.zeros((len(time), 3, 3))
+        for axis, name in enumerate(("sigma_x", "sigma_y", "sigma_heading")):
+            covariance[:, axis, axis] = numbers[name] ** 2
+        covariance[:, 0, 1] = covariance[:, 1, 0] = numbers["cov_xy"]
     return Trajectory(
         time=time if recording is None else time - recording.clock_origin,
         position=np.stack([numbers["x"], numbers["y"]], axis=1),
         heading=numbers.get("heading", np.full(len(time), np.nan)),
         floor=words["floor"],
-        covariance=_covariance(numbers) if all(name in numbers for name in optional) else None,
+        covariance=covariance,
     )
-
-
-def _covariance(numbers: dict[str, Array]) -> Array:
-    """Covariances ``(n, 3, 3)`` of x, y [m] and heading [rad] from the columns of ``trajectory.csv``."""
-    covariance = np.zeros((len(numbers["time"]), 3, 3))
-    for axis, name in enumerate(("sigma_x", "sigma_y", "sigma_heading")):
-        covariance[:, axis, axis] = numbers[name] ** 2
-    covariance[:, 0, 1] = covariance[:, 1, 0] = numbers["cov_xy"]
-    return covariance
 
 
 ALIASES = {"timestamp": "time", "yaw": "heading"}  # names in the PDR Benchmark's tools: ours
@@ -139,11 +130,20 @@ def read_table(
     if present is None:
         found = f"{','.join(header)[:60]}{header_hint(header, required)}"
         raise InputError(path, "line 1", found, "a header with " + " or ".join(",".join(r) for r in required))
-    _check_widths(path, table)
+    rows, width = table.rows, len(header)
+    if not len(rows):
+        raise InputError(path, "line 2", "the end of the file", "at least one row")
+    for number, line in zip(rows.numbers, rows.lines, strict=True):  # more from decimal commas, fewer if cut off
+        if line.count(rows.delimiter) != width - 1 and (found := len(delimited.split(line, rows.delimiter))) != width:
+            raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
     names = [*present, *(name for name in optional if name in header)]
     times = _iso_times(path, table, header.index("time"), recording) if "time" in present else None
     plain = [name for name in names if times is None or name != "time"]
-    _check_numbers(path, table, [(name, header.index(name)) for name in plain])
+    for name in plain:
+        cell = table.rows.words(header.index(name))[0]
+        if cell.lower() not in MISSING and np.isnan(float_of(cell)):  # in the first row, with the likely cause
+            found = f"{cell[:40]!r}{number_hint(cell)}"
+            raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
     values = table.rows.floats([header.index(name) for name in plain], cut_off_allowed=False)
     numbers = dict(zip(plain, values.T, strict=True)) | ({} if times is None else {"time": times})
     for name in present:
@@ -151,7 +151,7 @@ def read_table(
             cell = table.rows.words(header.index(name))[row]
             raise InputError(path, f"line {table.rows.numbers[row]}, {name}", repr(cell[:40]), "a finite number")
     for name in {"x", "y"}.intersection(present):
-        _check_rows(path, np.abs(numbers[name]) > FARTHEST, numbers[name], name, f"a place within {FARTHEST:.0e} m")
+        check_rows(path, np.abs(numbers[name]) > FARTHEST, numbers[name], name, f"a place within {FARTHEST:.0e} m")
     empty = ("",) * len(values)
     return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else empty for w in words}
 
@@ -161,10 +161,9 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
 
     Raises InputError naming the line, or if the recording has no clock.
     """
-    first = table.rows.word(column)
-    if np.isnan(iso_time(first)) or _is_number(first):
-        return None
     cells = table.rows.words(column)
+    if np.isnan(iso_time(cells[0])) or not np.isnan(float_of(cells[0])):
+        return None
     times = np.array([iso_time(cell) for cell in cells])
     for row in np.flatnonzero(np.isnan(times))[:1]:
         expected = "ISO 8601 as in the first row, 2024-05-01T12:00:00Z"
@@ -177,23 +176,6 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
     return times - recording.epoch + recording.clock_origin
 
 
-def _check_numbers(path: Path, table: Table, columns: list[tuple[str, int]]) -> None:
-    """Raise InputError if the first row has a cell that is no number, with the likely cause."""
-    for name, column in columns:
-        cell = table.rows.word(column)
-        if cell.lower() not in MISSING and not _is_number(cell):
-            found = f"{cell[:40]!r}{number_hint(cell)}"
-            raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
 def _one_file(path: Path) -> Source:
     """The source of a path; raises InputError unless it is one file."""
     if not path.exists():
@@ -204,36 +186,27 @@ def _one_file(path: Path) -> Source:
     return source
 
 
-def _check_widths(path: Path, table: Table) -> None:
-    """Raise InputError unless all rows have the fields of the header: more from decimal commas, fewer if cut off."""
-    rows, width = table.rows, len(table.header)
-    if not len(rows):
-        raise InputError(path, "line 2", "the end of the file", "at least one row")
-    for number, line in zip(rows.numbers, rows.lines, strict=True):
-        if line.count(rows.delimiter) != width - 1 and (found := len(delimited.split(line, rows.delimiter))) != width:
-            raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
-
-
-def _check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expected: str) -> None:
+def check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expected: str) -> None:
     """Raise InputError at the first row that is wrong."""
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.15g}", expected)
 
 
-def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
-    """Raise InputError unless at least one fix lies within the recording or CLOCK_MARGIN of it."""
+def check_clock(path: str | Path, time: Array, recording: Recording, span: tuple[float, float] | None = None) -> None:
+    """Raise InputError unless at least one time ``(n,)`` [s] lies within the recording or CLOCK_MARGIN of it.
+
+    span: first and last time of the recording [s], by default of its sensors.
+    """
     signals = list(recording.signals.values())
-    if not signals:
+    if span is None and not signals:
         return
-    start, end = float(min(s.time[0] for s in signals)), float(max(s.time[-1] for s in signals))
-    if not np.any((fixes.time >= start - CLOCK_MARGIN) & (fixes.time <= end + CLOCK_MARGIN)):
-        first, last = (fixes.time[[0, -1]] + recording.clock_origin).tolist()
-        start, end = start + recording.clock_origin, end + recording.clock_origin
-        hint = clock_hint((first, last), (start, end))
-        raise InputError(
-            path, "time", f"{first:.3f} to {last:.3f}{hint}", f"times within the recording, {start:.3f} to {end:.3f}"
-        )
+    start, end = span or (float(min(s.time[0] for s in signals)), float(max(s.time[-1] for s in signals)))
+    if not ((time >= start - CLOCK_MARGIN) & (time <= end + CLOCK_MARGIN)).any():
+        span = time.min() + recording.clock_origin, time.max() + recording.clock_origin
+        expected = start + recording.clock_origin, end + recording.clock_origin
+        found = f"{span[0]:.3f} to {span[1]:.3f}{clock_hint(span, expected)}"
+        raise InputError(path, "time", found, f"times within the recording, {expected[0]:.3f} to {expected[1]:.3f}")
 
 
 COLUMNS = 8
@@ -252,7 +225,7 @@ def read_tum(where: str, text: str) -> Trajectory:
     """
     lines = [" ".join(line.split()) for line in text.splitlines()]
     numbers = [n for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
-    table = TextRows(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
+    table = TextRows.of(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if len(wrong):
         raise InputError(where, f"line {numbers[wrong[0]]}", "a value that is no number", "time x y z qx qy qz qw")
@@ -261,13 +234,8 @@ def read_tum(where: str, text: str) -> Trajectory:
         row = int(back[0]) + 1
         found = f"{table[row, 0]:.6f} after {table[row - 1, 0]:.6f}"
         raise InputError(where, f"line {numbers[row]}, time", found, "times that increase from row to row")
-    return Trajectory(table[:, 0], table[:, 1:3], _yaw(table[:, 4:]), ("",) * len(table))
-
-
-def _yaw(quaternion: Array) -> Array:
-    """Rotations about z ``(n,)`` [rad] of quaternions x, y, z, w ``(n, 4)``; NaN if none of them rotates."""
-    x, y, z, w = quaternion.T
-    # no rotation: largest part of a quaternion that turns about no axis
-    if np.abs(quaternion[:, :3]).max(initial=0.0) < 1e-9:
-        return np.full(len(quaternion), np.nan)
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    x, y, z, w = table[:, 4:].T
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    if np.abs(table[:, 4:7]).max(initial=0.0) < 1e-9:
+        heading = np.full(len(table), np.nan)
+    return Trajectory(table[:, 0], table[:, 1:3], heading, ("",) * len(table))

@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError, slow_rate
 from pdr_graph.types import (
+    DAY_LENGTH,
     INERTIAL,
     LONLAT,
     STANDARD_GRAVITY,
@@ -30,22 +31,6 @@ from pdr_graph.types import (
 
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
-
-
-@dataclass(frozen=True)
-class DamageLimits:
-    """Limits between damage that is repaired and damage that raises InputError. Chosen by hand.
-
-    missing: share of a sensor's rows without a value; unordered: share of its rows out of time order, and
-    back: by how much [s]: the threads of a recorder write so, a shuffled file exceeds both.
-    """
-
-    missing: float = 0.2
-    unordered: float = 0.01
-    back: float = 1.0
-
-
-DAMAGE = DamageLimits()
 
 
 def build_recording(
@@ -74,19 +59,20 @@ def build_recording(
         if len(cleaned):
             # Copies, since columns of a table are slow to pass over
             signals[sensor] = Signal(cleaned[:, 0].copy(), cleaned[:, 1:].copy())
-    check_times(path, signals)
-    check_one_unit(path, signals)
-    signals = _units(path, signals, notes)
-    note_clipping(signals, notes)
-    _check_rates(signals, notes)
-    _check_clocks(path, signals, notes)
+    _check_one_unit(path, signals)
+    for sensor in ("accelerometer", "gyroscope", "barometer"):
+        if sensor in signals:
+            signal = signals.pop(sensor)
+            kind, factor = unit_of(path, sensor, signal, notes)
+            signals.setdefault(kind, signal if factor == 1.0 else replace(signal, values=signal.values * factor))
+    _note_quality(signals, notes)
+    _check_clocks(path, signals, fixes, notes)
 
     starts = [signals[s].time[0] for s in INERTIAL if s in signals] or [s.time[0] for s in signals.values()]
     starts = starts or [part.time[0] for part in (fixes, truth) if part is not None and len(part)]
     if not starts:
         raise InputError(path, "", "no sensor rows and no positions", "the rows of a sensor, or positions")
     origin = float(min(starts))
-    _check_fixes(signals, fixes, notes)
     return Recording(
         source=source,
         clock_origin=origin,
@@ -110,128 +96,103 @@ def _since(origin: float, part: Timed | None) -> Timed | None:
 
 
 def _clean(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows with a value, sorted by time, without duplicates; repairs are added to `notes`."""
+    """The rows with a value, sorted by time, without duplicates; repairs are added to `notes`.
+
+    Raises InputError for more damage than a recorder does: a fifth of the rows without a value, 1 % of the rows out of
+    order or one by more than a second, a clock that leaps ahead, or a rate that no sensor has.
+    """
     with np.errstate(invalid="ignore"):
         plausible = np.abs(table) < IMPLAUSIBLE
     valid = np.ones(len(table), dtype=bool) if plausible.all() else plausible.all(axis=1)
-    missing = int((~valid).sum())
-    if missing > DAMAGE.missing * len(table):
+    missing, most = int((~valid).sum()), 0.2 * len(table)
+    if missing > most:
         found, expected = f"{missing} of {len(table)} rows without a value", "rows of finite numbers"
-        if (late := np.isfinite(table[:, 0]) & (np.abs(table[:, 0]) >= IMPLAUSIBLE)).mean() > DAMAGE.missing:
+        if (late := np.isfinite(table[:, 0]) & (np.abs(table[:, 0]) >= IMPLAUSIBLE)).sum() > most:
             found = f"{late.sum()} times from {table[late, 0].min():.3g} s on"
             expected = "times in the recorder's unit (are these in a smaller one?)"
         raise InputError(path, sensor, found, expected)
     if missing:
         notes.append(f"{sensor}: {missing} rows without a value were left out")
-    ordered = _in_order(path, sensor, table[valid] if missing else table, notes)
-    return _spread(sensor, _without_repeats(sensor, ordered, notes), notes)
+        table = table[valid]
 
-
-def _in_order(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows sorted by time; raises InputError if too many are out of order."""
     step = np.diff(table[:, 0])
-    back = step < 0
-    if not back.any():
-        return table
-    if back.mean() > DAMAGE.unordered or -step.min() > DAMAGE.back:
-        row = int(np.argmin(step)) + 1
-        found = f"times that go back {int(back.sum())} times, by {-step.min():.3f} s at the sensor's row {row + 1}"
-        expected = "rows in order of time (a shuffled file, or a clock that was set while recording?)"
-        raise InputError(path, sensor, found, expected)
-    notes.append(f"{sensor}: {int(back.sum())} rows out of order by up to {-step.min():.3f} s were sorted")
-    return table[np.argsort(table[:, 0], kind="stable")]
+    if (back := step < 0).any():
+        by, times = f"{-step.min():.3f} s", int(back.sum())
+        if back.mean() > 0.01 or -step.min() > 1.0:  # the threads of a recorder write rows less out of order
+            found = f"times that go back {times} times, by {by} at the sensor's row {np.argmin(step) + 2}"
+            expected = "rows in order of time (a shuffled file, or a clock that was set while recording?)"
+            raise InputError(path, sensor, found, expected)
+        notes.append(f"{sensor}: {times} rows out of order by up to {by} were sorted")
+        table = table[np.argsort(table[:, 0], kind="stable")]
 
-
-def _without_repeats(sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows without repeats of the row before: same time and values."""
     repeated = np.zeros(len(table), dtype=bool)
     again = np.flatnonzero(table[1:, 0] == table[:-1, 0]) + 1
     repeated[again] = (table[again] == table[again - 1]).all(axis=1)
-    if not repeated.any():
-        return table
-    notes.append(f"{sensor}: {int(repeated.sum())} repeated rows were left out")
-    return table[~repeated]
+    if repeated.any():
+        notes.append(f"{sensor}: {int(repeated.sum())} repeated rows were left out")
+        table = table[~repeated]
 
+    step = np.diff(table[:, 0])
+    if not (step > 0).all():  # the clock is coarser than the sensor: samples are spread evenly to the next tick
+        ticks, first, count = np.unique(table[:, 0], return_index=True, return_counts=True)
+        if len(ticks) < 2:
+            return table[first]
+        shared = len(table) - len(ticks)
+        notes.append(f"{sensor}: {shared} samples share their time with another and were spread evenly")
+        interval = np.minimum(np.diff(ticks, append=2 * ticks[-1] - ticks[-2]), np.median(np.diff(ticks)))
+        number = np.arange(len(table)) - np.repeat(first, count)
+        time = np.repeat(ticks, count) + number * np.repeat(interval / count, count)
+        table, step = np.column_stack([time, table[:, 1:]]), np.diff(time)
 
-def _spread(sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows with samples of equal time spread evenly to the next tick: the clock is coarser than the sensor."""
-    if (np.diff(table[:, 0]) > 0).all():
-        return table
-    ticks, first, count = np.unique(table[:, 0], return_index=True, return_counts=True)
-    if len(ticks) == len(table) or len(ticks) < 2:
-        return table[first]
-    notes.append(f"{sensor}: {len(table) - len(ticks)} samples share their time with another and were spread evenly")
-    interval = np.minimum(np.diff(ticks, append=2 * ticks[-1] - ticks[-2]), np.median(np.diff(ticks)))
-    number = np.arange(len(table)) - np.repeat(first, count)
-    time = np.repeat(ticks, count) + number * np.repeat(interval / count, count)
-    return np.column_stack([time, table[:, 1:]])
-
-
-def _units(path: str, signals: dict[str, Signal], notes: list[str]) -> dict[str, Signal]:
-    """The signals converted to SI units, hPa and µT; an accelerometer without gravity gets its own name."""
-    signals = dict(signals)
-    if "accelerometer" in signals:
-        signal = signals.pop("accelerometer")
-        sensor, factor = unit_of(path, "accelerometer", signal, notes)
-        signals.setdefault(sensor, _scaled(signal, factor))
-    for sensor in ("gyroscope", "barometer"):
-        if sensor in signals:
-            signals[sensor] = _scaled(signals[sensor], unit_of(path, sensor, signals[sensor], notes)[1])
-    return signals
-
-
-PASCAL_FROM, KILOPASCAL_TO = 2000.0, 200.0  # a larger pressure is in Pa, a smaller in kPa: people walk at 400–1050 hPa
+    if step.max(initial=0.0) > 14 * DAY_LENGTH:
+        found = f"times that leap ahead by {step.max() / DAY_LENGTH:.0f} days at the sensor's row {np.argmax(step) + 2}"
+        raise InputError(path, sensor, found, "one recording (a clock that was set, or another unit of time?)")
+    # sensors of phones have up to 500 Hz, research units some thousand
+    if len(step) and (rate := 1 / np.median(step)) > 20_000:
+        found = f"{rate:.3g} samples per second"
+        raise InputError(path, sensor, found, "at most 20000 (times in another unit than the recorder's?)")
+    return table
 
 
 def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
     """The kind of a sensor by its values, and the factor that converts them to SI units, hPa and µT.
 
-    Raises InputError if an accelerometer's unit is not recognised.
+    An accelerometer whose recorder removed gravity is of the kind ``linear_acceleration``: over a stride the walker's
+    acceleration averages out, and gravity remains. Raises InputError if an accelerometer's unit is not recognised.
     """
-    if sensor == "accelerometer":
-        return _acceleration(path, signal, notes)
-    if sensor == "gyroscope":
-        median = float(np.median(np.linalg.norm(signal.values, axis=1)))
-        if median > FASTEST_TURN:
-            notes.append(f"gyroscope: a median of {median:.1f} can only be degrees per second; converted to rad/s")
-            return sensor, np.pi / 180
-    if sensor == "barometer":
-        median = float(np.median(signal.values))
-        factor = 0.01 if median > PASCAL_FROM else 10.0 if median < KILOPASCAL_TO else 1.0
-        if factor != 1.0:
-            unit = "Pa" if factor < 1 else "kPa"
-            notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
+    median = float(np.median(signal.values if sensor == "barometer" else np.linalg.norm(signal.values, axis=1)))
+    if sensor == "gyroscope" and median > FASTEST_TURN:
+        notes.append(f"gyroscope: a median of {median:.1f} can only be degrees per second; converted to rad/s")
+        return sensor, np.pi / 180
+    if sensor == "barometer" and not 200 <= median <= 2000:  # people walk at 400–1050 hPa
+        unit, factor = ("Pa", 0.01) if median > 2000 else ("kPa", 10.0)
+        notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
         return sensor, factor
-    return sensor, 1.0
-
-
-def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
-    """The kind of an accelerometer, with or without gravity, and the factor that converts it to m/s².
-
-    Over a stride the walker's own acceleration averages out, and gravity remains.
-    """
-    gravity = float(np.median(mean_magnitudes(signal)))
-    median = float(np.median(np.linalg.norm(signal.values, axis=1)))
+    if sensor != "accelerometer":
+        return sensor, 1.0
+    gravity = float(np.median(_windows(signal)[2]))
     if GRAVITY[0] <= gravity <= GRAVITY[1]:
-        return "accelerometer", 1.0
+        return sensor, 1.0
     if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * median:
         notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
-        return "accelerometer", STANDARD_GRAVITY
+        return sensor, STANDARD_GRAVITY
     if gravity < 0.5 * median and median < GRAVITY[0]:
         notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
         return "linear_acceleration", 1.0
     expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
-    raise InputError(path, "accelerometer", f"gravity of {gravity:.3f} (median of {WINDOW:.0f} s means)", expected)
+    raise InputError(path, sensor, f"gravity of {gravity:.3f} (median of {WINDOW:.0f} s means)", expected)
 
 
-def _scaled(signal: Signal, factor: float) -> Signal:
-    return signal if factor == 1.0 else replace(signal, values=signal.values * factor)
-
-
-def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
-    """Note inertial sensors that are slow or have gaps."""
+def _note_quality(signals: dict[str, Signal], notes: list[str]) -> None:
+    """Note inertial sensors that are slow, have gaps, or whose range was exceeded."""
     for sensor in (s for s in INERTIAL if s in signals and len(signals[s]) > 1):
         signal = signals[sensor]
+        # sensors have a range of 2 g and 250 deg/s, or more
+        smallest, unit = (15.0, "m/s²") if sensor == "accelerometer" else (4.0, "rad/s")
+        if (largest := np.abs(signal.values).max()) > smallest and sensor != "linear_acceleration":
+            number = sum(clipped(axis) for axis in signal.values.T)
+            if number > 0.001 * len(signal):
+                notes.append(f"{sensor}: {number} samples at the end of its range, {largest:.1f} {unit} (saturated)")
         if signal.rate < 15.0:  # slowest rate [Hz] below which peaks of steps are missed
             notes.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to detect every step{slow_rate(signal.rate)}")
         interval = np.diff(signal.time)
@@ -246,34 +207,32 @@ def are_gaps(signal: Signal) -> Mask:
     return np.diff(signal.time) > max(0.5, 5 / signal.rate if signal.rate else np.inf)
 
 
-def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> None:
-    """Raise InputError unless accelerometer and gyroscope overlap in time; note different spans."""
-    gyroscope = signals.get("gyroscope")
-    other = signals.get("accelerometer") or signals.get("linear_acceleration")
-    if gyroscope is None or other is None:
-        return
-    begins, ends = gyroscope.time[0] - other.time[0], gyroscope.time[-1] - other.time[-1]
-    if min(gyroscope.time[-1], other.time[-1]) <= max(gyroscope.time[0], other.time[0]):
-        raise InputError(
-            path,
-            "gyroscope",
-            f"a start {begins:.1f} s after the accelerometer's, without overlap",
-            "sensors on one clock that overlap in time",
-        )
-    # noted difference [s] between the starts or ends of two sensors from which it is noted
-    if max(abs(begins), abs(ends)) > 1.0:
-        notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")
+def clipped(values: Array) -> int:
+    """Count samples of one axis in runs of three or more at its largest or smallest value; 0 for a constant axis."""
+    if np.ptp(values) == 0:
+        return 0
+    at_end = (values == values.max()) | (values == values.min())
+    begin, end = np.flatnonzero(np.diff(np.pad(at_end, 1).astype(int))).reshape(-1, 2).T
+    length = end - begin
+    return int(length[length >= 3].sum())
 
 
-def _check_fixes(signals: dict[str, Signal], fixes: Fixes | None, notes: list[str]) -> None:
-    """Note fixes that do not overlap the sensors in time."""
+def _check_clocks(path: str, signals: dict[str, Signal], fixes: Fixes | None, notes: list[str]) -> None:
+    """Raise InputError unless accelerometer and gyroscope overlap in time; note different spans, also of the fixes."""
     inertial = [signals[s] for s in INERTIAL if s in signals]
-    if fixes is None or not len(fixes) or not inertial:
-        return
-    start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
-    if fixes.time[0] > end or fixes.time[-1] < start:
-        apart = fixes.time[0] - start
-        notes.append(f"position fixes: they begin {apart:+.1f} s from the sensors' start (another clock or day?)")
+    other = signals.get("accelerometer") or signals.get("linear_acceleration")
+    if other is not None and (gyroscope := signals.get("gyroscope")) is not None:
+        begins, ends = gyroscope.time[0] - other.time[0], gyroscope.time[-1] - other.time[-1]
+        if min(gyroscope.time[-1], other.time[-1]) <= max(gyroscope.time[0], other.time[0]):
+            found = f"a start {begins:.1f} s after the accelerometer's, without overlap"
+            raise InputError(path, "gyroscope", found, "sensors on one clock that overlap in time")
+        if max(abs(begins), abs(ends)) > 1.0:
+            notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")
+    if fixes is not None and len(fixes) and inertial:
+        start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
+        if fixes.time[0] > end or fixes.time[-1] < start:
+            apart = fixes.time[0] - start
+            notes.append(f"position fixes: they begin {apart:+.1f} s from the sensors' start (another clock or day?)")
 
 
 RADIUS_68 = 1.51  # [σ per axis] radius of 68 % of a circular normal distribution: a phone's "accuracy"
@@ -355,131 +314,56 @@ WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration
 FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
 
 
-@dataclass(frozen=True)
-class Windows:
-    """A signal in windows of WINDOW. time: ``(w,)`` begin of each [s]; typical: median magnitude; mean: magnitude of
-    the mean vector; both in the unit of the signal; swing: standard deviation of the magnitude over its median.
+def _windows(signal: Signal) -> tuple[Array, Array, Array, Array]:
+    """Begin [s], median magnitude, magnitude of the mean vector, and swing of each window of WINDOW.
+
+    Swing is the standard deviation of the magnitude over its median. The last samples, which fill no window, are left
+    out.
     """
-
-    time: Array
-    typical: Array
-    mean: Array
-    swing: Array
-
-    @classmethod
-    def of(cls, signal: Signal) -> Windows:
-        """The windows of a signal; its last samples that fill none are left out, unless there is none."""
-        parts = _parts(signal)
-        number, samples, _ = parts.shape
-        size = np.linalg.norm(parts, axis=2)
-        typical = np.median(size, axis=1)
-        swing = size.std(axis=1) / np.maximum(typical, np.finfo(float).tiny)
-        return cls(signal.time[: number * samples : samples], typical, mean_magnitudes(signal), swing)
-
-
-def _parts(signal: Signal) -> Array:
-    """The values ``(w, k, 3)`` of each window."""
     samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
     number = len(signal) // samples
-    return signal.values[: number * samples].reshape(number, samples, -1)
+    values = signal.values[: number * samples].reshape(number, samples, -1)
+    size = np.linalg.norm(values, axis=2)
+    typical = np.median(size, axis=1)
+    swing = size.std(axis=1) / np.maximum(typical, np.finfo(float).tiny)
+    return signal.time[: number * samples : samples], typical, np.linalg.norm(values.mean(axis=1), axis=1), swing
 
 
-def mean_magnitudes(signal: Signal) -> Array:
-    """Magnitude ``(w,)`` of the mean vector in windows of WINDOW, as of `Windows`."""
-    return np.linalg.norm(_parts(signal).mean(axis=1), axis=1)
-
-
-FEWEST_WINDOWS = 2  # windows in the other unit
-TYPICAL_SPREAD = 1.4  # factor between gravity and the median magnitude of a walk's acceleration, at most
-DEG_PER_RAD = 180 / np.pi
-RATIO = (DEG_PER_RAD / 2, DEG_PER_RAD * 2)  # of angular rates in windows of two units, in deg/s and in rad/s
-SIMILAR_SWING = 1.5  # factor between the acceleration in windows of two units: else a ride and a run in deg/s
-
-
-def check_one_unit(path: str, signals: dict[str, Signal]) -> None:
+def _check_one_unit(path: str, signals: dict[str, Signal]) -> None:
     """Raise InputError if a sensor's unit changes: acceleration from m/s² to g, angular rate from rad/s to deg/s, or
     back. Windows without gravity or steps fit both units and are not counted.
     """
     if "accelerometer" not in signals:
         return
-    felt = Windows.of(signals["accelerometer"])
-    metric, in_g = (_shows_gravity(felt, limits) for limits in (GRAVITY, GRAVITY_IN_G))
-    _refuse_mixture(path, "accelerometer", felt, metric, in_g, ("m/s²", "g"))
+    time, typical, mean, swing = _windows(signals["accelerometer"])
+    # gravity: the mean is within the limits, and the median magnitude of a walk within a factor of 1.4 of them
+    metric, in_g = (
+        (mean >= low) & (mean <= high) & (typical >= low / 1.4) & (typical <= high * 1.4)
+        for low, high in (GRAVITY, GRAVITY_IN_G)
+    )
+    _refuse_mixture(path, "accelerometer", time, typical, (metric, in_g), ("m/s²", "g"))
     if "gyroscope" in signals:
-        turns = Windows.of(signals["gyroscope"])
-        swing = np.interp(turns.time, felt.time, felt.swing)
-        # walking: swing of the acceleration in windows with steps: a phone that lies or is held still turns slowly
-        walking = swing > 0.1
-        degrees = walking & (turns.typical > FASTEST_TURN)
-        radians = walking & (turns.typical <= FASTEST_TURN) & (turns.typical > 0)
-        if degrees.any() and radians.any():
-            ratio, effort = (np.median(v[degrees]) / np.median(v[radians]) for v in (turns.typical, swing))
-            if RATIO[0] < ratio < RATIO[1] and 1 / SIMILAR_SWING < effort < SIMILAR_SWING:
-                _refuse_mixture(path, "gyroscope", turns, radians, degrees, ("rad/s", "deg/s"))
-
-
-def _shows_gravity(windows: Windows, limits: tuple[float, float]) -> Mask:
-    """True for windows ``(w,)`` whose mean and whose typical magnitude are gravity in one unit."""
-    mean = (windows.mean >= limits[0]) & (windows.mean <= limits[1])
-    spread = (windows.typical >= limits[0] / TYPICAL_SPREAD) & (windows.typical <= limits[1] * TYPICAL_SPREAD)
-    return mean & spread
+        moment, rate, _, _ = _windows(signals["gyroscope"])
+        effort = np.interp(moment, time, swing)
+        walking = effort > 0.1  # a phone that lies or is held still turns slowly
+        in_degrees = walking & (rate > FASTEST_TURN)
+        in_radians = walking & (rate <= FASTEST_TURN) & (rate > 0)
+        if in_degrees.any() and in_radians.any():
+            ratio, harder = (np.median(v[in_degrees]) / np.median(v[in_radians]) for v in (rate, effort))
+            if 0.5 < np.radians(ratio) < 2 and 2 / 3 < harder < 1.5:  # else a ride and a run in deg/s
+                _refuse_mixture(path, "gyroscope", moment, rate, (in_radians, in_degrees), ("rad/s", "deg/s"))
 
 
 def _refuse_mixture(
-    path: str, sensor: str, windows: Windows, first: Mask, second: Mask, units: tuple[str, str]
+    path: str, sensor: str, time: Array, typical: Array, which: tuple[Mask, Mask], units: tuple[str, str]
 ) -> None:
-    """Raise InputError if there are windows in both units."""
-    if min(first.sum(), second.sum()) < FEWEST_WINDOWS:
+    """Raise InputError if two windows or more are in each of two units."""
+    first, second = which
+    if min(first.sum(), second.sum()) < 2:
         return
-    known = np.flatnonzero(first | second)
-    change = known[np.flatnonzero(np.diff(second[known].astype(int)))[0] + 1]
-    (before, after) = units if second[change] else units[::-1]
-    at, value = windows.time[change] - windows.time[0], windows.typical[change]
+    counted = np.flatnonzero(first | second)
+    change = counted[np.flatnonzero(np.diff(second[counted].astype(int)))[0] + 1]
+    before, after = units if second[change] else units[::-1]
+    at, value = time[change] - time[0], typical[change]
     found = f"values in {before}, and from {at:.0f} s on in {after}: a median of {value:.3g}"
     raise InputError(path, sensor, found, "one unit throughout (two recordings in one file?)")
-
-
-LONGEST_GAP = 14 * 86_400.0  # [s] without samples in one recording
-FASTEST_RATE = 20_000.0  # [Hz]; sensors of phones have up to 500, research units some thousand
-
-
-def check_times(path: str, signals: dict[str, Signal]) -> None:
-    """Raise InputError for a sensor whose clock leaps ahead by more than LONGEST_GAP, or that is above FASTEST_RATE:
-    times in a larger unit than the recorder's.
-    """
-    for sensor, signal in signals.items():
-        step = np.diff(signal.time)
-        if step.max(initial=0.0) > LONGEST_GAP:
-            row = int(np.argmax(step)) + 1
-            found = f"times that leap ahead by {step.max() / 86_400:.0f} days at the sensor's row {row + 1}"
-            raise InputError(path, sensor, found, "one recording (a clock that was set, or another unit of time?)")
-        if signal.rate > FASTEST_RATE:
-            found = f"{signal.rate:.3g} samples per second"
-            raise InputError(
-                path, sensor, found, f"at most {FASTEST_RATE:.0f} (times in another unit than the recorder's?)"
-            )
-
-
-SMALLEST_RANGE = {"accelerometer": 15.0, "gyroscope": 4.0}  # [m/s², rad/s] sensors have 2 g and 250 deg/s, or more
-
-
-def note_clipping(signals: dict[str, Signal], notes: list[str]) -> None:
-    """Note inertial sensors whose range was exceeded: `signals` in SI units."""
-    for sensor, smallest in SMALLEST_RANGE.items():
-        if sensor in signals and (largest := np.abs(signals[sensor].values).max()) > smallest:
-            number = sum(clipped(axis) for axis in signals[sensor].values.T)
-            if number > 0.001 * len(signals[sensor]):  # noted share of a sensor's samples that are clipped
-                unit = "m/s²" if sensor == "accelerometer" else "rad/s"
-                notes.append(f"{sensor}: {number} samples at the end of its range, {largest:.1f} {unit} (saturated)")
-
-
-def clipped(values: Array) -> int:
-    """Count samples of one axis in runs at its largest or smallest value; 0 for a constant axis."""
-    if np.ptp(values) == 0:
-        return 0
-    edge = np.flatnonzero(
-        np.diff(np.concatenate([[False], (values == values.max()) | (values == values.min()), [False]]))
-    )
-    length = edge[1::2] - edge[::2]
-    # clipped: consecutive samples at the extreme value: an unclipped peak has one, two by rounding
-    return int(length[length >= 3].sum())

@@ -1,8 +1,4 @@
-"""Writers of trajectories as CSV, TUM and GeoJSON, and of the summary. `gpx` writes GPX.
-
-TUM has many numbers a row: they are written equal to the byte to those of Python's ``%.4f``, in a fraction of the time.
-Four characters are one 32-bit word, which is looked up. Where a text is shorter it has zero bytes, removed at the end.
-"""
+"""Writers of trajectories as CSV, TUM and GeoJSON, and of the summary. `gpx` writes GPX."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdr_graph.frames import Frame
 from pdr_graph.storage import write_text
@@ -58,10 +53,10 @@ def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
 
     Rows without a heading have the identity rotation.
     """
-    half, (x, y) = np.nan_to_num(trajectory.heading) / 2, trajectory.position.T
-    position = [decimals(trajectory.time + clock_origin, 6), decimals(x, 4, b" "), decimals(y, 4, b" ")]
-    rotation = [decimals(np.sin(half), 8, b" 0 0 0 "), decimals(np.cos(half), 8, b" ")]
-    path.write_bytes(text_rows([*position, *rotation]))
+    half = np.nan_to_num(trajectory.heading) / 2
+    table = np.column_stack([trajectory.time + clock_origin, trajectory.position, np.sin(half), np.cos(half)])
+    rows = "%.6f %.4f %.4f 0 0 0 %.8f %.8f\n" * len(table) % tuple(table.ravel().tolist())
+    path.write_text(rows, encoding="ascii")
 
 
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
@@ -101,86 +96,3 @@ def cell(text: str) -> str:
 def _feature(kind: str, lonlat: Array, properties: dict[str, Any]) -> dict[str, Any]:
     geometry = {"type": kind, "coordinates": np.round(lonlat, 8).tolist()}
     return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-
-Words = NDArray[np.uint32]
-GROUP = 4  # digits of a word
-THOUSANDS = 10**GROUP
-LARGEST_OUTPUT = 1e12  # of numbers
-
-
-def text_rows(columns: Sequence[Words]) -> bytes:
-    """Rows of text, one to a line, from their columns by `decimals`."""
-    parts = [*columns, _words(b"\n")[None]]
-    rows = np.empty((len(columns[0]), sum(part.shape[1] for part in parts)), np.uint32)
-    begin = 0
-    for part in parts:
-        rows[:, begin : begin + part.shape[1]] = part
-        begin += part.shape[1]
-    return rows.tobytes().translate(None, b"\0")
-
-
-def decimals(values: Array, places: int, before: bytes = b"") -> Words:
-    """Numbers ``(n,)`` with ``places`` decimals as the characters ``(n, w)`` of a column, each after a text ``before``.
-
-    Raises ValueError for finite numbers that are not below LARGEST_OUTPUT.
-    """
-    finite = np.isfinite(values)
-    size = np.where(finite, np.abs(values), 0.0)
-    if not np.all(size < LARGEST_OUTPUT):
-        raise ValueError(f"found numbers up to {size.max()}, expected less than {LARGEST_OUTPUT:.0e}")
-    whole = np.floor(size)
-    scaled = (size - whole) * 10**places  # the difference is exact, so that the product alone is rounded
-    carry, fraction = np.divmod(np.rint(scaled).astype(np.int64), 10**places)
-    signs = zip(_words(before + b"-"), _words(before + b"\0"), strict=True)
-    columns = [np.where(np.signbit(values), minus, plus) for minus, plus in signs]
-    columns += [*_whole_number(whole.astype(np.int64) + carry), *_words(b"."), *_digits(fraction, places)]
-    texts = np.empty((len(values), len(columns)), np.uint32)
-    for place, column in enumerate(columns):
-        texts[:, place] = column
-    # uncertain: distance from a half, in units of the last digit, at which rounding is left to Python
-    by_python = ~finite | (np.abs(scaled - np.floor(scaled) - 0.5) < 1e-6)
-    for row in np.flatnonzero(by_python).tolist():
-        text = before + b"%.*f" % (places, values[row])
-        texts[row] = _words(text.ljust(GROUP * len(columns), b"\0"))
-    return texts
-
-
-def _words(text: bytes) -> Words:
-    """A text as words."""
-    return np.frombuffer(text + bytes(-len(text) % GROUP), np.uint32)
-
-
-_CHARACTERS = (np.arange(THOUSANDS)[:, None] // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
-_LEADING = np.arange(THOUSANDS)[:, None] < [1000, 100, 10, 0]
-FULL = _words(_CHARACTERS.tobytes())  # the texts of 0000 to 9999
-SHORT = _words(np.where(_LEADING, 0, _CHARACTERS).astype(np.uint8).tobytes())  # the same without leading zeros
-
-
-def _groups(numbers: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """The last ``count`` groups of four digits of whole numbers, the highest first."""
-    groups = list[NDArray[np.int64]]()
-    for _ in range(count):
-        numbers, group = np.divmod(numbers, THOUSANDS)
-        groups.insert(0, group)
-    return groups
-
-
-def _whole_number(numbers: NDArray[np.int64]) -> list[Words]:
-    """The digits of whole numbers without leading zeros."""
-    count = -(-len(str(numbers.max(initial=0))) // GROUP)
-    columns = list[Words]()
-    for place, group in enumerate(_groups(numbers, count)):
-        unit = THOUSANDS ** (count - 1 - place)
-        column = np.where(numbers >= THOUSANDS * unit, FULL[group], SHORT[group])
-        columns.append(np.where(numbers >= unit, column, 0) if unit > 1 else column)
-    return columns
-
-
-def _digits(numbers: NDArray[np.int64], count: int) -> list[Words]:
-    """The last ``count`` digits of whole numbers."""
-    groups = _groups(numbers * 10 ** (-count % GROUP), -(-count // GROUP))  # the last ends with zeros that are cut
-    columns = [FULL[group] for group in groups]
-    if count % GROUP:
-        columns[-1] = _words((b"\xff" * (count % GROUP)).ljust(GROUP, b"\0")) & columns[-1]
-    return columns

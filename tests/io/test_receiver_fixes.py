@@ -1,12 +1,9 @@
 """Recordings of positions alone: GPX and GeoLife, as recordings and as fixes for another recording."""
 
-import random
-
 import numpy as np
 import pytest
 
 from pdr_graph import InputError
-from pdr_graph.io import gpx as gpx_reader
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.io.validation import RADIUS_68, receiver_fixes
@@ -113,50 +110,3 @@ def test_invalid_positions_are_left_out():
     assert fixes.time.tolist() == [4.0, 5.0]
     assert fixes.sigma[0] == pytest.approx(1.0)
     assert [note.split()[1] for note in notes] == ["4", "1", "1"]
-
-
-PIECES = [
-    "<!-- -->",
-    "<trkpt",
-    "</trkpt>",
-    "&amp;",
-    "<hdop>2</hdop>",
-    "<ele>1</ele>",
-    "</trkseg><trkseg>",
-    "<![CDATA[x]]>",
-]
-PIECES += [
-    '<wpt lat="1" lon="2"/>',
-    "<time>2023-11-14T22:13:20Z</time>",
-    ' xmlns="urn:other"',
-    "<?x y?>",
-    "é",
-    "\x01",
-    "<",
-    "9",
-]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_plain_points_are_found_as_in_the_tree_of_all_elements(tmp_path, monkeypatch, seed):
-    """Also in damaged files: the same fixes or the same message, with the line in the whole file."""
-    luck, by_pattern = random.Random(seed), 0
-    whole = gpx([point(f"2023-11-14T22:13:{n}Z", lon=11.1 + n / 1e4) for n in range(20, 26)])
-    for _ in range(100):
-        at, piece = luck.randrange(len(whole)), luck.choice(PIECES)
-        path = written(tmp_path, whole[:at] + luck.choice([piece, ""]) + whole[at + luck.choice([0, 0, 1, 30]) :])
-        by_pattern += gpx_reader._plain_points(path.read_text("utf-8"))[1] is not None
-        found = outcome(path)
-        with monkeypatch.context() as patched:
-            patched.setattr(gpx_reader, "_plain_points", lambda text: (text, None))
-            assert outcome(path) == found
-    assert by_pattern >= 5
-
-
-def outcome(path):
-    """Times, positions and sigmas of the fixes, or the message."""
-    try:
-        fixes = load(path).fixes
-    except InputError as error:
-        return str(error)
-    return fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist()

@@ -176,9 +176,9 @@ def _readable(parse: Callable[[TextRows], Array], rows: TextRows) -> Array:
 def _row(parse: Callable[[TextRows], Array], rows: TextRows, n: int) -> Array:
     """The columns ``(1, k)`` of row `n`; ``(0, k)`` if it cannot be read."""
     try:
-        return parse(TextRows(rows.where, [rows.lines[n]], [n + 1], rows.delimiter))
+        return parse(TextRows.of(rows.where, [rows.lines[n]], [n + 1], rows.delimiter))
     except InputError:
-        return parse(TextRows(rows.where, [], []))
+        return parse(TextRows(rows.where, b""))
 
 
 def _near(sightings: Sightings, middle: float) -> Sightings:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.formats.drafting import LARGEST_COORDINATE, MOST_SEGMENTS, UNCLEAR, drawing_of_lines, holds
-from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.plan_limits import check_file_size
-from pdr_graph.types import Array
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size
+from pdr_graph.io import delimited
+from pdr_graph.io.source import Source
+from pdr_graph.io.validation import float_of
 
 SEGMENT_COLUMNS = ("x1", "y1", "x2", "y2")
 LAYER = "layer"
@@ -25,55 +26,25 @@ def recognizes(path: Path, head: bytes) -> bool:
 
 
 def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return not np.isnan(float_of(text))
 
 
 def read(path: Path, scale: float | None) -> Drawing:
     """Read segments in the drawing's own axes. scale: metres per unit, which the format does not state."""
-    segments, layers = _rows(path)
-    notes = [f"{count(len(segments), 'segment')} of lines without thickness"]
-    return drawing_of_lines(path, segments, layers, scale, None, notes)
-
-
-def _rows(path: Path) -> tuple[Array, list[str]]:
-    """The segments ``(n, 2, 2)`` [unit], and what the layer of each holds."""
     check_file_size(path, 50_000_000)  # largest file [bytes]
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", f"no text ({error.reason})", "a CSV of segments") from None
-    first = text.split("\n", 1)[0]
-    rows = csv.reader(text.splitlines(), delimiter=next((d for d in ";\t" if d in first), ","))
-    header = [cell.strip().casefold() for cell in next(rows, [])]
+    source = Source(path, "floor plan")
+    table = delimited.table(str(path), source.utf8(path.name))
+    header, rows = [name.casefold() for name in table.header], table.rows
     named = set(SEGMENT_COLUMNS) <= set(header)
-    columns = [header.index(name) if named else n for n, name in enumerate(SEGMENT_COLUMNS)]
-    layer = header.index(LAYER) if named and LAYER in header else None
-    segments, layers = [] if named else [[float(cell) for cell in header]], [] if named else [UNCLEAR]
-    for number, row in enumerate(rows, 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(segments) >= MOST_SEGMENTS:
-            raise InputError(path, f"line {number}", f"more than {MOST_SEGMENTS} segments", "the lines of one floor")
-        segments.append(_segment(path, number, row, columns))
-        layers.append(holds(row[layer]) if layer is not None and layer < len(row) else UNCLEAR)
-    ends = np.array(segments, dtype=float).reshape(-1, 2, 2)
+    if not named:  # the first row is a segment
+        rows = replace(rows, content=source.utf8(path.name), first=1)
+    if len(rows) > MOST_SEGMENTS:
+        raise InputError(path, "", f"more than {MOST_SEGMENTS} segments", "the lines of one floor")
+    ends = rows.floats([header.index(name) if named else n for n, name in enumerate(SEGMENT_COLUMNS)], False)
+    for row in np.flatnonzero(~np.isfinite(ends).all(axis=1))[:1]:
+        raise InputError(path, f"line {rows.numbers[row]}", rows.lines[row][:60], "finite numbers")
     if not (np.abs(ends) < LARGEST_COORDINATE).all():
-        raise InputError(
-            path, "", "coordinates that are no numbers or too large", f"numbers below {LARGEST_COORDINATE:g}"
-        )
-    return ends, layers
-
-
-def _segment(path: Path, number: int, row: list[str], columns: list[int]) -> list[float]:
-    """The ends of the segment in a row. Raises InputError unless they are finite numbers."""
-    try:
-        ends = [float(row[column]) for column in columns]
-    except (ValueError, IndexError):
-        raise InputError(path, f"line {number}", ",".join(row)[:60], "four numbers, x1,y1,x2,y2") from None
-    if not np.isfinite(ends).all():
-        raise InputError(path, f"line {number}", ",".join(row)[:60], "finite numbers")
-    return ends
+        raise InputError(path, "", "coordinates that are too large", f"numbers below {LARGEST_COORDINATE:g}")
+    layers = [holds(name) for name in rows.words(header.index(LAYER))] if named and LAYER in header else []
+    notes = [f"{count(len(ends), 'segment')} of lines without thickness"]
+    return drawing_of_lines(path, ends.reshape(-1, 2, 2), layers or [UNCLEAR] * len(ends), scale, None, notes)

@@ -36,53 +36,37 @@ def convert(
     floor. Raises InputError for a plan that cannot be read or has no walkable area, for statements that contradict each
     other, and for a target that is a folder or a file of the input; `target` is unchanged then.
     """
-    _check_target(source, target)
+    if target.is_dir():
+        raise InputError("--out", "", f"{target}, which is a folder", "a file to write")
+    if source.exists() and target.resolve() in {file.resolve() for file in plan_files.files_of(source)}:
+        raise InputError("--out", "", f"{target}, which is the input", "another file")
     if two_points is not None:
         if scale is not None:
             raise InputError("--two-points", "", "--scale too", "one of both")
         scale = scale_of_two_points(two_points)
     points = None if georeference is None else TiePoints.parse(georeference)
-    drawing = _read(source, scale, points)
+    try:
+        drawing = plan_files.read(source, scale)
+    except InputError:
+        if scale is not None or points is None:
+            raise
+        drawing = plan_files.read(source, points.scale)  # a drawing that needs a scale
     if points is not None:
         drawing = georeferenced(drawing, points)
     if floor is not None:
-        drawing = _labelled(drawing, floor)
+        if len(drawing.floors) != 1:
+            found = f"{count(len(drawing.floors), 'floor')}, {', '.join(drawing.floors)}"
+            raise InputError("--floor", "", found, "a plan of one floor")
+        (areas,) = drawing.floors.values()
+        drawing = replace(drawing, floors={floor: tuple(replace(area, floors=()) for area in areas)}, heights={})
     FloorPlan.of(source, drawing)  # checks it
     own_format.write(target, drawing)
     return drawing
 
 
-def _check_target(source: Path, target: Path) -> None:
-    """Raise InputError for a target that is a folder or a file of the input."""
-    if target.is_dir():
-        raise InputError("--out", "", f"{target}, which is a folder", "a file to write")
-    if source.exists() and target.resolve() in {file.resolve() for file in plan_files.files_of(source)}:
-        raise InputError("--out", "", f"{target}, which is the input", "another file")
-
-
-def _read(source: Path, scale: float | None, points: TiePoints | None) -> Drawing:
-    """Read a plan; if it needs a scale and none is stated, with that of the points."""
-    try:
-        return plan_files.read(source, scale)
-    except InputError:
-        if scale is not None or points is None:
-            raise
-        return plan_files.read(source, points.scale)
-
-
-def _labelled(drawing: Drawing, floor: str) -> Drawing:
-    """A drawing whose only floor has a label."""
-    if len(drawing.floors) != 1:
-        found = f"{count(len(drawing.floors), 'floor')}, {', '.join(drawing.floors)}"
-        raise InputError("--floor", "", found, "a plan of one floor")
-    (areas,) = drawing.floors.values()
-    areas = tuple(replace(area, floors=()) for area in areas)
-    return replace(drawing, floors={floor: areas}, heights={})
-
-
-XML_NUMBER = r"\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*"
-TWO_POINTS = re.compile(rf"{XML_NUMBER},{XML_NUMBER}[\s;]{XML_NUMBER},{XML_NUMBER}={XML_NUMBER}m?\s*")
-TIE_POINT = re.compile(rf"{XML_NUMBER},{XML_NUMBER}={XML_NUMBER},{XML_NUMBER}")
+NUMBER = r"\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*"
+TWO_POINTS = re.compile(rf"{NUMBER},{NUMBER}[\s;]{NUMBER},{NUMBER}={NUMBER}m?\s*")
+TIE_POINT = re.compile(rf"{NUMBER},{NUMBER}={NUMBER},{NUMBER}")
 LARGEST_CONTRADICTION = 0.05  # of two scales, as a share: points clicked in a picture are a pixel or two off
 
 
@@ -92,9 +76,6 @@ class TiePoints(OneLineRepr):
 
     drawn: Array
     lonlat: Array
-
-    def _summary(self) -> list[str]:
-        return [count(len(self.drawn), "point")]
 
     @classmethod
     def parse(cls, text: str) -> TiePoints:

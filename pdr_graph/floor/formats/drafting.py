@@ -50,7 +50,10 @@ def drawing_of_lines(
     while framed and (frame := _frame(segments)).any():
         notes.append("a frame around the drawing was left out")
         segments, holds = segments[~frame], holds[~frame]
-    holds = _with_walls_named(holds, notes)
+    named, unknown = np.count_nonzero(holds == WALL_LINES), holds == UNCLEAR
+    if named >= FEWEST_SEGMENTS and unknown.any():
+        notes.append(f"{count(int(unknown.sum()), 'segment')} on layers not named walls were left out")
+    holds = np.where(unknown, IGNORED if named >= FEWEST_SEGMENTS else WALL_LINES, holds)
     drawn = segments[holds != IGNORED]
     metres = metres_per_unit(path, drawn.reshape(-1, 2), scale, count(len(segments), "segment"), stated)
     segments = segments * metres
@@ -78,15 +81,6 @@ def _frame(segments: Array) -> Mask:
     return frame if (margins > MARGIN * (high - low).max()).all() else np.zeros(len(segments), dtype=bool)
 
 
-def _with_walls_named(holds: Array, notes: list[str]) -> Array:
-    """What each layer holds; where some are named walls, unknown ones are left out, otherwise they are walls."""
-    named, unknown = np.count_nonzero(holds == WALL_LINES), holds == UNCLEAR
-    if named >= FEWEST_SEGMENTS and unknown.any():
-        notes.append(f"{count(int(unknown.sum()), 'segment')} on layers not named walls were left out")
-        return np.where(unknown, IGNORED, holds)
-    return np.where(unknown, WALL_LINES, holds)
-
-
 def _understood(segments: Array, holds: Array, notes: list[str]) -> tuple[Lines, Array]:
     """Walls, doors and stairs, and the segments ``(m, 2, 2)`` that are neither [m]."""
     on_doors, on_stairs, ignored = (holds == kind for kind in (DOOR_LINES, STAIR_LINES, IGNORED))
@@ -100,7 +94,11 @@ def _understood(segments: Array, holds: Array, notes: list[str]) -> tuple[Lines,
         notes.append(f"{count(len(swinging), 'door')} drawn with a swing")
     if symbols:
         notes.append(f"{count(len(symbols), 'door')} on layers of doors")
-    steps += _clusters(segments[on_stairs])
+    if on_stairs.any():  # the hulls of connected segments
+        half = TREAD_SPACING[1] / 2
+        wide = shapely.union_all(shapely.buffer(lines_of(segments[on_stairs]), half))
+        hulls = shapely.buffer(shapely.convex_hull(shapely.get_parts(wide)), -half)
+        steps += list(hulls[shapely.area(hulls) > 2 * half])
     if steps:
         notes.append(f"{count(len(steps), 'flight')} of stairs")
     lines = Lines(segments[walls], (*swinging, *symbols), tuple(steps))
@@ -130,15 +128,6 @@ def _stairs(segments: Array, candidates: Mask) -> tuple[Mask, list[shapely.Geome
         treads[which] = True
         steps.append(shapely.convex_hull(shapely.multipoints(segments[which].reshape(-1, 2))))
     return treads, steps
-
-
-def _clusters(segments: Array) -> list[shapely.Geometry]:
-    """The convex hulls of connected segments ``(n, 2, 2)``, those with an area [m]."""
-    if not len(segments):
-        return []
-    wide = shapely.union_all(shapely.buffer(shapely.linestrings(segments), TREAD_SPACING[1] / 2))
-    hulls = shapely.buffer(shapely.convex_hull(shapely.get_parts(wide)), -TREAD_SPACING[1] / 2)
-    return [hull for hull in hulls if shapely.area(hull) > TREAD_SPACING[1]]
 
 
 WALL_LINES, DOOR_LINES, STAIR_LINES, IGNORED, UNCLEAR = "walls", "doors", "stairs", "ignored", "unknown"
@@ -179,40 +168,26 @@ def metres_per_unit(path: Path, points: Array, scale: float | None, noun: str, s
     scale, or if no building has the drawing's size in it; the text guesses the unit.
     """
     width, height = np.ptp(points, axis=0).tolist()
+    side = max(width, height)
+    likely = [(unit, metres) for unit, metres in UNITS.items() if LIKELY[0] <= side * metres <= LIKELY[1]][:2]
     if scale is None and stated is None:
         found = f"{noun}, {width:.4g} by {height:.4g} units, unit not stated"
+        guesses = [f"--scale {metres:g} if drawn in {unit}: {side * metres:.0f} m" for unit, metres in likely]
         expected = "--scale METRES_PER_UNIT, or a plan of pdr-graph map convert"
-        raise InputError(path, "", found, expected + _guess(max(width, height)))
+        raise InputError(path, "", found, f"{expected} ({' or '.join(guesses)})" if guesses else expected)
     metres = stated if scale is None else scale
     assert metres is not None
     if not ACCEPTED_SCALES[0] <= metres <= ACCEPTED_SCALES[1]:
         raise InputError("--scale" if scale is not None else path, "", f"{metres:g}", "metres per unit, above 0")
-    size = metres * max(width, height)
-    if not POSSIBLE[0] <= size <= POSSIBLE[1]:
+    if not POSSIBLE[0] <= metres * side <= POSSIBLE[1]:
         found = f"a building of {metres * width:.3g} by {metres * height:.3g} m with {metres:g} m per unit"
-        fewest, most = POSSIBLE
-        raise InputError(path, "", found, f"one of {fewest:g} to {most:g} m{_correction(max(width, height), metres)}")
+        expected = f"one of {POSSIBLE[0]:g} to {POSSIBLE[1]:g} m"
+        for unit, meant in likely[:1]:
+            ratio = metres / meant
+            times = f"{ratio:.4g} times too large" if ratio > 1 else f"{1 / ratio:.4g} times too small"
+            expected += f" ({times}: {unit}? --scale {meant:g})"
+        raise InputError(path, "", found, expected)
     return metres
-
-
-def _likely(size: float) -> list[tuple[str, float]]:
-    """Units and their metres in which the longer side of a drawing [unit] is that of most buildings."""
-    return [(unit, metres) for unit, metres in UNITS.items() if LIKELY[0] <= size * metres <= LIKELY[1]][:2]
-
-
-def _guess(size: float) -> str:
-    """A guess at the unit of a drawing from its longer side [unit]."""
-    guesses = [f"--scale {metres:g} if drawn in {unit}: {size * metres:.0f} m" for unit, metres in _likely(size)]
-    return f" ({' or '.join(guesses)})" if guesses else ""
-
-
-def _correction(size: float, metres: float) -> str:
-    """A guess at the scale that was meant instead of `metres` per unit; size: longer side [unit]."""
-    for unit, likely in _likely(size):
-        ratio = metres / likely
-        times = f"{ratio:.4g} times too large" if ratio > 1 else f"{1 / ratio:.4g} times too small"
-        return f" ({times}: {unit}? --scale {likely:g})"
-    return ""
 
 
 def check_size(path: Path, walkable: shapely.Geometry) -> None:

@@ -20,11 +20,9 @@ from pdr_graph.floor.formats.drafting import (
     drawing_of_lines,
     holds,
 )
-from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.plan_limits import check_file_size, required_library
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.types import Array
 
-LARGEST_DXF = 100_000_000  # [bytes]
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
 INSERT_UNITS = {  # $INSUNITS: metres per unit
@@ -45,7 +43,8 @@ def read(path: Path, scale: float | None) -> Drawing:
     scale: metres per unit; None: that of ``$INSUNITS``. Raises InputError if neither is known, or for a damaged file.
     """
     document = _document(path)
-    notes, reading = list[str](), _Reading(path, _hidden_layers(document))
+    hidden = {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
+    notes, reading = list[str](), _Reading(path, hidden)
     for entity in document.modelspace():
         reading.add(entity, UNCLEAR, 0)
     segments = np.concatenate(reading.segments) if reading.segments else np.empty((0, 2, 2))
@@ -55,7 +54,8 @@ def read(path: Path, scale: float | None) -> Drawing:
     if scale is not None and stated is not None and abs(scale / stated - 1) > 0.001:
         notes.append(f"--scale {scale:g} is used, not $INSUNITS, by which a unit is {stated:g} m")
     notes.append(f"{count(len(segments), 'segment')} of lines and curves")
-    notes += reading.notes()
+    if reading.skipped:
+        notes.append(f"left out: {', '.join(f'{number} {kind}' for kind, number in reading.skipped.most_common(6))}")
     return drawing_of_lines(path, segments, reading.layers, scale, stated, notes)
 
 
@@ -64,16 +64,11 @@ def _document(path: Path) -> Any:
     with required_library(path, "a DXF drawing", "ezdxf"):
         from ezdxf import recover
         from ezdxf.lldxf.const import DXFError
-    check_file_size(path, LARGEST_DXF)
+    check_file_size(path, 100_000_000)
     try:
         return recover.readfile(path)[0]
     except (DXFError, OSError, ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:
         raise InputError(path, "", f"a damaged DXF drawing ({str(error)[:80]})", "a whole one") from None
-
-
-def _hidden_layers(document: Any) -> set[str]:
-    """The names of layers that are off or frozen."""
-    return {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
 
 
 DEGENERATE = (TypeError, ValueError, AttributeError, ZeroDivisionError, LookupError)  # of ezdxf, for damaged entities
@@ -103,7 +98,14 @@ class _Reading:
         elif kind not in CURVES or (on == IGNORED and kind != "LINE"):
             self.skipped[kind] += 1
         else:
-            self._add_curve(entity, kind, on)
+            points = _points(entity, kind)
+            if len(points) < 2:
+                self.skipped[kind] += 1
+                return
+            self.segments.append(np.stack([points[:-1], points[1:]], axis=1))
+            self.layers += [on] * (len(points) - 1)
+            if len(self.layers) > MOST_SEGMENTS:
+                raise InputError(self.path, "", f"more than {MOST_SEGMENTS} segments", "the drawing of one floor")
 
     def _parts(self, insert: Any, depth: int) -> Iterator[Any]:
         """The entities of an inserted block, in the coordinates of the drawing."""
@@ -116,21 +118,6 @@ class _Reading:
                 yield from single.virtual_entities()
             except DEGENERATE:
                 self.skipped["blocks that cannot be placed"] += 1
-
-    def _add_curve(self, entity: Any, kind: str, on: str) -> None:
-        points = _points(entity, kind)
-        if len(points) < 2:
-            self.skipped[kind] += 1
-            return
-        self.segments.append(np.stack([points[:-1], points[1:]], axis=1))
-        self.layers += [on] * (len(points) - 1)
-        if len(self.layers) > MOST_SEGMENTS:
-            raise InputError(self.path, "", f"more than {MOST_SEGMENTS} segments", "the drawing of one floor")
-
-    def notes(self) -> list[str]:
-        """What was skipped, in one line."""
-        kinds = ", ".join(f"{number} {kind}" for kind, number in self.skipped.most_common(6))
-        return [f"left out: {kinds}"] if kinds else []
 
 
 def _points(entity: Any, kind: str) -> Array:

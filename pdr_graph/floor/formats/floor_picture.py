@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats import raster
 from pdr_graph.floor.formats.drafting import metres_per_unit
-from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.drawing import Drawing, required_library
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
-from pdr_graph.floor.plan_limits import required_library
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
@@ -58,22 +57,11 @@ def drawing_of_picture(path: Path, picture: Picture, scale: float | None, finer:
 Picture = NDArray[np.uint8]  # brightness ``(rows, columns)``, 0 black, 255 white
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What is a wall in a picture; chosen by hand."""
-
-    skew: float = 12.0  # [deg] largest rotation of a scan that is removed
-    least_skew: float = 0.1  # [deg]
-    clear_skew: float = 1.1  # ratio of the profiles' sharpness by which a rotation must be better than none
-    gap: int = 2  # [pixel] gaps that are closed
-    thick: int = 5  # [pixel] walls from here on are drawn thick, and thinner strokes are other things
-    thick_share: float = 0.6  # of the dark pixels that are in thick strokes, if walls are drawn thick
-    text: float = 0.8  # [m] largest side of a letter or a speck
-    column: tuple[float, float] = (0.2, 0.7)  # [m] smallest side, and share that is dark, of a column
-    rounding: float = 0.75  # [pixel] by which outlines of walls are simplified
-
-
-LIMITS = Limits()
+# What is a wall in a picture; chosen by hand
+SKEW = 12.0  # [deg] largest rotation of a scan that is removed
+GAP = 2  # [pixel] gaps that are closed
+THICK = 5  # [pixel] walls from here on are drawn thick, and thinner strokes are other things
+TEXT = 0.8  # [m] largest side of a letter or a speck
 
 
 def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.Geometry, Array]:
@@ -93,30 +81,16 @@ def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.G
     turn = np.array([[cos, -sin], [sin, cos]])  # of pixel coordinates
     affine = metres * np.array([[1.0], [-1.0]]) * turn
     affine = np.column_stack([affine, -affine @ (-0.5, rows - 0.5)])
-    centre = new_centre = _centre(picture.shape)
-    if abs(skew) > LIMITS.least_skew:
+    centre = _centre(picture.shape)
+    if abs(skew) > 0.1:
         notes.append(f"a skew of {abs(skew):.1f}° was removed")
-        picture, new_centre = _turned(picture, turn)
+        picture = np.asarray(ndimage.rotate(picture, -skew, order=1, cval=255), dtype=np.uint8)
     polygons = outlines(_cleaned(picture <= threshold, metres, notes))
 
     def to_metres(pixels: Array) -> Array:
-        return ((pixels - new_centre) @ turn + centre) @ affine[:, :2].T + affine[:, 2]
+        return ((pixels - _centre(picture.shape)) @ turn + centre) @ affine[:, :2].T + affine[:, 2]
 
     return shapely.transform(polygons, to_metres), affine
-
-
-def _turned(picture: Picture, turn: Array) -> tuple[Picture, Array]:
-    """A picture turned about its centre by the rotation ``(2, 2)`` of pixel coordinates, and its new centre."""
-    from skimage.transform import AffineTransform, warp
-
-    size = np.array(picture.shape[::-1])
-    new_size = np.ceil(np.abs(turn) @ size).astype(int)
-    centre, new_centre = _centre(picture.shape), (new_size - 1) / 2
-    back = np.eye(3)
-    back[:2, :2], back[:2, 2] = turn.T, centre - turn.T @ new_centre
-    shape = (int(new_size[1]), int(new_size[0]))
-    turned = warp(picture, AffineTransform(matrix=back), output_shape=shape, order=1, cval=255, preserve_range=True)
-    return np.round(turned).astype(np.uint8), new_centre
 
 
 def _centre(shape: tuple[int, ...]) -> Array:
@@ -140,32 +114,36 @@ def skew_of(dark: Mask) -> float:
         profiles = (x * cos - y * sin, x * sin + y * cos)
         return sum(float(np.sum(np.bincount((p - p.min()).astype(int)).astype(float) ** 2)) for p in profiles)
 
-    coarse = np.arange(-LIMITS.skew, LIMITS.skew + 0.1, 0.5)
+    coarse = np.arange(-SKEW, SKEW + 0.1, 0.5)
     best = coarse[np.argmax([sharpness(a) for a in coarse])]
     fine = best + np.arange(-0.5, 0.51, 0.05)
     best = float(fine[np.argmax([sharpness(a) for a in fine])])
-    return best if sharpness(best) > LIMITS.clear_skew * sharpness(0.0) else 0.0
+    return best if sharpness(best) > 1.1 * sharpness(0.0) else 0.0
 
 
 def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     """Dark pixels of walls: without specks and letters, without thin strokes beside thick walls, gaps closed."""
-    closed = raster.closing(dark, LIMITS.gap + 1)
-    core = raster.opening(closed, LIMITS.thick)
-    if core.sum() > LIMITS.thick_share * closed.sum():
+    square = np.ones((3, 3))
+    padded = ndimage.binary_closing(np.pad(dark, GAP + 1), np.ones((GAP + 1, GAP + 1)))
+    closed: Mask = np.asarray(padded, dtype=bool)[GAP + 1 : -GAP - 1, GAP + 1 : -GAP - 1]
+    core: Mask = np.asarray(ndimage.binary_opening(closed, np.ones((THICK, THICK))), dtype=bool)
+    if core.sum() > 0.6 * closed.sum():
         thin = int(closed.sum() - core.sum())
-        closed &= raster.dilation(core)
+        closed = closed & np.asarray(ndimage.binary_dilation(core, square), dtype=bool)
         if thin:
-            notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
-    parts, number = raster.parts(closed, diagonal=True)
-    if not number:
+            notes.append(f"lines thinner than {THICK} pixels beside thick walls were left out ({thin} pixels)")
+    parts: Any = ndimage.label(closed, square)
+    if not parts[1]:
         return closed
-    sides = raster.sides(parts) * metres
-    filled = raster.sizes(parts, number)[1:] * metres**2 / np.prod(sides, axis=1)
-    column = (sides.min(axis=1) >= LIMITS.column[0]) & (filled >= LIMITS.column[1])
-    speck = (sides.max(axis=1) < LIMITS.text) & ~column
+    boxes: Any = ndimage.find_objects(parts[0])
+    sides = metres * np.array([[side.stop - side.start for side in box] for box in boxes])
+    filled = np.bincount(parts[0].ravel())[1:] * metres**2 / np.prod(sides, axis=1)
+    # column: smallest side [m], and share of its box that is dark
+    column = (sides.min(axis=1) >= 0.2) & (filled >= 0.7)
+    speck = (sides.max(axis=1) < TEXT) & ~column
     if speck.any():
-        notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {LIMITS.text:g} m were left out")
-    return closed & ~np.append(False, speck)[parts]
+        notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {TEXT:g} m were left out")
+    return closed & ~np.append(False, speck)[parts[0]]
 
 
 def outlines(dark: Mask) -> shapely.Geometry:
@@ -175,7 +153,7 @@ def outlines(dark: Mask) -> shapely.Geometry:
     rings = [ring[:, ::-1] - 1 for ring in find_contours(np.pad(dark, 1).astype(float), 0.5)]
     lines = [shapely.LineString(ring) for ring in rings if len(ring) > 3]
     polygons = shapely.build_area(shapely.geometrycollections(lines))
-    return shapely.make_valid(shapely.simplify(polygons, LIMITS.rounding))
+    return shapely.make_valid(shapely.simplify(polygons, 0.75))
 
 
 LARGEST_PICTURE = 80_000_000  # [pixel]

@@ -13,9 +13,8 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.plan_limits import check_crossings, check_file_size
+from pdr_graph.floor.formats.drawing import check_crossings, check_file_size
 from pdr_graph.frames import Frame
-from pdr_graph.types import Array
 
 # Limits of an untrusted file
 LARGEST_GEOJSON = 200_000_000  # [bytes]
@@ -67,13 +66,16 @@ def features_of(path: Path, collection: dict[str, Any], notes: list[str], repair
         holes = int(shapely.get_num_interior_rings(shapely.get_parts(shape)).sum())
         if holes > MOST_HOLES:
             raise InputError(path, f"feature {n}", f"{holes} holes", f"at most {MOST_HOLES}")
+        name = f"feature {n} ({properties['name']})" if properties.get("name") else f"feature {n}"
         if not shapely.is_valid(shape):
             check_crossings(path, f"feature {n}", shape)
-            repairs.append(f"{_name_of(n, properties)}: its outline crosses itself{_crossing(shape)}, and was repaired")
+            place = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(shape))  # Self-intersection[135.00001 35]
+            at = f" at [{place[1]}, {place[2]}]" if place else ""
+            repairs.append(f"{name}: its outline crosses itself{at}, and was repaired")
             shape = repaired(shape)
         if opened:
             found = f"the ring from {opened[0][:2]} does not end where it begins"
-            repairs.append(f"{_name_of(n, properties)}: {found}, and was closed")
+            repairs.append(f"{name}: {found}, and was closed")
         yield n, shapely.force_2d(shape), properties
     if without_geometry:
         first = f"the first: feature {without_geometry[0]}"
@@ -119,31 +121,10 @@ def _close(geometry: Any) -> list[Any]:
     return [ring[0] for ring in open_]
 
 
-def _name_of(n: int, properties: dict[str, Any]) -> str:
-    """The number of a feature in the file, and its name."""
-    name = str(properties.get("name") or "")
-    return f"feature {n} ({name})" if name else f"feature {n}"
-
-
-def _crossing(shape: shapely.Geometry) -> str:
-    """Where a polygon crosses itself, from shapely's reason: ``Self-intersection[135.00001 35]``."""
-    found = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(shape))
-    return f" at [{found[1]}, {found[2]}]" if found else ""
-
-
-def _labels(properties: dict[str, Any]) -> tuple[str, ...]:
-    """The labels of the floors that a feature is on."""
-    on = properties.get("floor", properties.get("level"))
-    labels = (str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
-    return tuple(dict.fromkeys(labels))
-
-
 def area_of(kind: str, feature: Feature, frame: Frame | None) -> Area:
     """The area of a feature [m]; without a frame its coordinates are in metres already."""
     _, shape, properties = feature
-
-    def transform(lonlat: Array) -> Array:
-        return lonlat if frame is None else frame.from_lonlat(lonlat)
-
-    name = str(properties.get("name") or "")
-    return Area(kind, name, shapely.transform(shape, transform), properties, _labels(properties))
+    on = properties.get("floor", properties.get("level"))
+    labels = dict.fromkeys(str(each) for each in (on if isinstance(on, list) else [on]) if each not in (None, ""))
+    metres = shape if frame is None else shapely.transform(shape, frame.from_lonlat)
+    return Area(kind, str(properties.get("name") or ""), metres, properties, tuple(labels))

@@ -17,8 +17,7 @@ import shapely
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, DOOR, ENTRANCE, OPEN, OUTLINE, WALL, Area, overlap
-from pdr_graph.floor.formats.doorless import DOOR_SLACK, open_doorless_rooms
-from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
+from pdr_graph.floor.formats.drawing import DOOR_SLACK, STOREY, Drawing, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees, features_of, read_json
 from pdr_graph.frames import Frame
 
@@ -55,14 +54,17 @@ def files_of(folder: Path) -> tuple[Path, ...]:
 
 def read(folder: Path) -> Drawing:
     """Read an archive. Raises InputError for damaged files, or levels without an ordinal."""
-    notes, repairs, language = list[str](), list[str](), _language(folder)
-    of_type = {
-        kind: _features(folder / f"{kind}.geojson", language, notes, repairs)
-        for kind in ("level", "unit", "opening", "fixture", "kiosk")
-    }
-    for kind, features in of_type.items():
-        if features:
-            check_degrees(folder / f"{kind}.geojson", features)
+    notes, repairs, language = list[str](), list[str](), "en"
+    if (folder / MANIFEST).is_file():
+        language = str(read_json(folder / MANIFEST).get("language", language))
+    of_type = dict[str, list[Feature]]()
+    for kind in ("level", "unit", "opening", "fixture", "kiosk"):
+        path, own_notes, own_repairs = folder / f"{kind}.geojson", list[str](), list[str]()
+        of_type[kind] = list(features_of(path, _collection(path, language), own_notes, own_repairs))
+        notes += [f"{path.name}: {line}" for line in own_notes]
+        repairs += [f"{path.name}: {line}" for line in own_repairs]
+        if of_type[kind]:
+            check_degrees(path, of_type[kind])
     levels = of_type["level"]
     if not levels or not of_type["unit"]:
         empty = folder / (LEAST_FILES[1] if levels else LEAST_FILES[0])
@@ -86,49 +88,35 @@ def read(folder: Path) -> Drawing:
 
 
 def _on_floor(areas: Sequence[Area], label: str, notes: list[str]) -> tuple[Area, ...]:
-    """The areas of one floor with its label, its entrances, and an opening for rooms without a door."""
+    """The areas of one floor with its label, its entrances, and an opening for rooms without a door.
+
+    Openings between a unit where nobody walks and at most one other unit are left out.
+    """
     outside = [shapely.boundary(area.shape) for area in areas if area.kind == OUTLINE]
+    walkable, solid = (
+        shapely.STRtree([area.shape for area in areas if area.kind in kinds]) for kinds in ((*OPEN, *CLOSED), (WALL,))
+    )
     placed = list[Area]()
-    for area in _without_shut_openings(areas, label, notes):
-        # outer wall [m]: thickness of an outer wall: an opening this near to a level's outline leads outside
-        leads_outside = area.kind == DOOR and any(shapely.dwithin(ring, area.shape, 0.5) for ring in outside)
-        properties = area.properties | ({ENTRANCE: "yes"} if leads_outside else {})
+    for area in areas:
+        properties = area.properties
+        if area.kind == DOOR:
+            beside = [tree.query(area.shape, predicate="dwithin", distance=DOOR_SLACK) for tree in (solid, walkable)]
+            if len(beside[0]) and len(beside[1]) < 2:
+                continue
+            # thickness [m] of an outer wall: an opening this near to a level's outline leads outside
+            if any(shapely.dwithin(ring, area.shape, 0.5) for ring in outside):
+                properties = properties | {ENTRANCE: "yes"}
         placed.append(replace(area, floors=(label,), properties=properties))
+    if shut := len(areas) - len(placed):
+        notes.append(f"floor {label}: {count(shut, 'opening')} of units where nobody walks left out")
     return open_doorless_rooms(placed, label, notes)
 
 
-def _without_shut_openings(areas: Sequence[Area], label: str, notes: list[str]) -> list[Area]:
-    """The areas without the openings between a unit where nobody walks and at most one other unit."""
-    walls = [area.shape for area in areas if area.kind == WALL]
-    walkable = shapely.STRtree([area.shape for area in areas if area.kind in (*OPEN, *CLOSED)])
-    solid = shapely.STRtree(walls)
+def _collection(path: Path, language: str) -> dict[str, Any]:
+    """The GeoJSON collection in a file, with identifiers and the texts of names in its properties; empty if missing.
 
-    def is_shut(area: Area) -> bool:
-        if area.kind != DOOR or not len(solid.query(area.shape, predicate="dwithin", distance=DOOR_SLACK)):
-            return False
-        return len(walkable.query(area.shape, predicate="dwithin", distance=DOOR_SLACK)) < 2
-
-    kept = [area for area in areas if not is_shut(area)]
-    if len(kept) < len(areas):
-        notes.append(f"floor {label}: {count(len(areas) - len(kept), 'opening')} of units where nobody walks left out")
-    return kept
-
-
-def _language(folder: Path) -> str:
-    """The language of the archive's names."""
-    path = folder / MANIFEST
-    return str(read_json(path).get("language", "en")) if path.is_file() else "en"
-
-
-def _text(name: Any, language: str) -> str:
-    """The text of a name, ``{"en": "Gate 1"}``, in a language if it has it, else in its first."""
-    if isinstance(name, dict):
-        name = name.get(language) or next(iter(name.values()), "")
-    return name if isinstance(name, str) else ""
-
-
-def _records(path: Path, language: str) -> dict[str, Any]:
-    """The GeoJSON collection in a file, with identifiers and the texts of names in its properties; empty if missing."""
+    A name is a text or ``{"en": "Gate 1"}``, of which the archive's language is read, else the first.
+    """
     if not path.is_file():
         return {"type": "FeatureCollection", "features": []}
     collection = read_json(path)
@@ -137,17 +125,12 @@ def _records(path: Path, language: str) -> dict[str, Any]:
         if isinstance(feature, dict) and isinstance(feature.get("properties"), dict):
             properties = feature["properties"]
             properties["id"] = str(feature.get("id", ""))
-            properties |= {key: _text(properties.get(key), language) for key in ("name", "short_name")}
+            for key in ("name", "short_name"):
+                name = properties.get(key)
+                if isinstance(name, dict):
+                    name = name.get(language) or next(iter(name.values()), "")
+                properties[key] = name if isinstance(name, str) else ""
     return collection
-
-
-def _features(path: Path, language: str, notes: list[str], repairs: list[str]) -> list[Feature]:
-    """The features of one type that have a geometry; none if the archive lacks the file."""
-    own_notes, own_repairs = list[str](), list[str]()
-    features = list(features_of(path, _records(path, language), own_notes, own_repairs))
-    notes += [f"{path.name}: {line}" for line in own_notes]
-    repairs += [f"{path.name}: {line}" for line in own_repairs]
-    return features
 
 
 def _ordinals(path: Path, levels: Sequence[Feature]) -> dict[str, int]:
@@ -226,7 +209,7 @@ def _name_units(folder: Path, language: str, areas: dict[int, list[Area]]) -> No
 
 def _properties(path: Path, language: str) -> list[dict[str, Any]]:
     """The properties of the features in a file, also of those without a geometry."""
-    features = _records(path, language).get("features")
+    features = _collection(path, language).get("features")
     found = [f.get("properties") for f in features if isinstance(f, dict)] if isinstance(features, list) else []
     return [properties for properties in found if isinstance(properties, dict)]
 
@@ -242,7 +225,7 @@ def _mark_connections(folder: Path, areas: dict[int, list[Area]]) -> None:
     slopes = list[tuple[int, int]]()
     for ordinal, here in areas.items():
         for n, area in enumerate(here):
-            kind = marked.get(str(area.properties["id"]), "slope" if _category(area) in SLOPES else "")
+            kind = marked.get(str(area.properties["id"]), "slope" if area.properties.get("category") in SLOPES else "")
             if area.kind not in ("corridor", "room"):
                 continue
             if kind == "slope":
@@ -254,10 +237,6 @@ def _mark_connections(folder: Path, areas: dict[int, list[Area]]) -> None:
         others = [s for (level, _), s in zip(slopes, shapes, strict=True) if level != ordinal]
         if any(overlap(shape, other) for other in others):
             areas[ordinal][n] = replace(areas[ordinal][n], kind="stairs")
-
-
-def _category(area: Area) -> str:
-    return str(area.properties.get("category") or "")
 
 
 def _add_corridors(areas: dict[int, list[Area]], levels: Iterable[Area], ordinals: dict[str, int]) -> None:

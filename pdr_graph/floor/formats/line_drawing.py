@@ -10,35 +10,23 @@ from dataclasses import dataclass, field
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import DOOR, OUTLINE, WALL, Area
-from pdr_graph.floor.formats import raster
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 Geometries = NDArray[np.object_]
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Lengths that tell walls, rooms and doors apart in a drawing of lines; chosen by hand."""
-
-    grid: float = 0.001  # [m] to which ends are rounded, so that lines that touch meet
-    closing_radii: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5)  # [m] half a gap's width
-    closed: float = 0.95  # share of the area closed at the largest radius at which an outline counts as closed
-    least_area: float = 0.05  # share of the lines' bounding box: a smaller outline encloses no building
-    sliver: float = 0.5  # [m] narrower free space, as between the two lines of a wall, is solid
-    half_wall: float = 0.01  # [m] half the thickness of a wall drawn as one line
-    jamb: float = 0.08  # [m] beside a door's opening that stays a wall
-    thickest_wall: float = 0.35  # [m] on either side of a door's line, through which the door leads
-    room: float = 3.0  # [m²] a smaller enclosed space is a column, a shaft or furniture
-    strip: float = 1.2  # [m] an enclosed space that is narrower everywhere is a cavity or a ledge
-    corridor_doors: int = 3  # a space with so many doors is a corridor
-
-
-RULES = Rules()
+# Lengths that tell walls, rooms and doors apart in a drawing of lines; chosen by hand
+CLOSING_RADII = (0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5)  # [m] half a gap's width
+SLIVER = 0.5  # [m] narrower free space, as between the two lines of a wall, is solid
+HALF_WALL = 0.01  # [m] half the thickness of a wall drawn as one line
+SMALLEST_ROOM = 3.0  # [m²] a smaller enclosed space is a column, a shaft or furniture
+STRIP = 1.2  # [m] an enclosed space that is narrower everywhere is a cavity or a ledge
 
 
 @dataclass(frozen=True)
@@ -54,9 +42,6 @@ class Lines(OneLineRepr):
     stairs: tuple[shapely.Geometry, ...] = ()
     solid: shapely.Geometry = field(default_factory=shapely.Polygon)
 
-    def _summary(self) -> list[str]:
-        return [count(len(self.walls), "segment"), count(len(self.doors), "door")]
-
 
 def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.Geometry]:
     """Areas of a floor from its lines, and the lines outside the building, which were left out.
@@ -64,26 +49,41 @@ def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.
     What was closed, taken as solid or left out is appended to `notes`. There is no area without a closed outline.
     """
     drawn = [*lines_of(lines.walls), *shapely.get_rings(shapely.get_parts(lines.solid))]
-    walls = shapely.union_all(shapely.set_precision(drawn, RULES.grid))
+    walls = shapely.union_all(shapely.set_precision(drawn, 0.001))  # so that lines that touch meet
     outline = _outline(walls, notes)
     if shapely.is_empty(outline):
         return (), walls
-    around = shapely.buffer(outline, 5 * RULES.half_wall)
+    around = shapely.buffer(outline, 5 * HALF_WALL)
     inside, outside = shapely.intersection(walls, around), shapely.difference(walls, around)
     if shapely.length(outside) > 1.0:
         notes.append(f"{shapely.length(outside):.0f} m of lines outside the outline were left out")
     hollow = shapely.difference(outline, lines.solid)
-    doors = [*lines.doors, *_doors_of_sealed(hollow, inside, lines, notes)]
-    inside = shapely.difference(inside, shapely.union_all([_doorway(door) for door in doors]))
+    doors = list(lines.doors)
+    sealed = [s for s in _free_spaces(hollow, inside, doors, lines.stairs) if shapely.area(s) > SMALLEST_ROOM]
+    if len(sealed) > 1:  # closed leaves in the border of spaces without another entrance
+        sealed.remove(max(sealed, key=shapely.area))
+        rims = shapely.STRtree(sealed)
+        leaves = closed_doors(lines.walls)
+        leaves = [leaf for leaf in leaves if len(rims.query(leaf, predicate="dwithin", distance=SLIVER))]
+        doors += leaves
+        notes += [f"{count(len(leaves), 'door')} drawn closed between jambs"] if leaves else []
+    ways = list[shapely.Geometry]()
+    for door in doors:  # opens the wall; the jambs at its ends stay
+        start, end = shapely.get_coordinates(door)[[0, -1]]
+        # jamb [m] beside an opening; thickness [m] of a wall on either side of a door's line
+        margin = min(0.08 / shapely.length(door), 0.4) * (end - start)
+        between = shapely.LineString([start + margin, end - margin])
+        ways.append(shapely.buffer(between, 0.35, cap_style="flat"))
+    inside = shapely.difference(inside, shapely.union_all(ways))
     cells = _cells(_free_spaces(hollow, inside, doors, lines.stairs), doors, lines.stairs, notes)
     return _with_walls(outline, cells, doors, lines.stairs, inside), outside
 
 
 def areas_within(outline: shapely.Geometry, free: shapely.Geometry, notes: list[str]) -> tuple[Area, ...]:
     """Areas of a floor from its outline and its free space, polygons [m]; all else within the outline is solid."""
-    half = RULES.sliver / 2
+    half = SLIVER / 2
     wide = shapely.buffer(shapely.buffer(free, -half, join_style="mitre"), half, join_style="mitre")
-    spaces = shapely.get_parts(shapely.simplify(shapely.intersection(wide, free), RULES.half_wall))
+    spaces = shapely.get_parts(shapely.simplify(shapely.intersection(wide, free), HALF_WALL))
     cells = _cells(spaces, [], (), notes)
     border = shapely.union_all(shapely.get_rings([c.shape for c in cells])) if cells else shapely.LineString()
     return _with_walls(outline, cells, [], (), border) if cells else ()
@@ -97,10 +97,16 @@ def _with_walls(
     walls: shapely.Geometry,
 ) -> tuple[Area, ...]:
     """All areas of a floor: outline, cells, doors, stairs, solid parts, and walls as lines."""
-    solid = _solid(outline, [*(cell.shape for cell in cells), *stairs], doors)
+    openings = [shapely.buffer(door, SLIVER, cap_style="flat") for door in doors]
+    free = shapely.union_all([*(cell.shape for cell in cells), *stairs, *openings])
+    # what is no cell and no opening is solid, but for walls drawn as one line
+    thick = shapely.buffer(shapely.difference(outline, free), -2 * HALF_WALL, join_style="mitre")
+    solid = shapely.get_parts(shapely.buffer(thick, 2 * HALF_WALL, join_style="mitre"))
+    merged = shapely.get_parts(shapely.line_merge(walls))
+    merged = merged[(shapely.length(merged) > 2 * HALF_WALL) & (shapely.get_dimensions(merged) == 1)]
     areas = [Area(OUTLINE, "", outline), *cells, *(Area(DOOR, "", door) for door in doors)]
     areas += [Area("stairs", "", flight) for flight in stairs]
-    return (*areas, *(Area(WALL, "", part) for part in (*solid, *_wall_lines(walls))))
+    return (*areas, *(Area(WALL, "", part) for part in (*solid[shapely.area(solid) > HALF_WALL], *merged)))
 
 
 def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
@@ -109,17 +115,17 @@ def _outline(walls: shapely.Geometry, notes: list[str]) -> shapely.Geometry:
     if radius is None:
         return shapely.Polygon()
     closed = f"gaps of up to {2 * radius:g} m closed"
-    radius = max(radius, min(2 * radius, RULES.closing_radii[-1]))  # a disc of just that radius dents the gap
+    radius = max(radius, min(2 * radius, CLOSING_RADII[-1]))  # a disc of just that radius dents the gap
     wide = shapely.get_parts(shapely.union_all(shapely.buffer(shapely.get_parts(walls), radius, quad_segs=4)))
     filled = shapely.union_all(shapely.polygons(shapely.get_exterior_ring(wide)))
     narrowed = shapely.get_parts(shapely.buffer(filled, -radius, join_style="mitre"))
-    large = narrowed[shapely.area(narrowed) > RULES.room]
-    outline = shapely.simplify(shapely.union_all(large), RULES.half_wall)
+    large = narrowed[shapely.area(narrowed) > SMALLEST_ROOM]
+    outline = shapely.simplify(shapely.union_all(large), HALF_WALL)
     notes.append(f"the outline was derived from the lines, {closed}: {shapely.area(outline):.0f} m²")
     return outline
 
 
-PIXEL, MOST_CELLS = 0.05, 2000  # [m] of the raster, and its cells along the longer side of a large building
+PIXEL = 0.05  # [m] of the raster
 
 
 def closing_radius(points: Array) -> float | None:
@@ -129,23 +135,24 @@ def closing_radius(points: Array) -> float | None:
     large as with the largest radius.
     """
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    step = max(PIXEL, float(extent.max()) / MOST_CELLS)
-    around = int(np.ceil(2 * RULES.closing_radii[-1] / step))
+    step = max(PIXEL, float(extent.max()) / 2000)  # a large building has coarser cells
+    around = int(np.ceil(2 * CLOSING_RADII[-1] / step))
     cells = ((points - low) / step).astype(np.intp) + around
     free = np.ones((extent / step).astype(int) + 2 * around + 1, dtype=bool)
     free[tuple(cells.T)] = False
-    clearance = raster.distance(free) * step
+    clearance = np.asarray(ndimage.distance_transform_edt(free)) * step
 
     def enclosed(radius: float) -> float:
-        parts, _ = raster.parts(clearance > radius)
-        reached = raster.distance(parts != parts[0, 0]) * step
+        parts = np.asarray(ndimage.label(clearance > radius)[0])  # pyright: ignore[reportIndexIssue] no stubs
+        reached = np.asarray(ndimage.distance_transform_edt(parts != parts[0, 0])) * step
         return float(np.count_nonzero(reached > radius) * step**2)
 
-    largest = max(enclosed(radius) for radius in RULES.closing_radii[-2:])
-    if largest < RULES.least_area * extent[0] * extent[1]:
+    largest = max(enclosed(radius) for radius in CLOSING_RADII[-2:])
+    # a smaller outline encloses no building
+    if largest < 0.05 * extent[0] * extent[1]:
         return None
-    radii = [radius for radius in RULES.closing_radii if radius >= step]
-    return next((r for r in radii if enclosed(r) >= RULES.closed * largest), radii[-1])
+    radii = [radius for radius in CLOSING_RADII if radius >= step]
+    return next((r for r in radii if enclosed(r) >= 0.95 * largest), radii[-1])
 
 
 def _free_spaces(
@@ -155,20 +162,12 @@ def _free_spaces(
     stairs: tuple[shapely.Geometry, ...] = (),
 ) -> Geometries:
     """The connected parts of the free space, doors closed, without slivers and stairs."""
-    solid = shapely.buffer(walls, RULES.half_wall, cap_style="square", join_style="mitre")
-    shut = shapely.union_all([shapely.buffer(d, 2 * RULES.half_wall, cap_style="square") for d in doors])
+    solid = shapely.buffer(walls, HALF_WALL, cap_style="square", join_style="mitre")
+    shut = shapely.union_all([shapely.buffer(d, 2 * HALF_WALL, cap_style="square") for d in doors])
     free = shapely.difference(outline, shapely.union(solid, shut))
-    half = RULES.sliver / 2 - RULES.half_wall
+    half = SLIVER / 2 - HALF_WALL
     wide = shapely.buffer(shapely.buffer(free, -half, join_style="mitre"), half, join_style="mitre")
     return shapely.get_parts(shapely.difference(shapely.intersection(wide, free), shapely.union_all(stairs)))
-
-
-def _doorway(door: shapely.Geometry) -> shapely.Geometry:
-    """The part of a wall that a door's line opens; the jambs at its ends stay."""
-    start, end = shapely.get_coordinates(door)[[0, -1]]
-    margin = min(RULES.jamb / shapely.length(door), 0.4) * (end - start)
-    middle = shapely.LineString([start + margin, end - margin])
-    return shapely.buffer(middle, RULES.thickest_wall, cap_style="flat")
 
 
 def _cells(
@@ -179,52 +178,21 @@ def _cells(
     ways = np.zeros(len(spaces), dtype=int)
     for ends in (doors, stairs):
         if len(ends) and len(spaces):
-            which, _ = shapely.STRtree(spaces).query(ends, predicate="dwithin", distance=4 * RULES.half_wall)[::-1]
+            which, _ = shapely.STRtree(spaces).query(ends, predicate="dwithin", distance=4 * HALF_WALL)[::-1]
             np.add.at(ways, which, 1)
     area = shapely.area(spaces)
     main = int(np.argmax(area)) if len(area) else -1
-    narrow = shapely.is_empty(shapely.buffer(spaces, -RULES.strip / 2))
-    solid = (ways == 0) & ((area < RULES.room) | narrow)
+    narrow = shapely.is_empty(shapely.buffer(spaces, -STRIP / 2))
+    solid = (ways == 0) & ((area < SMALLEST_ROOM) | narrow)
     if solid.any():
         notes.append(
             f"{np.count_nonzero(solid)} enclosed spaces without a door were taken as solid: "
-            f"smaller than {RULES.room:g} m² or narrower than {RULES.strip:g} m"
+            f"smaller than {SMALLEST_ROOM:g} m² or narrower than {STRIP:g} m"
         )
-    corridor = (np.arange(len(spaces)) == main) | (ways >= RULES.corridor_doors)
+    corridor = (np.arange(len(spaces)) == main) | (ways >= 3)
     return [
         Area("corridor" if corridor[n] else "room", "", spaces[n]) for n in np.flatnonzero(~solid | corridor).tolist()
     ]
-
-
-def _doors_of_sealed(
-    outline: shapely.Geometry, walls: shapely.Geometry, lines: Lines, notes: list[str]
-) -> list[shapely.Geometry]:
-    """Doors drawn as a closed leaf between two jambs, in the border of spaces without another way in."""
-    doors = closed_doors(lines.walls)
-    spaces = _free_spaces(outline, walls, list(lines.doors), lines.stairs)
-    sealed = [s for s in spaces if shapely.area(s) > RULES.room]
-    if len(sealed) < 2 or not doors:
-        return []
-    sealed.remove(max(sealed, key=shapely.area))
-    rims = shapely.STRtree(sealed)
-    found = [door for door in doors if len(rims.query(door, predicate="dwithin", distance=RULES.sliver))]
-    if found:
-        notes.append(f"{count(len(found), 'door')} drawn closed between jambs")
-    return found
-
-
-def _solid(outline: shapely.Geometry, cells: list[shapely.Geometry], doors: list[shapely.Geometry]) -> Geometries:
-    """The solid parts of the building: what is no cell and no opening of a door, but for walls drawn as one line."""
-    free = shapely.union_all([*cells, *(shapely.buffer(d, RULES.sliver, cap_style="flat") for d in doors)])
-    thick = shapely.buffer(shapely.difference(outline, free), -2 * RULES.half_wall, join_style="mitre")
-    solid = shapely.get_parts(shapely.buffer(thick, 2 * RULES.half_wall, join_style="mitre"))
-    return solid[shapely.area(solid) > RULES.half_wall]
-
-
-def _wall_lines(walls: shapely.Geometry) -> Geometries:
-    """The walls drawn as lines, those around solid parts among them."""
-    merged = shapely.get_parts(shapely.line_merge(walls))
-    return merged[(shapely.length(merged) > 2 * RULES.half_wall) & (shapely.get_dimensions(merged) == 1)]
 
 
 NARROWEST_LEAF, WIDEST_LEAF = 0.55, 1.5  # [m] a leaf of a door: 0.6 to 1.2, and what was drawn inaccurately
@@ -236,15 +204,7 @@ JAMB = (0.04, 0.6)  # [m] thickness of a wall
 SQUARE = np.cos(np.radians(80.0))  # largest cosine between a leaf and its jambs
 
 
-@dataclass(frozen=True)
-class Arc(OneLineRepr):
-    """The swing of a door. centre: the hinge ``(2,)``; points: along the arc ``(n, 2)`` [m]."""
-
-    centre: Array
-    points: Array
-
-    def _summary(self) -> list[str]:
-        return [f"{np.hypot(*(self.points[0] - self.centre)):.2f} m about {self.centre.round(2).tolist()}"]
+Arc = tuple[Array, Array]  # the swing of a door: its hinge ``(2,)``, and points along the arc ``(n, 2)`` [m]
 
 
 def lines_of(segments: Array) -> NDArray[np.object_]:
@@ -262,11 +222,12 @@ def swing_doors(segments: Array, candidates: Mask) -> tuple[list[shapely.Geometr
     if not arcs:
         return [], drawing
     lines = lines_of(segments)
-    shapes = shapely.union_all([shapely.buffer(shapely.LineString(arc.points), TOUCHING / 4) for arc in arcs])
+    shapes = shapely.union_all([shapely.buffer(shapely.LineString(points), TOUCHING / 4) for _, points in arcs])
     drawing |= candidates & shapely.covers(shapes, lines)
     tree, doors = shapely.STRtree(lines), []
     for arc in arcs:
-        near = tree.query(shapely.LineString(arc.points), predicate="dwithin", distance=WIDEST_LEAF)
+        points = arc[1]
+        near = tree.query(shapely.LineString(points), predicate="dwithin", distance=WIDEST_LEAF)
         opening, leaf = _opening(arc, shapely.union_all(lines[near[~drawing[near]]]))
         doors.append(opening)
         along = near[shapely.covers(shapely.buffer(leaf, TOUCHING), lines[near])]
@@ -276,9 +237,10 @@ def swing_doors(segments: Array, candidates: Mask) -> tuple[list[shapely.Geometr
 
 def _opening(arc: Arc, walls: shapely.Geometry) -> tuple[shapely.Geometry, shapely.Geometry]:
     """The line across a door's opening, and that of its open leaf: a wall goes on only where the opening ends."""
-    sides = [shapely.LineString([arc.centre, end]) for end in arc.points[[0, -1]]]
+    centre, ends = arc[0], arc[1][[0, -1]]
+    sides = [shapely.LineString([centre, end]) for end in ends]
     costs = []
-    for side, end in zip(sides, arc.points[[0, -1]], strict=True):
+    for side, end in zip(sides, ends, strict=True):
         beyond = shapely.difference(walls, shapely.buffer(side, TOUCHING))
         covered = shapely.length(shapely.intersection(side, shapely.buffer(walls, TOUCHING / 2))) / shapely.length(side)
         gap = shapely.distance(beyond, shapely.Point(end)) if not shapely.is_empty(beyond) else WIDEST_LEAF
@@ -294,38 +256,33 @@ def _arcs(segments: Array) -> list[Arc]:
         return []
     lines = shapely.union_all(shapely.set_precision(shapely.linestrings(short), 0.002))
     chains = [shapely.get_coordinates(c) for c in shapely.get_parts(shapely.line_merge(lines))]
-    found = [_fitted(part) for chain in chains for part in _bending_alike(chain)]
-    return [arc for arc in found if arc is not None]
+    found = list[Arc]()
+    for chain in chains:
+        course = np.arctan2(*np.diff(chain, axis=0).T[::-1])
+        bend = wrap_angle(np.diff(course))
+        sign = np.where((np.abs(bend) > BENDS[0]) & (np.abs(bend) < BENDS[1]), np.sign(bend), 0.0)
+        cuts = np.flatnonzero((sign[1:] != sign[:-1]) | (sign[1:] == 0)) + 1
+        for part in np.split(np.arange(len(bend)), cuts):
+            if len(part) + 1 >= FEWEST_CHORDS and sign[part[0]]:
+                points = chain[part[0] : part[-1] + 3]
+                found += [] if (centre := _hinge(points)) is None else [(centre, points)]
+    return found
 
 
-def _bending_alike(chain: Array) -> list[Array]:
-    """The parts of a chain ``(n, 2)`` whose bends are small and of one sign."""
-    course = np.arctan2(*np.diff(chain, axis=0).T[::-1])
-    bend = wrap_angle(np.diff(course))
-    sign = np.where((np.abs(bend) > BENDS[0]) & (np.abs(bend) < BENDS[1]), np.sign(bend), 0.0)
-    cuts = np.flatnonzero((sign[1:] != sign[:-1]) | (sign[1:] == 0)) + 1
-    return [
-        chain[part[0] : part[-1] + 3]
-        for part in np.split(np.arange(len(bend)), cuts)
-        if len(part) + 1 >= FEWEST_CHORDS and sign[part[0]]
-    ]
-
-
-def _fitted(points: Array) -> Arc | None:
-    """The swing through points ``(n, 2)``; None if they are no arc of a door's size."""
+def _hinge(points: Array) -> Array | None:
+    """The centre ``(2,)`` of the swing through points ``(n, 2)``; None if they are no arc of a door's size."""
     middle = points.mean(axis=0)
     x, y = (points - middle).T
     design = np.stack([2 * x, 2 * y, np.ones(len(x))], axis=1)
     solution = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
     radius = float(np.sqrt(max(0.0, solution[2] + solution[0] ** 2 + solution[1] ** 2)))
-    if not NARROWEST_LEAF <= radius <= WIDEST_LEAF:
-        return None
     centre = middle + solution[:2]
     away = points - centre
     sweep = abs(float(wrap_angle(np.diff(np.arctan2(away[[0, -1], 1], away[[0, -1], 0])))[0]))
     # roundness: deviation from the circle as a share of the radius
-    round_ = np.abs(np.hypot(*away.T) - radius).max() < 0.04 * radius
-    return Arc(centre, points) if round_ and SWEEPS[0] <= sweep <= SWEEPS[1] else None
+    is_round = np.abs(np.hypot(*away.T) - radius).max() < 0.04 * radius
+    is_swing = NARROWEST_LEAF <= radius <= WIDEST_LEAF and SWEEPS[0] <= sweep <= SWEEPS[1]
+    return centre if is_round and is_swing else None
 
 
 def closed_doors(segments: Array) -> list[shapely.Geometry]:
@@ -344,11 +301,12 @@ def closed_doors(segments: Array) -> list[shapely.Geometry]:
     doors = []
     for n in leaves.tolist():
         leaf = segments[n]
-        ways = [
-            _ends_wall(segments, course, ends, jambs, tree, leaf[i], -course[n] if i == 0 else course[n])
-            for i in (0, 1)
-        ]
-        if all(ways) and not _is_backed(tree, leaf):
+        # a line behind the middle of a leaf: a niche, or a wall drawn as two lines
+        middle = shapely.LineString([0.6 * leaf[0] + 0.4 * leaf[1], 0.4 * leaf[0] + 0.6 * leaf[1]])
+        near = tree.geometries[tree.query(middle, predicate="dwithin", distance=NARROWEST_LEAF / 2)]
+        backed = (shapely.distance(near, middle) > TOUCHING).any()
+        outward = (leaf[0], -course[n]), (leaf[1], course[n])
+        if not backed and all(_ends_wall(segments, course, ends, jambs, tree, *each) for each in outward):
             doors.append(shapely.LineString(leaf))
     return doors
 
@@ -370,13 +328,6 @@ def _ends_wall(
     return False
 
 
-def _is_backed(tree: shapely.STRtree, leaf: Array) -> bool:
-    """True if a line lies behind the middle of a leaf ``(2, 2)``: a niche, or a wall drawn as two lines."""
-    middle = shapely.LineString([0.6 * leaf[0] + 0.4 * leaf[1], 0.4 * leaf[0] + 0.6 * leaf[1]])
-    near = tree.geometries[tree.query(middle, predicate="dwithin", distance=NARROWEST_LEAF / 2)]
-    return bool((shapely.distance(near, middle) > TOUCHING).any())
-
-
 def symbol_doors(symbols: Array, walls: Array) -> list[shapely.Geometry]:
     """The lines across the openings of doors on a layer of doors: one for each connected symbol.
 
@@ -392,22 +343,14 @@ def symbol_doors(symbols: Array, walls: Array) -> list[shapely.Geometry]:
         if arcs:
             near = shapely.intersection(all_walls, shapely.buffer(part, WIDEST_LEAF))
             doors += [_opening(arc, near)[0] for arc in arcs]
-        else:
-            doors += _straight_symbol(part, all_walls)
+            continue
+        # the side or the middle line of the symbol's rectangle whose ends lie nearest to walls
+        corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(part))
+        if len(corners) == 5:
+            middles = (corners[:-1] + corners[1:]) / 2
+            pairs = [middles[[0, 2]], middles[[1, 3]], *(corners[n : n + 2] for n in range(4))]
+            # widest opening [m]: a door of two leaves
+            pairs = [pair for pair in pairs if NARROWEST_LEAF <= np.hypot(*(pair[1] - pair[0])) <= 3.0]
+            apart = [shapely.distance(all_walls, shapely.points(pair)).sum() for pair in pairs]
+            doors += [shapely.LineString(pairs[int(np.argmin(apart))])] if pairs else []
     return doors
-
-
-def _straight_symbol(part: shapely.Geometry, walls: shapely.Geometry) -> list[shapely.Geometry]:
-    """The side or the middle line of a symbol's rectangle whose ends lie nearest to walls; none if that is no door."""
-    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(part))
-    if len(corners) < 5:
-        return []
-    middles = (corners[:-1] + corners[1:]) / 2
-    lines = [shapely.LineString(pair) for pair in (middles[[0, 2]], middles[[1, 3]])]
-    lines += [shapely.LineString(corners[n : n + 2]) for n in range(4)]
-    # widest opening [m]: a door of two leaves
-    lines = [line for line in lines if NARROWEST_LEAF <= shapely.length(line) <= 3.0]
-    if not lines:
-        return []
-    ends = [shapely.points(shapely.get_coordinates(line)) for line in lines]
-    return [lines[int(np.argmin([shapely.distance(walls, pair).sum() for pair in ends]))]]

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,16 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, CONNECTING, DOOR, OPEN, OUTLINE, SOLID, WALL, Area
-from pdr_graph.floor.formats.doorless import open_doorless_rooms
-from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
+from pdr_graph.floor.formats.drawing import STOREY, Drawing, check_file_size, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
-from pdr_graph.floor.plan_limits import check_file_size
+from pdr_graph.io.source import parsed_xml
+from pdr_graph.io.validation import float_of
 from pdr_graph.priors import PLANS
+from pdr_graph.types import Array
 
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
 MOST_LEVEL_AREAS = 100_000  # features times the levels on which each is
-STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
 LEVEL_NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
@@ -56,43 +57,39 @@ def read(path: Path, features: Sequence[Feature], notes: list[str]) -> Drawing:
     check_degrees(path, [(n, shape, tags) for n, (shape, tags, _) in enumerate(indoor)])
     frame = frame_about(shape for shape, _, _ in indoor)
     shapes = [shapely.transform(shape, frame.from_lonlat) for shape, _, _ in indoor]
-    missing = _non_existent(tags for _, tags in tagged)
+    missing = set[float]()  # levels that buildings leave out in their count, as hotels leave out 13
+    for _, tags in tagged:
+        with suppress(ValueError):
+            missing.update(levels_of(tags.get("non_existent_levels")))
     areas = _areas(path, indoor, shapes, missing, notes)
     levels = sorted({float(label) for area in areas if area.kind in (*OPEN, *CLOSED, OUTLINE) for label in area.floors})
     floors = {_label(level): _floor(areas, _label(level), notes) for level in levels}
-    heights = {_label(level): STOREY * _storeys(level, levels[0], missing) for level in levels}
+    below = {level: sum(levels[0] < other < level for other in missing) for level in levels}
+    heights = {_label(level): STOREY * (level - levels[0] - below[level]) for level in levels}
     return Drawing(floors, frame, tuple(notes), heights=heights)
 
 
 def _kind(shape: shapely.Geometry, tags: dict[str, Any]) -> str:
     """The kind of an element by its tags; empty if it is not part of the plan."""
-    dimensions, indoor = int(shapely.get_dimensions(shape)), str(tags.get("indoor", ""))
+    dimensions, indoor, highway = int(shapely.get_dimensions(shape)), str(tags.get("indoor", "")), tags.get("highway")
     is_door = tags.get("door") is not None or tags.get("entrance") is not None
     if dimensions == 0:
-        return DOOR if is_door else "lift" if tags.get("highway") == "elevator" else ""
-    if tags.get("highway") == "steps" and ("level" in tags or indoor):
+        return DOOR if is_door else "lift" if highway == "elevator" else ""
+    if highway == "steps" and ("level" in tags or indoor):
         return "stairs"
-    if dimensions == 2 and _is_stairs(tags, indoor):
-        return "stairs"
-    if dimensions == 2 and _is_lift(tags, indoor):
+    if dimensions == 2 and indoor:
+        if tags.get("stairs") == "yes" or "conveying" in tags or "stairs" in (tags.get("room"), tags.get("area")):
+            return "stairs"
+        if tags.get("elevator") == "yes" or tags.get("room") == "elevator":
+            return "lift"
+    if dimensions == 2 and highway == "elevator" and ("level" in tags or indoor):
         return "lift"
     if dimensions == 1 and is_door and indoor in ("", "door"):
         return DOOR if "level" in tags else ""
     return KIND_OF_INDOOR.get(indoor, "")
 
 
-def _is_stairs(tags: dict[str, Any], indoor: str) -> bool:
-    stairs = (tags.get("room"), tags.get("area")) if indoor else ()
-    return bool(indoor) and (tags.get("stairs") == "yes" or "conveying" in tags or "stairs" in stairs)
-
-
-def _is_lift(tags: dict[str, Any], indoor: str) -> bool:
-    if tags.get("highway") == "elevator":
-        return bool(indoor) or "level" in tags
-    return bool(indoor) and (tags.get("elevator") == "yes" or tags.get("room") == "elevator")
-
-
-def levels_of(text: Any, missing: Iterable[float] = ()) -> tuple[float, ...]:
+def levels_of(text: Any, missing: Collection[float] = ()) -> tuple[float, ...]:
     """The levels in a value of ``level`` or ``repeat_on``: ``0``, ``-1;0``, ``0-3``, ``-2--1``, ``0.5``.
 
     missing: levels that do not exist, left out of ranges. Raises ValueError for other texts.
@@ -116,28 +113,11 @@ def _label(level: float) -> str:
     return f"{level:g}"
 
 
-def _non_existent(tags: Iterable[dict[str, Any]]) -> tuple[float, ...]:
-    """The levels that buildings leave out in their count, as hotels leave out 13."""
-    found = list[float]()
-    for each in tags:
-        if "non_existent_levels" in each:
-            try:
-                found += levels_of(each["non_existent_levels"])
-            except ValueError:
-                continue
-    return tuple(found)
-
-
-def _storeys(level: float, lowest: float, missing: Iterable[float]) -> float:
-    """Storeys between the lowest level and a level, without those that do not exist."""
-    return level - lowest - sum(lowest < other < level for other in set(missing))
-
-
 def _areas(
     path: Path,
     indoor: Sequence[tuple[shapely.Geometry, dict[str, Any], str]],
     shapes: Sequence[shapely.Geometry],
-    missing: tuple[float, ...],
+    missing: Collection[float],
     notes: list[str],
 ) -> list[Area]:
     """The areas of all floors with the labels of their levels; doors and walls are lines or polygons."""
@@ -150,12 +130,14 @@ def _areas(
             continue
         if not levels and shapely.get_dimensions(shape) > 0:
             levels, without = (0.0,), without + 1
-        closed = _closed(shape) if kind in (*OPEN, *CLOSED, OUTLINE) and kind not in CONNECTING else shape
-        if kind in (*OPEN, *CLOSED) and kind not in CONNECTING and shapely.get_dimensions(closed) < 2:
-            flat += 1
-            continue
+        if kind in (*OPEN, *CLOSED, OUTLINE) and kind not in CONNECTING:
+            if shapely.get_dimensions(shape) == 1 and shapely.get_num_coordinates(shape) > 2:  # a way left open
+                shape = repaired(shapely.Polygon(shapely.get_coordinates(shape)))
+            if kind != OUTLINE and shapely.get_dimensions(shape) < 2:
+                flat += 1
+                continue
         name = str(tags.get("name") or tags.get("ref") or "")
-        areas.append(Area(kind, name, closed, dict(tags), tuple(map(_label, levels))))
+        areas.append(Area(kind, name, shape, dict(tags), tuple(map(_label, levels))))
     if flat:
         notes.append(f"{count(flat, 'room')} without an area left out")
     if without:
@@ -166,19 +148,12 @@ def _areas(
     return [*_connections([area for area in areas if area.kind in CONNECTING], areas), *_rest(areas)]
 
 
-def _levels(tags: dict[str, Any], kind: str, missing: tuple[float, ...]) -> tuple[float, ...]:
+def _levels(tags: dict[str, Any], kind: str, missing: Collection[float]) -> tuple[float, ...]:
     """The levels of a feature, none if they are not stated."""
     texts = [tags[key] for key in ("level", "repeat_on") if tags.get(key) not in (None, "")]
     if not texts and kind == OUTLINE and "min_level" in tags and "max_level" in tags:
         texts = [f"{tags['min_level']}-{tags['max_level']}"]
     return tuple(dict.fromkeys(level for text in texts for level in levels_of(text, missing)))
-
-
-def _closed(shape: shapely.Geometry) -> shapely.Geometry:
-    """The polygon of a room whose way was left open."""
-    if shapely.get_dimensions(shape) != 1 or shapely.get_num_coordinates(shape) < 3:
-        return shape
-    return repaired(shapely.Polygon(shapely.get_coordinates(shape)))
 
 
 def _rest(areas: Iterable[Area]) -> list[Area]:
@@ -206,35 +181,27 @@ def _connections(drawn: Sequence[Area], areas: Sequence[Area]) -> list[Area]:
         middle = shapely.centroid(area.shape)
         if isinstance(area.shape, shapely.LineString):
             middle = area.shape.interpolate(0.5, normalized=True)
-        around = next((n for n, other in enumerate(polygons) if _is_around(other, area, middle)), None)
-        if around is not None:
-            other = polygons[around]
-            polygons[around] = replace(other, floors=tuple(dict.fromkeys((*other.floors, *area.floors))))
-            continue
-        cabin = next((a for a in areas if area.kind == "lift" and _is_cabin(a, area)), None)
-        polygons.append(replace(area, shape=cabin.shape if cabin else _footprint(area)))
+        floors = set(area.floors)
+        for n, other in enumerate(polygons):
+            same = other.kind == area.kind and floors & set(other.floors)
+            if same and shapely.dwithin(other.shape, middle, PLANS.crack):
+                polygons[n] = replace(other, floors=tuple(dict.fromkeys((*other.floors, *area.floors))))
+                break
+        else:
+            polygons.append(replace(area, shape=_footprint(area, areas)))
     return polygons
 
 
-def _is_around(polygon: Area, area: Area, middle: shapely.Geometry) -> bool:
-    """True if a polygon has the middle of stairs or of a lift of its kind inside it, on a common level."""
-    same = polygon.kind == area.kind and bool(set(polygon.floors) & set(area.floors))
-    return same and bool(shapely.dwithin(polygon.shape, middle, PLANS.crack))
-
-
-def _is_cabin(room: Area, lift: Area) -> bool:
-    """True if the point of a lift lies in a room as small as a lift."""
-    # largest lift [m²]: a larger room around a lift's point is not its cabin
-    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < 15.0)
-    on_one_floor = bool(set(room.floors) & set(lift.floors))
-    return is_small and on_one_floor and bool(shapely.intersects(room.shape, lift.shape))
-
-
-def _footprint(area: Area) -> shapely.Geometry:
-    """The polygon of stairs drawn as a line, with their width, or of a lift drawn as a point."""
-    if area.kind == "lift":
-        return shapely.buffer(area.shape, LIFT_WIDTH / 2, cap_style="square")
-    return shapely.buffer(area.shape, _width(area.properties, STAIRS_WIDTH) / 2, cap_style="flat")
+def _footprint(area: Area, areas: Sequence[Area]) -> shapely.Geometry:
+    """The polygon of stairs drawn as a line, or of a lift drawn as a point: the room as small as a lift around it."""
+    if area.kind != "lift":
+        return shapely.buffer(area.shape, _width(area.properties, 1.5) / 2, cap_style="flat")
+    for room in areas:
+        # largest lift [m²]: a larger room around a lift's point is not its cabin
+        small = room.kind == "room" and room.is_polygon and shapely.area(room.shape) < 15.0
+        if small and set(room.floors) & set(area.floors) and shapely.intersects(room.shape, area.shape):
+            return room.shape
+    return shapely.buffer(area.shape, 1.6 / 2, cap_style="square")
 
 
 def _width(tags: dict[str, Any], default: float) -> float:
@@ -286,13 +253,31 @@ def is_osm_xml(path: Path) -> bool:
 
 def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Feature]:
     """All tagged elements with longitude and latitude. Raises InputError for broken or hostile XML."""
-    root = _parse(path)
-    nodes = _nodes(path, root)
-    ways = {way.get("id", ""): _line(way, nodes) for way in root.iterchildren("way") if _exists(way)}
-    found, broken = list[tuple[shapely.Geometry, dict[str, str]]](), 0
+    # largest file [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
+    check_file_size(path, 60_000_000, "cut out the building")
+    root = parsed_xml(str(path), path.read_bytes(), "a whole .osm file")
+    if root.tag != "osm":
+        raise InputError(path, "", f"an element {str(root.tag)[:40]!r}", "OSM XML, whose first element is osm")
+    for element in list(root):  # those that an editor has deleted
+        if element.get("action") == "delete" or element.get("visible") == "false":
+            root.remove(element)
+    nodes = dict[str, Array]()
+    for node in root.iterchildren("node"):
+        if node.get("lat") is not None:
+            place = np.array([float_of(node.get("lon")), float_of(node.get("lat"))])
+            if not (np.abs(place) <= (180, 90)).all():
+                found = f"lat {node.get('lat', '')[:20]!r}, lon {str(node.get('lon'))[:20]!r}"
+                raise InputError(path, f"line {node.sourceline}", found, "lat and lon in degrees")
+            nodes[node.get("id", "")] = place
+    corners = {
+        way.get("id", ""): [nodes[ref] for nd in way.iterchildren("nd") if (ref := nd.get("ref", "")) in nodes]
+        for way in root.iterchildren("way")
+    }
+    ways = {identifier: shapely.LineString(line) for identifier, line in corners.items() if len(line) > 1}
+    features, broken = list[Feature](), 0
     for element in root.iterchildren("node", "way", "relation"):
         tags = {tag.get("k", ""): tag.get("v", "") for tag in element.iterchildren("tag")}
-        if not tags or not _exists(element):
+        if not tags:
             continue
         shape = _shape(element, tags, nodes, ways)
         if shape is None or shapely.is_empty(shape):
@@ -301,93 +286,29 @@ def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Featu
         if not shapely.is_valid(shape):
             repairs.append(f"{element.tag} {element.get('id')}: its outline crosses itself, and was repaired")
             shape = repaired(shape)
-        found.append((shape, tags))
+        features.append((len(features), shape, dict(tags)))
     if broken:
         notes.append(f"{broken} ways or relations whose nodes or ways are not in the file were left out")
-    return [(n, shape, dict(tags)) for n, (shape, tags) in enumerate(found)]
-
-
-def _parse(path: Path) -> etree._Element:
-    """The root element. Raises InputError for other files."""
-    # largest file [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
-    check_file_size(path, 60_000_000, "cut out the building")
-    try:
-        data = path.read_bytes()
-        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
-        if b"<!DOCTYPE" in data.replace(b"\0", b"") or b"<!ENTITY" in data.replace(b"\0", b""):
-            raise InputError(path, "", "a document type definition", "plain OSM XML, which has none")
-        root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, OSError) as error:
-        raise InputError(path, "", f"broken XML ({str(error)[:120]})", "a whole .osm file") from None
-    if root.tag != "osm":
-        raise InputError(path, "", f"an element {str(root.tag)[:40]!r}", "OSM XML, whose first element is osm")
-    return root
-
-
-def _exists(element: etree._Element) -> bool:
-    """False for elements that an editor has deleted."""
-    return element.get("action") != "delete" and element.get("visible") != "false"
-
-
-def _nodes(path: Path, root: etree._Element) -> dict[str, tuple[float, float]]:
-    """Longitude and latitude [deg] of each node that has them."""
-    nodes = dict[str, tuple[float, float]]()
-    for node in root.iterchildren("node"):
-        if _exists(node) and node.get("lat") is not None:
-            try:
-                lon, lat = float(node.get("lon", "")), float(node.get("lat", ""))
-            except ValueError:
-                lon = lat = np.nan
-            if not (abs(lon) <= 180 and abs(lat) <= 90):
-                found = f"lat {node.get('lat', '')[:20]!r}, lon {str(node.get('lon'))[:20]!r}"
-                raise InputError(path, f"line {node.sourceline}", found, "lat and lon in degrees")
-            nodes[node.get("id", "")] = lon, lat
-    return nodes
-
-
-def _line(way: etree._Element, nodes: dict[str, tuple[float, float]]) -> shapely.Geometry | None:
-    """The line of a way through its nodes; None if the file has fewer than two of them."""
-    corners = [nodes[ref] for nd in way.iterchildren("nd") if (ref := nd.get("ref", "")) in nodes]
-    return shapely.LineString(corners) if len(corners) > 1 else None
+    return features
 
 
 def _shape(
     element: etree._Element,
     tags: dict[str, str],
-    nodes: dict[str, tuple[float, float]],
-    ways: dict[str, shapely.Geometry | None],
+    nodes: dict[str, Array],
+    ways: dict[str, shapely.LineString],
 ) -> shapely.Geometry | None:
     """The point, line or polygon of an element."""
     identifier = element.get("id", "")
     if element.tag == "node":
         return shapely.Point(nodes[identifier]) if identifier in nodes else None
     if element.tag == "relation":
-        return _multipolygon(element, ways) if tags.get("type") == "multipolygon" else None
+        members = [each.get("ref", "") for each in element.iterchildren("member") if each.get("type") == "way"]
+        rings = shapely.build_area(shapely.union_all([ways.get(member) for member in members]))
+        return rings if tags.get("type") == "multipolygon" else None
     line = ways.get(identifier)
     if line is None:
         return None
     is_ring = shapely.is_closed(line) and shapely.get_num_coordinates(line) > 3
     area = tags.get("highway") == "elevator" or any(key in tags for key in AREAS)
     return shapely.Polygon(shapely.get_coordinates(line)) if is_ring and area and tags.get("area") != "no" else line
-
-
-def _multipolygon(relation: etree._Element, ways: dict[str, shapely.Geometry | None]) -> shapely.Geometry | None:
-    """The outer rings of a relation without its inner rings."""
-    outer, inner = list[shapely.Geometry](), list[shapely.Geometry]()
-    for member in relation.iterchildren("member"):
-        line = ways.get(member.get("ref", "")) if member.get("type") == "way" else None
-        if line is not None:
-            (inner if member.get("role") == "inner" else outer).append(line)
-    return shapely.difference(_filled(outer), _filled(inner))
-
-
-def _filled(lines: Iterable[shapely.Geometry]) -> shapely.Geometry:
-    """The union of the polygons that lines enclose."""
-    return shapely.union_all(list(_rings(shapely.line_merge(shapely.union_all(list(lines))))))
-
-
-def _rings(lines: shapely.Geometry) -> Iterator[shapely.Geometry]:
-    """The polygons of closed lines."""
-    for line in shapely.get_parts(lines):
-        if shapely.is_closed(line) and shapely.get_num_coordinates(line) > 3:
-            yield repaired(shapely.Polygon(line))

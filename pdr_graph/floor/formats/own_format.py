@@ -49,18 +49,12 @@ def _georeferenced(path: Path, about: dict[str, Any], features: list[Feature]) -
     if "origin" not in about:
         return frame_about(shape for _, shape, _ in features)
     origin = about["origin"]
-    if not _is_place(origin):
+    numbers = isinstance(origin, list) and len(origin) == 2 and all(type(v) in (int, float) for v in origin)
+    if not numbers or not (np.abs(origin) <= (180, 90)).all():
         raise InputError(path, "pdr_graph.origin", repr(origin)[:40], "[longitude, latitude] in degrees")
     return enu(origin[1], origin[0])
 
 
-def _is_place(value: object) -> bool:
-    """True for [longitude, latitude]."""
-    numbers = isinstance(value, list) and len(value) == 2 and all(type(v) in (int, float) for v in value)
-    return numbers and abs(value[0]) <= 180 and abs(value[1]) <= 90  # type: ignore[index]
-
-
-LONLAT_DIGITS, METRE_DIGITS = 8, 3  # digits of coordinates: 1 mm
 WRITTEN_ANEW = ("kind", "name", "floor", "level", "Type")  # properties that are not copied
 
 
@@ -86,20 +80,18 @@ def write(path: Path, drawing: Drawing) -> None:
 
 def _feature(area: Area, floors: list[str], frame: Frame) -> dict[str, Any]:
     """An area as a GeoJSON feature. floors: its labels, none for a plan of one floor."""
-    properties: dict[str, Any] = {name: value for name, value in area.properties.items() if _is_copied(name, value)}
+    properties: dict[str, Any] = {
+        name: value
+        for name, value in area.properties.items()
+        if name not in WRITTEN_ANEW
+        and (isinstance(value, str) or (isinstance(value, int | float) and abs(value) < np.inf))
+    }
     properties |= {"kind": area.kind, "name": area.name}
     if floors:
         properties["floor"] = floors[0] if len(floors) == 1 else floors
     placed = shapely.transform(area.shape, frame.to_lonlat) if frame.georeferenced else area.shape
-    digits = LONLAT_DIGITS if frame.georeferenced else METRE_DIGITS
+    digits = 8 if frame.georeferenced else 3  # of a coordinate: 1 mm
     shape = shapely.transform(placed, lambda position: np.round(position, digits))
     if not shapely.is_valid(shape):  # rounded corners may make an outline cross itself
         shape = placed
     return {"type": "Feature", "properties": properties, "geometry": json.loads(shapely.to_geojson(shape))}
-
-
-def _is_copied(name: str, value: object) -> bool:
-    """True for properties that are texts or finite numbers and are not written anew."""
-    return name not in WRITTEN_ANEW and (
-        isinstance(value, str) or (isinstance(value, int | float) and abs(value) < np.inf)
-    )

@@ -14,16 +14,15 @@ import numpy as np
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNCLEAR, drawing_of_lines
-from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.floor.formats.floor_picture import drawing_of_picture
-from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
 LARGEST_CONTENT = 30_000_000  # [bytes] a plan of 200 000 segments has some 5 MB
-PIECE, MOST_UNPACKED = 10_000, 1_000_000  # [bytes] of a stream that are unpacked at a time, and of what comes out
 STREAM = re.compile(rb"\bstream\r?\n")
 LARGEST_PAGE = 15_000  # [point] 5 m of paper
-CURVE_STEPS = np.linspace(0, 1, 9)[1:]  # of a Bézier curve: a quarter of a circle in eight chords
+# Weights of the four points of a cubic Bézier curve: a quarter of a circle in eight chords
+BEZIER = np.array([[(1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3] for t in np.linspace(0, 1, 9)[1:]])
 
 
 def recognizes(path: Path, head: bytes) -> bool:
@@ -57,23 +56,18 @@ def _check_unpacked(path: Path) -> None:
     for stream in STREAM.finditer(content):
         if b"/Image" in content[max(0, stream.start() - 300) : stream.start()]:
             continue
-        size += _unpacked_size(content, stream.end(), LARGEST_CONTENT - size)
+        unpacking = zlib.decompressobj()
+        with suppress(zlib.error):  # damage
+            # in pieces: zlib copies what lies behind a stream's end
+            for start in range(stream.end(), len(content), 10_000):
+                packed = content[start : start + 10_000]
+                while packed and size <= LARGEST_CONTENT:
+                    size += len(unpacking.decompress(packed, 1_000_000))
+                    packed = unpacking.unconsumed_tail
+                if unpacking.eof or size > LARGEST_CONTENT:
+                    break
         if size > LARGEST_CONTENT:
             raise InputError(path, "", f"a page of more than {LARGEST_CONTENT} bytes unpacked", "the plan of one floor")
-
-
-def _unpacked_size(content: bytes, begin: int, most: int) -> int:
-    """The size of a stream that begins there, up to its end, to damage, or to more than `most` [bytes]."""
-    unpacking, size = zlib.decompressobj(), 0
-    with suppress(zlib.error):
-        for start in range(begin, len(content), PIECE):  # in pieces: zlib copies what lies behind a stream's end
-            packed = content[start : start + PIECE]
-            while packed and size <= most:
-                size += len(unpacking.decompress(packed, MOST_UNPACKED))
-                packed = unpacking.unconsumed_tail
-            if unpacking.eof or size > most:
-                break
-    return size
 
 
 def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
@@ -133,16 +127,11 @@ def _subpaths(item: Any) -> Iterator[Array]:
         elif kind == raw.FPDF_SEGMENT_BEZIERTO and points:
             control.append(point)
             if len(control) == 3:
-                points, control = points + list(_bezier(points[-1], *control)), []
+                ends = np.array([points[-1], *control])
+                points, control = points + list(BEZIER @ ends), []
         elif points:
             points.append(point)
         if raw.FPDFPathSegment_GetClose(part) and len(points) > 1:
             points.append(points[0])
     if len(points) > 1:
         yield np.array(points)
-
-
-def _bezier(start: Array, first: Array, second: Array, end: Array) -> Array:
-    """Points ``(n, 2)`` along a cubic Bézier curve after its start."""
-    t = CURVE_STEPS[:, None]
-    return (1 - t) ** 3 * start + 3 * (1 - t) ** 2 * t * first + 3 * (1 - t) * t**2 * second + t**3 * end

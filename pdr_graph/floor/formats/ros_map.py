@@ -8,19 +8,17 @@ from typing import Any
 
 import numpy as np
 import shapely
+from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats import raster
 from pdr_graph.floor.formats.drafting import metres_per_unit
-from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.floor.formats.floor_picture import Picture, opened, outlines
 from pdr_graph.floor.formats.line_drawing import areas_within
-from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
 PICTURE_FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
-OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # default thresholds of map_server
 LARGEST_NUMBER = 1e7  # in the file: metres of an origin far away
 MAP_MODES = ("trinary", "scale", "raw")
 
@@ -33,7 +31,15 @@ def recognizes(path: Path, head: bytes) -> bool:
 
 def picture_of(path: Path) -> Path:
     """The picture that a map's YAML file names. Raises InputError if it is not beside it or below."""
-    return _picture_of(path, _settings(path))
+    name, folder = _settings(path).get("image"), path.parent.resolve()
+    if not isinstance(name, str) or not name:
+        raise InputError(path, "image", f"{name!r}"[:60], "the name of a picture")
+    picture = (folder / name).resolve()
+    if not picture.is_relative_to(folder):
+        raise InputError(path, "image", name[:60], "a picture in the folder of the map")
+    if not picture.is_file():
+        raise InputError(path, "image", f"no file {name[:60]}", "a picture beside the map")
+    return picture
 
 
 def read(path: Path, scale: float | None) -> Drawing:
@@ -42,21 +48,28 @@ def read(path: Path, scale: float | None) -> Drawing:
     resolution = _number(path, settings, "resolution")
     if scale is not None:
         raise InputError("--scale", "", f"{scale:g}", f"none: {path.name} states {resolution:g} m per pixel")
-    picture, factor = opened(_picture_of(path, settings), PICTURE_FORMATS)
+    picture, factor = opened(picture_of(path), PICTURE_FORMATS)
     rows, columns = np.array(picture.shape) * factor
     metres_per_unit(path, np.array([[0, 0], [columns, rows]]), resolution, "a picture")
     notes = [f"an occupancy map of {resolution:g} m per pixel"]
     free, unknown = _cells_of(path, settings, picture, notes)
     to_metres = _affine(path, settings, resolution * factor, len(picture))
     with required_library(path, "a ROS map", "scikit-image"):
-        outline = _largest(outlines(~unknown))
-        walkable = shapely.intersection(outlines(_without_specks(free, (resolution * factor) ** 2)), outline)
+        rings = shapely.get_exterior_ring(shapely.get_parts(outlines(~unknown)))
+        parts = np.asarray(shapely.polygons(rings), dtype=object)
+        large = shapely.area(parts) > shapely.area(parts).max(initial=0) / 10
+        outline = shapely.union_all(parts[large]) if len(parts) else shapely.Polygon()
+        spots: Any = ndimage.label(~free)[0]  # pyright: ignore[reportIndexIssue] no stubs
+        # speck [m²]: smaller occupied or unknown spots in free space are noise of the scanner
+        small = np.bincount(spots.ravel()) * (resolution * factor) ** 2 < 0.05
+        small[0] = False
+        walkable = shapely.intersection(outlines(free | small[spots]), outline)
     outline, walkable = (
         shapely.transform(s, lambda p: p @ to_metres[:, :2].T + to_metres[:, 2]) for s in (outline, walkable)
     )
     areas = areas_within(outline, walkable, notes)
     if not areas:
-        raise InputError(path, "", "no free pixels", f"free space, lighter than free_thresh {FREE_BELOW}")
+        raise InputError(path, "", "no free pixels", "free space, lighter than free_thresh")
     return Drawing({"": areas}, Frame(), tuple(notes))
 
 
@@ -74,18 +87,6 @@ def _settings(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise InputError(path, "", f"a {type(values).__name__}", "image, resolution and origin")
     return values
-
-
-def _picture_of(path: Path, settings: dict[str, Any]) -> Path:
-    name = settings.get("image")
-    if not isinstance(name, str) or not name:
-        raise InputError(path, "image", f"{name!r}"[:60], "the name of a picture")
-    picture, folder = (path.parent / name).resolve(), path.parent.resolve()
-    if not picture.is_relative_to(folder):
-        raise InputError(path, "image", name[:60], "a picture in the folder of the map")
-    if not picture.is_file():
-        raise InputError(path, "image", f"no file {name[:60]}", "a picture beside the map")
-    return picture
 
 
 def _number(path: Path, settings: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -106,30 +107,14 @@ def _cells_of(path: Path, settings: dict[str, Any], picture: Picture, notes: lis
         negate = _number(path, settings, "negate", 0) != 0
         occupancy = (picture if negate else 255 - picture.astype(int)) / 255.0
         known = np.ones(picture.shape, dtype=bool)
-    free = known & (occupancy < _number(path, settings, "free_thresh", FREE_BELOW))
-    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", OCCUPIED_ABOVE))
+    # the default thresholds of map_server
+    free = known & (occupancy < _number(path, settings, "free_thresh", 0.196))
+    occupied = known & (occupancy > _number(path, settings, "occupied_thresh", 0.65))
     unknown = ~free & ~occupied
     notes.append(
         f"{np.mean(free):.0%} of the pixels free, {np.mean(occupied):.0%} occupied, {np.mean(unknown):.0%} unknown"
     )
     return free, unknown
-
-
-def _without_specks(free: Mask, pixel: float) -> Mask:
-    """Free pixels with small other spots among them filled. pixel: its area [m²]."""
-    spots, number = raster.parts(~free)
-    # speck [m²]: smaller occupied or unknown spots in free space are noise of the scanner
-    small = raster.sizes(spots, number) * pixel < 0.05
-    small[0] = False
-    return free | small[spots]
-
-
-def _largest(polygons: shapely.Geometry) -> shapely.Geometry:
-    """The parts of a (multi)polygon at least a tenth as large as the largest, without holes."""
-    rings = shapely.get_exterior_ring(shapely.get_parts(polygons))
-    parts = np.asarray(shapely.polygons(rings), dtype=object)
-    area = shapely.area(parts)
-    return shapely.union_all(parts[area > area.max(initial=0) / 10]) if len(parts) else shapely.Polygon()
 
 
 def _affine(path: Path, settings: dict[str, Any], metres: float, rows: int) -> Array:

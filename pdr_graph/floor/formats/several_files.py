@@ -107,8 +107,19 @@ def read(folder: Path, read_file: Reader) -> Drawing:
     frame, floors = drawings[0].frame, dict[str, tuple[Area, ...]]()
     for file, drawing in zip(files, drawings, strict=True):
         floors |= {label: _in_frame(file, areas, drawing.frame, frame) for label, areas in drawing.floors.items()}
-    _check_distances(folder, files, drawings, floors)
-    heights = _heights(folder, drawings)
+    boxes = {label: shapely.total_bounds([area.shape for area in areas]) for label, areas in floors.items()}
+    low, high = next(iter(boxes.values())).reshape(2, 2)
+    for file, label in (
+        (file, label) for file, drawing in zip(files, drawings, strict=True) for label in drawing.floors
+    ):
+        south_west, north_east = boxes[label].reshape(2, 2)
+        apart = float(np.hypot(*np.maximum(np.maximum(south_west - high, low - north_east), 0.0)))
+        if not apart <= 200.0:  # farthest [m] between floors of one building
+            found = f"{file.name} {apart:.0f} m beside {files[0].name}"
+            raise InputError(folder, "", found, "the floors of one building, in one frame with common axes")
+    heights = {label: drawing.heights.get(label, 0.0) for drawing in drawings for label in drawing.floors}
+    # a storey each by their labels, unless the plans state different heights
+    heights = floor_heights(folder, heights, heights if len(set(heights.values())) == len(heights) else None)
     notes = _lines(files, [drawing.notes for drawing in drawings])
     repairs = _lines(files, [drawing.repairs for drawing in drawings])
     floors = {label: floors[label] for label in heights}
@@ -120,23 +131,16 @@ def _lines(files: Sequence[Path], of_files: Sequence[Sequence[str]]) -> tuple[st
     return tuple(f"{file.name}: {line}" for file, lines in zip(files, of_files, strict=True) for line in lines)
 
 
-def _heights(folder: Path, drawings: Sequence[Drawing]) -> dict[str, float]:
-    """The heights of all floors [m]: those of the plans if no two are equal, else a storey each by their labels."""
-    stated = {label: drawing.heights.get(label, 0.0) for drawing in drawings for label in drawing.floors}
-    return floor_heights(folder, stated, stated if len(set(stated.values())) == len(stated) else None)
-
-
 def _labelled(drawing: Drawing, name: str) -> Drawing:
     """A drawing whose only floor has no label, with the name of its file; its areas are on that floor alone."""
-    if set(drawing.floors) != {""}:
-        return replace(drawing, floors={label: _on(label, areas) for label, areas in drawing.floors.items()})
-    heights = {} if "" not in drawing.heights else {name: drawing.heights[""]}
-    return replace(drawing, floors={name: _on(name, drawing.floors[""])}, heights=heights)
-
-
-def _on(label: str, areas: Sequence[Area]) -> tuple[Area, ...]:
-    """Areas that state no floor, as areas of one floor."""
-    return tuple(area if area.floors else replace(area, floors=(label,)) for area in areas)
+    names = {label: label or name for label in drawing.floors} if set(drawing.floors) == {""} else None
+    names = names or {label: label for label in drawing.floors}
+    floors = {
+        names[label]: tuple(area if area.floors else replace(area, floors=(names[label],)) for area in areas)
+        for label, areas in drawing.floors.items()
+    }
+    heights = {names.get(label, label): height for label, height in drawing.heights.items()}
+    return replace(drawing, floors=floors, heights=heights)
 
 
 def _short_names(files: Sequence[Path]) -> list[str]:
@@ -155,18 +159,3 @@ def _in_frame(file: Path, areas: tuple[Area, ...], own: Frame, frame: Frame) -> 
         found = "a plan in degrees" if own.georeferenced else "a plan in metres without a georeference"
         raise InputError(file, "", f"{found} beside others that are not", "all floors in one frame")
     return tuple(replace(a, shape=shapely.transform(a.shape, lambda p: frame.from_frame(own, p))) for a in areas)
-
-
-def _check_distances(
-    folder: Path, files: Sequence[Path], drawings: Sequence[Drawing], floors: dict[str, tuple[Area, ...]]
-) -> None:
-    """Raise InputError for a floor more than 200 m beside the first."""
-    boxes = {label: shapely.total_bounds([area.shape for area in areas]) for label, areas in floors.items()}
-    low, high = next(iter(boxes.values())).reshape(2, 2)
-    for file, drawing in zip(files, drawings, strict=True):
-        for label in drawing.floors:
-            south_west, north_east = boxes[label].reshape(2, 2)
-            apart = float(np.hypot(*np.maximum(np.maximum(south_west - high, low - north_east), 0.0)))
-            if not apart <= 200.0:  # farthest [m] between floors of one building
-                found = f"{file.name} {apart:.0f} m beside {files[0].name}"
-                raise InputError(folder, "", found, "the floors of one building, in one frame with common axes")

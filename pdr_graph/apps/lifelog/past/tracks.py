@@ -20,7 +20,7 @@ from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, at, items, lists_format
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess
 from pdr_graph.errors import InputError, install
-from pdr_graph.io.gpx import ACCURACY_TAGS, accuracy_of
+from pdr_graph.io.gpx import track_point
 from pdr_graph.io.past_day import PHONE, TRACKED
 from pdr_graph.io.validation import float_of
 
@@ -66,21 +66,10 @@ class _BoundedStream:
 
 def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Track points; a radius is that of an extension, else estimated from HDOP, else unknown."""
-    points = list[Point]()
-    for element in elements(stream, where, "{*}trkpt"):
-        time, values = "", dict[str, str]()
-        for inner in element.iterdescendants():
-            name = str(inner.tag).rpartition("}")[2]
-            if name == "time":
-                time = time or (inner.text or "").strip()
-            elif name in ACCURACY_TAGS:
-                values.setdefault(name.lower(), inner.text or "")
-        place = float_of(element.get("lat")), float_of(element.get("lon"))
-        points.append((time, place, accuracy_of(values), TRACKED))
-        if len(points) == BATCH:
-            yield batch_of(points)
-            points = []
-    yield batch_of(points)
+    texts = map(track_point, elements(stream, where, "{*}trkpt"))
+    points = ((time, (lat, lon), accuracy, TRACKED) for time, lat, lon, accuracy in texts)
+    while part := list(itertools.islice(points, BATCH)):
+        yield batch_of(part)
 
 
 def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
