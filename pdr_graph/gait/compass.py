@@ -188,8 +188,11 @@ class LiveCompass:
         """Samples ``(k, 13)``, means over `stride` rows each, without the magnetic field; and the rows left over."""
         stride = self.stride
         whole = len(rows) // stride * stride
-        mean = rows[:whole].reshape(-1, stride, rows.shape[1]).mean(axis=1)
-        return np.pad(mean, ((0, 0), (0, SAMPLE_COLUMNS - mean.shape[1]))), rows[whole:]
+        samples = np.zeros((whole // stride, SAMPLE_COLUMNS))
+        for k in range(stride):
+            samples[:, : FIELD.start] += rows[k:whole:stride]
+        samples /= stride
+        return samples, rows[whole:]
 
     def _start_stretch(self) -> None:
         """Start a new stretch; the heading of the last one counts as earlier information from now on."""

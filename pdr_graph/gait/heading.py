@@ -56,21 +56,13 @@ def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
 
 def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
     """The phone's y axis if its screen faces up and it is held steadily, for reading. `step` is not used."""
-    if not walking.any():
+    x, y, z, w = attitude.R_world_device.as_quat()[walking].T
+    if not len(x) or np.mean(1 - 2 * (x * x + y * y)) < FORWARD.facing_up:
         return UNKNOWN
-    if _screen_up(attitude, walking) < FORWARD.facing_up:
-        return UNKNOWN
-    attitudes = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
-    along = _level(attitudes.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
+    along = (2 * (x * y - w * z) + 1j * (1 - 2 * (x * x + z * z))) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
         return UNKNOWN
     return Forward(float(np.angle(along.mean())), FORWARD.unconfirmed)
-
-
-def _screen_up(attitude: Attitude, walking: Mask) -> float:
-    """Mean vertical component of the screen's normal while walking."""
-    x, y, _, _ = attitude.R_world_device.as_quat()[walking].T
-    return float(np.mean(1 - 2 * (x * x + y * y)))
 
 
 def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
@@ -101,8 +93,8 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     pushes = _pushes(attitude[walked], heading[walked], walking[walked], step, FORWARD.early_steps)
     mean = complex(pushes.mean()) if len(pushes) else 0.0j
     if abs(mean) < FORWARD.early_coherence:
-        facing_up = _screen_up(attitude, walking) > FORWARD.surely_facing_up
-        return reading if facing_up else UNKNOWN
+        x, y = attitude.R_world_device.as_quat()[walking, :2].T
+        return reading if np.mean(1 - 2 * (x * x + y * y)) > FORWARD.surely_facing_up else UNKNOWN
     sigma = float(np.hypot(FORWARD.gait_sigma, FORWARD.early_spread / np.sqrt(len(pushes))))
     gait = Forward(float(np.angle(mean)), sigma)
     if not reading.determined:
@@ -118,14 +110,19 @@ def _pushes(attitude: Attitude, heading: Array, walking: Mask, step: float, wind
     """The `push` of each window of so many steps in which the walker walks ``(k,)``."""
     level, vertical = at_step_frequency(attitude, heading, step)
     size = max(1, round(window_steps * step / attitude.period))
-    begins = [k for k in range(0, len(level) - size + 1, size) if np.mean(walking[k : k + size]) > 0.9]
-    return np.array([push(level[k : k + size], vertical[k : k + size]) for k in begins], dtype=complex)
+    windows = [values[: len(level) // size * size].reshape(-1, size) for values in (level, vertical, walking)]
+    walked = np.mean(windows[2], axis=1) > 0.9
+    return push(windows[0][walked], windows[1][walked])
 
 
-def push(level: Complex, vertical: Complex) -> complex:
-    """Coherence of level and vertical acceleration, the latter shifted by the lead: a vector ahead, of length 0–1."""
+def push(level: Complex, vertical: Complex) -> Complex:
+    """Coherence ``(…,)`` of level and vertical acceleration ``(…, n)``: vectors ahead, of length 0 to 1.
+
+    The vertical acceleration is shifted by the lead.
+    """
     ahead = np.real(vertical.conj() * np.exp(-1j * FORWARD.lead))
-    return complex(np.mean(level * ahead) / np.sqrt(np.mean(np.abs(level) ** 2) * np.mean(ahead**2) + 1e-12))
+    power = np.mean(np.abs(level) ** 2, axis=-1) * np.mean(ahead**2, axis=-1)
+    return np.mean(level * ahead, axis=-1) / np.sqrt(power + 1e-12)
 
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:

@@ -180,36 +180,33 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     observed = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
     variance = NORTH.undisturbed**2 + np.sum(errors**2, axis=0) / np.cos(earth.dip) ** 2
     variance = np.where(valid, variance * (1 + 2 * NORTH.alike / NORTH.interval), np.inf)
-    return North(time, *_smoothed(*_filtered(observed, variance)))
+    return North(time, *_smoothed(observed, variance))
 
 
-def _filtered(observed: Array, variance: Array) -> tuple[Array, Array]:
-    """Direction [rad] and variance [rad²] ``(n,)`` after each observation; before the first valid one, as at it."""
-    first = int(np.argmin(np.isinf(variance)))
+def _smoothed(observed: Array, variance: Array) -> tuple[Array, Array]:
+    """Direction and standard deviation ``(n,)`` [rad] given all observations and their variances ``(n,)`` [rad²].
+
+    A Kalman filter with clipped innovations, then the backward pass of Rauch, Tung and Striebel. Observations before
+    the first valid one have no effect.
+    """
+    grows, first = NORTH.drift**2 * NORTH.interval, int(np.argmin(np.isinf(variance)))
     state, uncertainty = float(observed[first]), float(variance[first])
-    states, uncertainties = np.full(len(observed), state), np.full(len(observed), uncertainty)
-    uncertainties[:first] += NORTH.drift**2 * NORTH.interval * np.arange(first, 0, -1)
-    later = zip(observed[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True)
-    for k, (measured, spread) in enumerate(later):
-        uncertainty += NORTH.drift**2 * NORTH.interval
+    states, uncertainties = [state] * (first + 1), [uncertainty + grows * k for k in range(first, -1, -1)]
+    for measured, spread in zip(observed[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True):
+        uncertainty += grows
         gain = uncertainty / (uncertainty + spread)
         innovation = (measured - state + np.pi) % (2 * np.pi) - np.pi
         widest = NORTH.huber * sqrt(uncertainty + spread)
         state += gain * min(max(innovation, -widest), widest)
         uncertainty *= 1 - gain
-        states[first + 1 + k], uncertainties[first + 1 + k] = state, uncertainty
-    return states, uncertainties
-
-
-def _smoothed(state: Array, variance: Array) -> tuple[Array, Array]:
-    """Direction and standard deviation ``(n,)`` [rad] given all observations: Rauch–Tung–Striebel backward pass."""
-    state, variance = state.copy(), variance.copy()
-    for k in range(len(state) - 2, -1, -1):
-        predicted = variance[k] + NORTH.drift**2 * NORTH.interval
-        gain = variance[k] / predicted
-        state[k] += gain * (state[k + 1] - state[k])
-        variance[k] += gain**2 * (variance[k + 1] - predicted)
-    return state, np.sqrt(variance)
+        states.append(state)
+        uncertainties.append(uncertainty)
+    for k in range(len(states) - 2, -1, -1):
+        predicted = uncertainties[k] + grows
+        gain = uncertainties[k] / predicted
+        states[k] += gain * (states[k + 1] - states[k])
+        uncertainties[k] += gain**2 * (uncertainties[k + 1] - predicted)
+    return np.array(states), np.sqrt(uncertainties)
 
 
 @dataclass(frozen=True)
