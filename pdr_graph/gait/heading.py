@@ -110,9 +110,9 @@ def _pushes(attitude: Attitude, heading: Array, walking: Mask, step: float, wind
     """The `push` of each window of so many steps in which the walker walks ``(k,)``."""
     level, vertical = at_step_frequency(attitude, heading, step)
     size = max(1, round(window_steps * step / attitude.period))
-    windows = [values[: len(level) // size * size].reshape(-1, size) for values in (level, vertical, walking)]
-    walked = np.mean(windows[2], axis=1) > 0.9
-    return push(windows[0][walked], windows[1][walked])
+    used = len(level) // size * size
+    walked = walking[:used].reshape(-1, size).mean(axis=1) > 0.9
+    return push(level[:used].reshape(-1, size)[walked], vertical[:used].reshape(-1, size)[walked])
 
 
 def push(level: Complex, vertical: Complex) -> Complex:

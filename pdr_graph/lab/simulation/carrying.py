@@ -16,8 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from pdr_graph.geometry import compose
-from pdr_graph.lab.simulation.body import HOLD_CHANGE_TIME, Body
-from pdr_graph.lab.simulation.pedestrian import Pedestrian, smooth_noise
+from pdr_graph.lab.simulation.body import HOLD_CHANGE_TIME, Body, Pedestrian, smooth_noise
 from pdr_graph.types import STANDARD_GRAVITY, Array, OneLineRepr, Recording, Signal, time_span
 
 USUAL_STEP = 0.72  # [m] at which the amplitudes in this file hold

@@ -8,15 +8,15 @@ GNSS, Bluetooth beacons and Wi-Fi access points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.lab.simulation.body import Body
+from pdr_graph.lab.simulation.body import Body, autoregressive_noise, smooth_noise
 from pdr_graph.lab.simulation.carrying import Motion
-from pdr_graph.lab.simulation.pedestrian import autoregressive_noise, smooth_noise
 from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Sightings, Signal
 
 
@@ -43,6 +43,11 @@ MAGNETOMETER_ERRORS = SensorErrors(0.45, 3.0, 0.05, 0.3, 0.02, 4900.0, 0.06)  # 
 BAROMETER_ERRORS = SensorErrors(0.012, 0.8, 0.002, 0.02, 0.0, 1300.0, 0.0012)  # [hPa]
 
 
+def setting(default: Any, *accepted: Any) -> Any:
+    """A dataclass field that is a key of a scenario; accepted: least, most and unit of a number, else the texts."""
+    return field(default=default, metadata={"accepted": accepted})
+
+
 @dataclass(frozen=True)
 class SampleClock:
     """The sample times of a sensor.
@@ -50,10 +55,10 @@ class SampleClock:
     rate [Hz]; jitter: standard deviation of the times [s]; lost, repeated: shares of the samples.
     """
 
-    rate: float = 100.0
-    jitter: float = 0.0004
-    lost: float = 0.0005
-    repeated: float = 0.0002
+    rate: float = setting(100.0, 20, 1000, "Hz")
+    jitter: float = setting(0.0004, 0, 1, "s")
+    lost: float = setting(0.0005, 0, 0.9, "of all samples")
+    repeated: float = setting(0.0002, 0, 0.9, "of all samples")
 
     def times(self, start: float, end: float, random: np.random.Generator) -> tuple[Array, Index]:
         """Sorted sample times ``(n,)`` [s], and how often each sample is written ``(n,)``: 0, 1 or 2 times."""
@@ -192,12 +197,12 @@ class Receiver:
     outliers: share of the fixes; outages: intervals without fixes, start and end [s]; hdop: median.
     """
 
-    accuracy: float = 4.5
-    period: float = 1.0
-    latency: float = 0.0
-    outliers: float = 0.005
+    accuracy: float = setting(4.5, 0.01, 10_000, "m")
+    period: float = setting(1.0, 0.01, 86_400, "s")
+    latency: float = setting(0.0, 0, 3600, "s")
+    outliers: float = setting(0.005, 0, 1, "of all fixes")
     outages: tuple[tuple[float, float], ...] = ()
-    hdop: float = 0.9
+    hdop: float = setting(0.9, 0.1, 100)
 
 
 @dataclass(frozen=True)

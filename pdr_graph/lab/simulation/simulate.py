@@ -12,9 +12,8 @@ from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.lab.simulation import sensors
-from pdr_graph.lab.simulation.body import Body, move
+from pdr_graph.lab.simulation.body import Body, Pedestrian, move
 from pdr_graph.lab.simulation.carrying import Motion, carry
-from pdr_graph.lab.simulation.pedestrian import Pedestrian
 from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
 from pdr_graph.lab.simulation.sensors import BLUETOOTH, WIFI, SatelliteFixes, gnss_fixes, receptions
 from pdr_graph.types import Fixes, OneLineRepr, Recording, Sightings, Signal, Trajectory
@@ -98,10 +97,10 @@ def simulate(scenario: Scenario) -> Simulation:
 
     # Motion of the phone and its sensors
     motion = carry(body, walker, streams[2])
-    signals = sensors.imu(motion, phone.clock, streams[3])
+    signals = sensors.imu(motion, phone, streams[3])
     lon, lat = frame.to_lonlat(np.zeros((1, 2)))[0]
     field = sensors.MagneticField.sample(place, earth_field(lat, lon, scenario.start).vector, phone.disturbance)
-    signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone.clock, streams[4])
+    signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone, streams[4])
     slow_clock = sensors.SampleClock(rate=phone.barometer_rate)
     signals["barometer"] = sensors.barometer(motion, phone.altitude, slow_clock, streams[5])
 
