@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -20,7 +21,6 @@ from pdr_graph.lab.simulation.body import HOLD_CHANGE_TIME, Body, Pedestrian, sm
 from pdr_graph.types import STANDARD_GRAVITY, Array, OneLineRepr, Recording, Signal, time_span
 
 USUAL_STEP = 0.72  # [m] at which the amplitudes in this file hold
-HIP = 0.53  # height of the body's centre as a share of the stature
 
 
 @dataclass(frozen=True)
@@ -141,47 +141,6 @@ class Motion(OneLineRepr):
         return [*time_span(self), f"{self.rate:g} Hz"]
 
 
-CART_VIBRATION, CART_ROCKING = 0.6, 0.05  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
-
-
-def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion:
-    """The motion of the phone that a walker carries."""
-    n, rate = len(body.time), body.rate
-    stride = _Stride.of(body, walker, random)
-    changes = body.events_of("hold")
-    holds = [HOLDS[event.what] for event in changes]
-    starts = [event.start for event in changes]
-    weights = _weights(body.time, starts)
-
-    # Position and rotation in body axes
-    swing = sum((w[:, None] * stride.rotation(h.swings) for h, w in zip(holds, weights, strict=True)), np.zeros((n, 3)))
-    swing += _unsteadiness(body, holds, weights, stride.vigour, random)
-    swing += _shaking(body, random)
-    swinging = Rotation.from_rotvec(swing)
-    place = np.zeros((n, 3))
-    for hold, weight in zip(holds, weights, strict=True):
-        hinge = np.array(hold.hinge) * walker.height + hold.bounce * stride.bounce
-        place += weight[:, None] * (hinge + swinging.apply(hold.lever))
-
-    # In the world
-    to_world = Rotation.from_euler("Z", body.heading[:, None] - np.pi / 2)
-    position = np.column_stack([body.position, body.height + HIP * walker.height]) + to_world.apply(place)
-    R_world_device = to_world * swinging * _bases(body.time, starts, holds, random)
-
-    # Specific force and angular rate
-    force = _second_derivative(position, rate)
-    force[:, 2] += STANDARD_GRAVITY
-    force += to_world.apply(
-        _shocks(body, holds, weights, random) + _roughness(body, holds, weights, stride.vigour, random)
-    )
-    between = compose(R_world_device[:-1].inv(), R_world_device[1:]).as_rotvec() * rate
-    angular_rate = np.concatenate([between[:1], (between[:-1] + between[1:]) / 2, between[-1:]])
-    rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3  # vibration sets in at low speeds
-    angular_rate += CART_ROCKING * rolling * _vibration(random, n, rate)
-    acceleration = R_world_device.inv().apply(force) + CART_VIBRATION * rolling * _vibration(random, n, rate)
-    return Motion(rate, body.time, R_world_device, acceleration, angular_rate, position[:, 2])
-
-
 Harmonics = tuple[tuple[int, str, float, float], ...]  # number, axis, amplitude, phase [rad]
 # Of the body's centre, amplitudes in m. Harmonics of the stride; 2, 4, … are harmonics of the step
 BOUNCE: Harmonics = (
@@ -195,64 +154,80 @@ BOUNCE: Harmonics = (
     (1, "right", 0.0200, 0.0),
     (3, "right", 0.0015, 0.6),
 )
-AXES = {"right": 0, "forward": 1, "up": 2}
-STRIDE_VARIATION = 0.12  # relative standard deviation of the amplitudes from stride to stride
+AXES = ("right", "forward", "up")
 PERSONAL_SPREAD = 0.45  # log-normal spread of higher harmonics and shocks between people and shoes
 
 
-@dataclass(frozen=True)
-class _Stride:
-    """The harmonics of one person's gait.
+def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion:
+    """The motion of the phone that a walker carries."""
+    n, rate, time = len(body.time), body.rate, body.time
 
-    phase: ``(n,)`` strides so far; vigour: ``(n,)`` step length over USUAL_STEP, 0 at rest; bounce_factor: of the
-    walker; variation: ``(n,)`` factor of all amplitudes; shift, personal: ``(12,)`` phase shift [rad] and amplitude
-    factor of each harmonic.
-    """
+    # The walker's gait: amplitudes vary from stride to stride, and higher harmonics between people
+    vigour = body.step_length / USUAL_STEP
+    variation = 1 + smooth_noise(random, n, 1.1 * rate, 0.12)[:, 0]
+    personal = np.exp(random.normal(0, PERSONAL_SPREAD, 12))
+    personal[0] = 1.0  # the first harmonic is scaled by the walker's bounce
+    shift = np.append(0.0, random.normal(0, 0.35, 12)[1:])  # of the phases [rad]
 
-    phase: Array
-    vigour: Array
-    bounce_factor: float
-    variation: Array
-    shift: Array
-    personal: Array
-
-    @classmethod
-    def of(cls, body: Body, walker: Pedestrian, random: np.random.Generator) -> _Stride:
-        vigour = body.step_length / USUAL_STEP
-        variation = 1 + smooth_noise(random, len(vigour), 1.1 * body.rate, STRIDE_VARIATION)[:, 0]
-        personal = np.exp(random.normal(0, PERSONAL_SPREAD, 12))
-        personal[0] = 1.0  # the first harmonic is scaled by the walker's bounce
-        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12), personal)
-
-    @property
-    def bounce(self) -> Array:
-        """Movement of the body's centre ``(n, 3)``: right, forward, up [m].
-
-        That of an inverted pendulum grows with the square of the step length; in short, shuffling steps it is larger.
-        """
-        return self.bounce_factor * (self.vigour**1.5)[:, None] * self._sum(BOUNCE, self.personal)
-
-    def rotation(self, swings: Harmonics) -> Array:
-        """Rotation vectors ``(n, 3)`` of a lever [rad]."""
-        return self.vigour[:, None] * self._sum(swings, self.personal**0.5)
-
-    def _sum(self, harmonics: Harmonics, personal: Array) -> Array:
+    def harmonics(of: Harmonics, factors: Array) -> Array:
         """The sum of harmonics ``(n, 3)``, in the unit of their amplitudes."""
-        total = np.zeros((len(self.phase), 3))
-        for n, (harmonic, axis, amplitude, phase) in enumerate(harmonics):
-            angle = 2 * np.pi * harmonic * self.phase + phase + (self.shift[n] if n else 0.0)
-            total[:, AXES[axis]] += personal[n] * amplitude * self.variation * np.cos(angle)
+        total = np.zeros((n, 3))
+        for k, (number, axis, amplitude, phase) in enumerate(of):
+            angle = 2 * np.pi * number * body.phase + phase + shift[k]
+            total[:, AXES.index(axis)] += factors[k] * amplitude * variation * np.cos(angle)
         return total
 
+    # That of an inverted pendulum grows with the square of the step length; in short, shuffling steps it is larger
+    bounce = walker.bounce * (vigour**1.5)[:, None] * harmonics(BOUNCE, personal)
 
-def _weights(time: Array, starts: Sequence[float]) -> list[Array]:
-    """The weight of each hold ``(n,)``, 0–1: one blends into the next over HOLD_CHANGE_TIME."""
-    ramps = [
-        np.clip((time - start) / HOLD_CHANGE_TIME, 0, 1) if k else np.ones(len(time)) for k, start in enumerate(starts)
-    ]
-    ramps = [r * r * (3 - 2 * r) for r in ramps]
-    following = [*ramps[1:], np.zeros(len(time))]
-    return [ramp - after for ramp, after in zip(ramps, following, strict=True)]
+    # Each hold blends into the next while it changes
+    changes = body.events_of("hold")
+    holds = [HOLDS[event.what] for event in changes]
+    ramps = [np.clip((time - event.start) / HOLD_CHANGE_TIME, 0, 1) for event in changes]
+    ramps = [np.ones(n), *(r * r * (3 - 2 * r) for r in ramps[1:]), np.zeros(n)]
+    weights = [before - after for before, after in pairwise(ramps)]
+
+    # Rotation in body axes: the swing of the lever, a hand's tremor and slow wander, waving
+    tremor = smooth_noise(random, n, 0.12 * rate, 1.0, 3) * (0.25 + 0.75 * vigour)[:, None]
+    wander = smooth_noise(random, n, 9.0 * rate, 1.0, 3)
+    swing, unsteady = np.zeros((n, 3)), np.zeros((n, 3))
+    for hold, weight in zip(holds, weights, strict=True):
+        swing += weight[:, None] * (vigour[:, None] * harmonics(hold.swings, personal**0.5))
+        about = np.array([hold.wander[1], hold.wander[1], hold.wander[0]])
+        unsteady += weight[:, None] * (hold.tremor * tremor + about * wander)
+    swing += unsteady
+    if shakes := body.events_of("shake"):
+        shaken = np.any([(time >= event.start) & (time < event.end) for event in shakes], axis=0).astype(float)
+        swing += gaussian_filter1d(shaken, 0.3 * rate)[:, None] * smooth_noise(random, n, 0.5 * rate, 0.9, 3)
+    swinging = Rotation.from_rotvec(swing)
+
+    # Position in body axes, and both in the world
+    place = np.zeros((n, 3))
+    for hold, weight in zip(holds, weights, strict=True):
+        hinge = np.array(hold.hinge) * walker.height + hold.bounce * bounce
+        place += weight[:, None] * (hinge + swinging.apply(hold.lever))
+    to_world = Rotation.from_euler("Z", body.heading[:, None] - np.pi / 2)
+    centre = 0.53 * walker.height  # height of the body's centre
+    position = np.column_stack([body.position, body.height + centre]) + to_world.apply(place)
+    R_world_device = to_world * swinging * _bases(time, [event.start for event in changes], holds, random)
+
+    # Specific force and angular rate: derivatives of this movement, shocks, and roughness beside the harmonics
+    force = (position[2:] - 2 * position[1:-1] + position[:-2]) * rate**2
+    force = np.concatenate([force[:1], force, force[-1:]])
+    force[:, 2] += STANDARD_GRAVITY
+    shocks = _shocks(body, holds, weights, random)
+    rough = smooth_noise(random, n, 0.05 * rate, 1.0, 3)
+    rough -= gaussian_filter1d(rough, 0.08 * rate, axis=0)
+    size = sum((hold.roughness * weight for hold, weight in zip(holds, weights, strict=True)), np.zeros(n))
+    force += to_world.apply(shocks + (size * vigour)[:, None] * rough)
+    between = compose(R_world_device[:-1].inv(), R_world_device[1:]).as_rotvec() * rate
+    angular_rate = np.concatenate([between[:1], (between[:-1] + between[1:]) / 2, between[-1:]])
+
+    # The castors of a cart: 0.05 rad/s and 0.6 m/s² at 0.5 m/s; vibration sets in at low speeds
+    rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3
+    angular_rate += 0.05 * rolling * _vibration(random, n, rate)
+    acceleration = R_world_device.inv().apply(force) + 0.6 * rolling * _vibration(random, n, rate)
+    return Motion(rate, time, R_world_device, acceleration, angular_rate, position[:, 2])
 
 
 def _bases(time: Array, starts: Sequence[float], holds: Sequence[Hold], random: np.random.Generator) -> Rotation:
@@ -267,34 +242,6 @@ def _bases(time: Array, starts: Sequence[float], holds: Sequence[Hold], random: 
     later = np.diff(times, prepend=-2.0) > 1e-6
     rotations = Rotation.concatenate([key for key, keep in zip(keys, later, strict=True) if keep])
     return Slerp(times[later], rotations)(time)
-
-
-def _unsteadiness(
-    body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
-) -> Array:
-    """Rotation vectors ``(n, 3)`` of a hand's tremor and slow wander [rad]."""
-    n, rate = len(body.time), body.rate
-    tremor = smooth_noise(random, n, 0.12 * rate, 1.0, 3) * (0.25 + 0.75 * vigour)[:, None]
-    wander = smooth_noise(random, n, 9.0 * rate, 1.0, 3)
-    total = np.zeros((n, 3))
-    for hold, weight in zip(holds, weights, strict=True):
-        about = np.array([hold.wander[1], hold.wander[1], hold.wander[0]])
-        total += weight[:, None] * (hold.tremor * tremor + about * wander)
-    return total
-
-
-def _shaking(body: Body, random: np.random.Generator) -> Array:
-    """Rotation vectors ``(n, 3)`` while the phone is waved [rad]."""
-    on = np.zeros(len(body.time))
-    for event in body.events_of("shake"):
-        on[(body.time >= event.start) & (body.time < event.end)] = 1.0
-    if not on.any():
-        return np.zeros((len(on), 3))
-    on = gaussian_filter1d(on, 0.3 * body.rate)
-    return on[:, None] * smooth_noise(random, len(on), 0.5 * body.rate, 0.9, 3)
-
-
-RECOIL = 0.12  # [s] standard deviation of the filter that removes the mean force of a shock
 
 
 def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random: np.random.Generator) -> Array:
@@ -315,17 +262,7 @@ def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random:
         ring = np.exp(-t / decay) * np.sin(2 * np.pi * frequency * t + 0.3)
         along = np.array([0.25, -0.5, 1.0]) + random.normal(0, 0.15, 3)
         total += (weight * np.convolve(train, ring)[:n])[:, None] * along
-    return total - gaussian_filter1d(total, RECOIL * body.rate, axis=0)  # recoil: a shock does not lift the phone
-
-
-def _roughness(
-    body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
-) -> Array:
-    """Acceleration noise ``(n, 3)`` beside the harmonics [m/s²]."""
-    size = sum((h.roughness * w for h, w in zip(holds, weights, strict=True)), np.zeros(len(body.time)))
-    rough = smooth_noise(random, len(body.time), 0.05 * body.rate, 1.0, 3)
-    rough -= gaussian_filter1d(rough, 0.08 * body.rate, axis=0)
-    return (size * vigour)[:, None] * rough
+    return total - gaussian_filter1d(total, 0.12 * body.rate, axis=0)  # recoil: a shock does not lift the phone
 
 
 def _vibration(random: np.random.Generator, count: int, rate: float) -> Array:
@@ -335,29 +272,17 @@ def _vibration(random: np.random.Generator, count: int, rate: float) -> Array:
     return speed / speed.std()
 
 
-def _second_derivative(position: Array, rate: float) -> Array:
-    """Acceleration ``(n, 3)`` of positions ``(n, 3)`` [m] at a rate [Hz], in m/s²."""
-    inside = (position[2:] - 2 * position[1:-1] + position[:-2]) * rate**2
-    return np.concatenate([inside[:1], inside, inside[-1:]])
-
-
-GRIP_CHANGE_TIME = 0.7  # [s] of a turn by the wrist; chosen by hand
-
-
 def with_grip_change(recording: Recording, up: Array, begin: float, angle: float) -> Recording:
-    """The recording as if a hand had turned the phone by ``angle`` [rad], starting at ``begin`` [s].
+    """The recording as if a hand had turned the phone by ``angle`` [rad] within 0.7 s, from ``begin`` [s] on.
 
     up: ``(3,)`` the vertical in device axes at that time. Only accelerometer and gyroscope are changed.
     """
-
-    def turned(signal: Signal | None, rate_factor: float) -> Signal | None:
-        if signal is None:
-            return None
-        share = (signal.time - begin) / GRIP_CHANGE_TIME
+    seconds, signals = 0.7, {}
+    for name in ("accelerometer", "gyroscope"):
+        signal = recording.signals[name]
+        share = (signal.time - begin) / seconds
         values = Rotation.from_rotvec(-angle * np.clip(share, 0, 1)[:, None] * up).apply(signal.values)
-        turning = rate_factor * angle / GRIP_CHANGE_TIME * ((share > 0) & (share < 1))
-        return Signal(signal.time, values + turning[:, None] * up)
-
-    return replace(
-        recording, accelerometer=turned(recording.accelerometer, 0.0), gyroscope=turned(recording.gyroscope, 1.0)
-    )
+        if name == "gyroscope":
+            values += angle / seconds * ((share > 0) & (share < 1))[:, None] * up
+        signals[name] = Signal(signal.time, values)
+    return replace(recording, **signals)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -59,19 +60,8 @@ class Simulation(OneLineRepr):
 
     def recording(self, *sensors: str) -> Recording:
         """The measurements of some sensors as a recording, as if read from a file; of all sensors by default."""
-        signals = {name: self.signals[name] for name in sensors or self.signals}
-        return Recording(
-            source="simulated",
-            clock_origin=0.0,
-            epoch=None,
-            accelerometer=signals.get("accelerometer"),
-            gyroscope=signals.get("gyroscope"),
-            magnetometer=signals.get("magnetometer"),
-            barometer=signals.get("barometer"),
-        )
-
-
-MINIMUM_RATE = 100.0  # [Hz] of the movement, even if the phone samples more slowly
+        signals: dict[str, Any] = {name: self.signals[name] for name in sensors or self.signals}
+        return Recording("simulated", clock_origin=0.0, epoch=None, **signals)
 
 
 def simulate(scenario: Scenario) -> Simulation:
@@ -88,7 +78,7 @@ def simulate(scenario: Scenario) -> Simulation:
 
     # Pedestrian and movement of the body
     walker = Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
-    rate = phone.rate * np.ceil(MINIMUM_RATE / phone.rate)
+    rate = phone.rate * np.ceil(100.0 / phone.rate)  # at least 100 Hz
     clearances = {label: (lambda at, plan=plan: plan.distance.at(at)[0]) for label, plan in scenario.plans.items()}
     route = scenario.route
     body = move(
@@ -119,16 +109,13 @@ def simulate(scenario: Scenario) -> Simulation:
     )
 
 
-OUTLIER = 8.0  # [σ] by which an outlier is off
-
-
 def _user_fixes(body: Body, errors: UserFixes, random: np.random.Generator) -> Fixes:
-    """The positions that the user knows, with their errors."""
+    """The positions that the user knows, with their errors; an outlier is off by 8 σ."""
     time = np.arange(0.0, body.time[-1], errors.period)
     at = interpolate(time, body.time, body.position)
     place = at + random.normal(0, errors.sigma, at.shape)
     outlier = random.random(len(time)) < errors.outliers
-    place[outlier] += OUTLIER * errors.sigma * unit(random.uniform(-np.pi, np.pi, int(outlier.sum())))
+    place[outlier] += 8.0 * errors.sigma * unit(random.uniform(-np.pi, np.pi, int(outlier.sum())))
     row = np.clip(np.searchsorted(body.time, time), 0, len(body.time) - 1)
     labels = tuple(body.floors[n] for n in body.floor[row])
     return Fixes(time, place, np.full(len(time), errors.sigma), labels)
