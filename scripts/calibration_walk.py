@@ -8,10 +8,9 @@ from tables import publish, table
 from pdr_graph import detect_steps
 from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.floor.plan_files import read_route
-from pdr_graph.gait import step_length
-from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait import walker
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.gait.walker import Walker
+from pdr_graph.gait.walker import StepFeatures, Walker
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
 from pdr_graph.lab.papers import step_detectors
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -108,7 +107,7 @@ def hundred_metres():
     way = [walk.body.lengths.sum() for walk in walks]
 
     rows = []
-    for name, model in step_length.MODELS.items():
+    for name, model in walker.MODELS.items():
         walked = [model(StepFeatures(g[0]), height=h)[0].sum() for g, h in zip(gaits, HEIGHTS, strict=True)]
         shown = f"**{name}, ours**" if name == "inverted pendulum" else name
         rows.append([shown, f"{np.mean(np.abs(np.subtract(walked, way))):.2f}", PAPER_DISTANCE.get(name, "")])

@@ -15,8 +15,7 @@ from pdr_graph.errors import InputError, count, expect, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_detection import Landings, walking_steps
-from pdr_graph.gait.step_length import MODELS, StepFeatures
-from pdr_graph.gait.walker import Walker
+from pdr_graph.gait.walker import MODELS, StepFeatures, Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
 from pdr_graph.priors import MOTION, REST
 from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal, Steps

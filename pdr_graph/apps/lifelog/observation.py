@@ -248,7 +248,7 @@ def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
 
 def _mean_field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
     """Mean field ``(3,)`` [µT] from ``begin`` to ``end`` [s]: forward, left, up for the walker at sample ``at``."""
-    from pdr_graph.inertial.magnetometer import measured_field
+    from pdr_graph.gait.compass import measured_field
 
     attitude = gait.attitude
     assert gait.recording.magnetometer is not None, "the caller has checked it"
