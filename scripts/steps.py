@@ -13,7 +13,7 @@ from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import StepFeatures
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.lab.papers.step_detectors import peak_pairs, trough_to_peak
+from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
 from pdr_graph.priors import STRIDES
 from pdr_graph.types import LONLAT, Fixes
 

@@ -7,7 +7,7 @@ ahead. A grip change turns the phone, while the walker turns less or not at all.
 A forward-axis method takes an `Attitude`, the walker's heading since the first sample ``(n,)`` (which is removed, so
 that the walk need not be straight), the mask of walking samples ``(n,)``, and the typical duration of a step [s]; it
 returns a `Forward`. A direction method takes an `Attitude` and the typical duration of a step and returns a
-`Direction`. Published methods for comparison are in `papers.heading_methods`.
+`Direction`. Published methods for comparison are in `papers.gait_methods`.
 """
 
 from __future__ import annotations
