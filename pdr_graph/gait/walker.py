@@ -254,7 +254,6 @@ class Profile(OneLineRepr):
 
 DEFAULT_STRIDE = "inverted pendulum"
 LARGEST_SETTING = 3  # height [m] and heading error per step [rad]; a larger value is in another unit
-LARGEST_COEFFICIENT = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # larger: degrees, or another walker
 
 
 @dataclass(frozen=True)
@@ -277,11 +276,8 @@ class Walker(OneLineRepr):
         """Raise ValueError for impossible values (a height in centimetres) and unknown stride models."""
         for name, unit in (("height", "metres"), ("sigma_turn", "radians")):
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float | np.number)
-                or not 0 < value < LARGEST_SETTING
-            ):
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not 0 < value < LARGEST_SETTING:
                 raise ValueError(f"Walker.{name}: found {value!r}, expected {unit} between 0 and {LARGEST_SETTING}")
         if self.stride not in MODELS:
             raise ValueError(f"Walker.stride: found {self.stride!r}, expected one of {', '.join(MODELS)}")
@@ -296,14 +292,21 @@ class Walker(OneLineRepr):
         names = {"height", "sigma_turn", "stride", "calibration"}
         for name in table.keys() - names:
             raise InputError(path, name, "an unknown name", "one of " + ", ".join(sorted(names)))
-        numbers = {
-            name: _number(path, name, table[name], 0, LARGEST_SETTING)
-            for name in ("height", "sigma_turn")
-            if name in table
-        }
-        stride, constants = _stride(path, table.get("stride", DEFAULT_STRIDE))
+        settings = table.keys() & {"height", "sigma_turn"}
+        numbers = {name: _number(path, name, table[name], 0, LARGEST_SETTING) for name in settings}
+
+        # ``stride = "name"``, or a table with ``model`` and constants
+        given = table.get("stride", DEFAULT_STRIDE)
+        stride = given if isinstance(given, dict) else {"model": given}
+        model = stride.get("model", DEFAULT_STRIDE)
+        if model not in MODELS:
+            raise InputError(path, "stride", repr(model)[:60], "one of " + ", ".join(MODELS))
+        allowed = [p for p in inspect.signature(MODELS[model]).parameters if p not in ("steps", "height")]
+        for key in stride.keys() - {"model", *allowed}:
+            raise InputError(path, f"stride.{key}", "an unknown constant", ", ".join(allowed) or "no constants")
+        constants = {key: _number(path, f"stride.{key}", stride[key], 0, 1000) for key in allowed if key in stride}
         profile = _profile(path, table["calibration"]) if "calibration" in table else None
-        return cls(**numbers, stride=stride, constants=constants, profile=profile)
+        return cls(**numbers, stride=model, constants=constants, profile=profile)
 
     def describe(self) -> dict[str, Any]:
         """The walker as plain numbers and texts, for ``summary.json``."""
@@ -317,34 +320,19 @@ class Walker(OneLineRepr):
         lines = [f"# {one_line(comment)}", f"height = {self.height:.3f}  # [m]"]
         lines += [f"sigma_turn = {self.sigma_turn:.4f}  # [rad]", "", "[stride]", f'model = "{self.stride}"']
         lines += [f"{name} = {value:.6g}" for name, value in self.constants.items()]
-        if self.profile is not None:
-            lines += ["", *_calibration_table(self.profile)]
+        if (profile := self.profile) is not None:
+            rows = ", ".join("[" + ", ".join(f"{value:.6e}" for value in row) + "]" for row in profile.covariance)
+            lines += [
+                "",
+                "[calibration]",
+                f"E_length = {profile.E_length:.5f}  # distance error per metre",
+                f"E_straight = {profile.E_straight:.6f}  # heading error per metre [rad/m]",
+                f"E_corner = {profile.E_corner:.5f}  # turn error per turn",
+                f"covariance = [{rows}]  # of the three, in this order",
+                f"residual = {profile.residual:.3f}  # rms distance of the calibration walk from its route [m]",
+                f"speed = {profile.speed:.3f}  # of the calibration walk [m/s]",
+            ]
         write_file(path, "\n".join(lines) + "\n")
-
-
-def _calibration_table(profile: Profile) -> list[str]:
-    rows = ", ".join("[" + ", ".join(f"{value:.6e}" for value in row) + "]" for row in profile.covariance)
-    return [
-        "[calibration]",
-        f"E_length = {profile.E_length:.5f}  # distance error per metre",
-        f"E_straight = {profile.E_straight:.6f}  # heading error per metre [rad/m]",
-        f"E_corner = {profile.E_corner:.5f}  # turn error per turn",
-        f"covariance = [{rows}]  # of the three, in this order",
-        f"residual = {profile.residual:.3f}  # rms distance of the calibration walk from its route [m]",
-        f"speed = {profile.speed:.3f}  # of the calibration walk [m/s]",
-    ]
-
-
-def _stride(path: str | Path, entry: Any) -> tuple[str, dict[str, float]]:
-    """The model's name and constants from ``stride = "name"`` or a table with ``model`` and constants."""
-    table = entry if isinstance(entry, dict) else {"model": entry}
-    name = table.get("model", DEFAULT_STRIDE)
-    if name not in MODELS:
-        raise InputError(path, "stride", repr(name)[:60], "one of " + ", ".join(MODELS))
-    allowed = [p for p in inspect.signature(MODELS[name]).parameters if p not in ("steps", "height")]
-    for key in table.keys() - {"model", *allowed}:
-        raise InputError(path, f"stride.{key}", "an unknown constant", ", ".join(allowed) or "no constants")
-    return name, {key: _number(path, f"stride.{key}", table[key], 0, 1000) for key in allowed if key in table}
 
 
 def _profile(path: str | Path, table: Any) -> Profile:
@@ -353,8 +341,8 @@ def _profile(path: str | Path, table: Any) -> Profile:
     for name in (*COEFFICIENTS, "covariance", "residual", "speed"):
         if name not in table:
             raise InputError(path, f"calibration.{name}", "nothing", "a number, as pdr-graph calibrate writes it")
-    limits = LARGEST_COEFFICIENT.items()
-    values = {n: _number(path, f"calibration.{n}", table[n], -limit, limit) for n, limit in limits}
+    limits = dict(zip(COEFFICIENTS, (0.6, 0.5, 0.5), strict=True))  # larger: degrees, or another walker
+    values = {n: _number(path, f"calibration.{n}", table[n], -limit, limit) for n, limit in limits.items()}
     values |= {n: _number(path, f"calibration.{n}", table[n], 0, 1e3) for n in ("residual", "speed")}
     try:
         covariance = np.array(table["covariance"], dtype=float).reshape(3, 3)
