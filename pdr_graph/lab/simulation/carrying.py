@@ -3,7 +3,7 @@
 The phone hangs by a lever from a hinge on the body: the wrist, the hip above a trouser pocket, the strap of a bag. The
 gait moves the body and swings the lever, as harmonics of the stride; each landing causes a shock. Acceleration and
 angular rate are the derivatives of that one movement, so that they agree with each other and with the truth. All
-amplitudes in this file are fitted so that simulated and real recordings have similar spectra (docs/simulation.md).
+amplitudes (``holds.toml``) are fitted so that simulated and real recordings have similar spectra (docs/simulation.md).
 """
 
 from __future__ import annotations
@@ -11,16 +11,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from pdr_graph.errors import read_toml
 from pdr_graph.geometry import compose
 from pdr_graph.lab.simulation.body import HOLD_CHANGE_TIME, Body, Pedestrian, smooth_noise
 from pdr_graph.types import STANDARD_GRAVITY, Array, OneLineRepr, Recording, Signal, time_span
 
-USUAL_STEP = 0.72  # [m] at which the amplitudes in this file hold
+USUAL_STEP = 0.72  # [m] at which the amplitudes hold
+
+
+Harmonics = Sequence[tuple[int, str, float, float]]  # number, axis, amplitude, phase [rad]
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Hold:
     spread: float
     hinge: tuple[float, float, float]
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    swings: tuple[tuple[int, str, float, float], ...] = ()
+    swings: Harmonics = ()
     bounce: float = 1.0
     shock: tuple[float, float, float] = (1.0, 9.0, 0.05)
     one_sided: tuple[float, float] = (0.0, 0.0)
@@ -49,77 +54,8 @@ class Hold:
     roughness: float = 0.4
 
 
-RIGHT, FRONT, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-LEFT, BACK, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
-C, S = np.cos(0.6), np.sin(0.6)  # of 0.6 rad, by which the top of a phone in the hand is raised
-HOLDS = {
-    "hand": Hold(
-        axes=(RIGHT, (0.0, C, S), (0.0, -S, C)),
-        spread=0.12,
-        hinge=(0.0, 0.18, 0.17),
-        swings=((2, "right", 0.034, 0.4), (1, "forward", 0.060, 0.8), (1, "up", 0.055, 0.0), (3, "up", 0.010, 1.0)),
-        shock=(4.0, 8.0, 0.05),
-        tremor=0.010,
-        wander=(0.05, 0.05),
-        roughness=0.65,
-    ),
-    "swinging arm": Hold(
-        axes=(UP, FRONT, LEFT),
-        spread=0.25,
-        hinge=(0.11, 0.0, 0.28),
-        lever=(0.02, 0.13, -0.62),
-        swings=((1, "right", 0.24, 0.0), (2, "right", 0.002, -2.2), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
-        bounce=0.85,
-        shock=(2.2, 8.0, 0.05),
-        wander=(0.06, 0.06),
-    ),
-    "trouser pocket": Hold(
-        axes=(RIGHT, DOWN, FRONT),
-        spread=0.30,
-        hinge=(0.06, 0.03, -0.02),
-        lever=(0.04, 0.10, -0.22),
-        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, -1.7), (3, "right", 0.06, -0.9), (1, "up", 0.06, 1.0)),
-        bounce=1.10,
-        shock=(24.0, 7.0, 0.09),
-        one_sided=(0.4, 0.08),
-        tremor=0.012,
-        wander=(0.06, 0.05),
-        roughness=1.2,
-    ),
-    "breast pocket": Hold(
-        axes=(LEFT, UP, FRONT),
-        spread=0.20,
-        hinge=(-0.05, 0.07, 0.22),
-        swings=((2, "right", 0.020, 0.0), (1, "forward", 0.030, 0.5), (1, "up", 0.070, 0.0)),
-        shock=(5.0, 8.0, 0.05),
-        tremor=0.006,
-        roughness=0.8,
-        wander=(0.03, 0.03),
-    ),
-    "bag": Hold(
-        axes=(FRONT, UP, RIGHT),
-        spread=1.5,  # any orientation
-        hinge=(0.10, -0.03, 0.25),
-        lever=(0.08, 0.0, -0.55),
-        swings=((1, "right", 0.05, 0.9), (2, "right", 0.02, -2.2), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
-        bounce=1.12,
-        shock=(9.0, 7.0, 0.07),
-        one_sided=(0.4, 0.03),
-        tremor=0.006,
-        wander=(0.06, 0.05),
-        roughness=1.2,
-    ),
-    "cart": Hold(
-        axes=(RIGHT, FRONT, UP),
-        spread=0.0,
-        hinge=(0.0, 0.0, 0.0),
-        bounce=0.0,
-        shock=(0.0, 9.0, 0.05),
-        tremor=0.0,
-        wander=(0.0, 0.0),
-        roughness=0.0,
-    ),
-}
+FITTED = read_toml(Path(__file__).with_name("holds.toml"))
+HOLDS = {name: Hold(**table) for name, table in FITTED["holds"].items()}
 
 
 @dataclass(frozen=True)
@@ -141,19 +77,6 @@ class Motion(OneLineRepr):
         return [*time_span(self), f"{self.rate:g} Hz"]
 
 
-Harmonics = tuple[tuple[int, str, float, float], ...]  # number, axis, amplitude, phase [rad]
-# Of the body's centre, amplitudes in m. Harmonics of the stride; 2, 4, … are harmonics of the step
-BOUNCE: Harmonics = (
-    (2, "up", 0.0242, np.pi),
-    (4, "up", 0.0013, 2.6),
-    (6, "up", 0.0004, 1.0),
-    (8, "up", 0.0002, 0.0),
-    (1, "up", 0.0035, 1.2),  # the legs differ
-    (2, "forward", 0.0055, -2.1),  # braking after a landing, pushing before the next
-    (4, "forward", 0.0012, 0.5),
-    (1, "right", 0.0200, 0.0),
-    (3, "right", 0.0015, 0.6),
-)
 AXES = ("right", "forward", "up")
 PERSONAL_SPREAD = 0.45  # log-normal spread of higher harmonics and shocks between people and shoes
 
@@ -178,7 +101,7 @@ def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion
         return total
 
     # That of an inverted pendulum grows with the square of the step length; in short, shuffling steps it is larger
-    bounce = walker.bounce * (vigour**1.5)[:, None] * harmonics(BOUNCE, personal)
+    bounce = walker.bounce * (vigour**1.5)[:, None] * harmonics(FITTED["bounce"], personal)
 
     # Each hold blends into the next while it changes
     changes = body.events_of("hold")
