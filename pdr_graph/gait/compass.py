@@ -16,7 +16,7 @@ The headings of a recording are the last ones of its stretches.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -467,14 +467,14 @@ def _smoothed(observed: Array, variance: Array) -> tuple[Array, Array]:
     A Kalman filter with clipped innovations, then the backward pass of Rauch, Tung and Striebel. Observations before
     the first valid one have no effect.
     """
-    grows, first = NORTH.drift**2 * NORTH.interval, int(np.argmin(np.isinf(variance)))
+    grows, huber, first = NORTH.drift**2 * NORTH.interval, NORTH.huber, int(np.argmin(np.isinf(variance)))
     state, uncertainty = float(observed[first]), float(variance[first])
     states, uncertainties = [state] * (first + 1), [uncertainty + grows * k for k in range(first, -1, -1)]
     for measured, spread in zip(observed[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True):
         uncertainty += grows
         gain = uncertainty / (uncertainty + spread)
-        innovation = (measured - state + np.pi) % (2 * np.pi) - np.pi
-        widest = NORTH.huber * sqrt(uncertainty + spread)
+        innovation = (measured - state + pi) % (2 * pi) - pi
+        widest = huber * sqrt(uncertainty + spread)
         state += gain * min(max(innovation, -widest), widest)
         uncertainty *= 1 - gain
         states.append(state)
