@@ -52,13 +52,9 @@ def expect(place: str, argument: object, *kinds: type | None, instead: str = "")
     if any(argument is None if kind is None else isinstance(argument, kind) for kind in kinds):
         return
     expected = " or ".join("None" if kind is None else kind.__name__ for kind in kinds)
-    raise TypeError(f"{place}: found {_description(argument)}, expected {expected}{instead and f', as of {instead}'}")
-
-
-def _description(argument: object) -> str:
-    """The type of an argument, with its value if that is short."""
     value = one_line(repr(argument)) if isinstance(argument, str | Path | int | float) else ""
-    return "None" if argument is None else f"{type(argument).__name__} {value}".strip()
+    found = "None" if argument is None else f"{type(argument).__name__} {value}".strip()
+    raise TypeError(f"{place}: found {found}, expected {expected}{instead and f', as of {instead}'}")
 
 
 def one_line(text: str) -> str:
@@ -78,12 +74,12 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 or noun.endswith('s') else 'es' if noun.endswith('x') else 's'}"
 
 
-MILLISECONDS = (10.0, 1000.0)  # [Hz] usual rates, a thousandth of which is seen if milliseconds are read as seconds
-
-
 def slow_rate(rate: float) -> str:
-    """The end of a message about a slow sensor that guesses the cause; empty if none is evident. rate: [Hz]."""
-    return " (milliseconds in a column of seconds?)" if MILLISECONDS[0] <= 1000 * rate <= MILLISECONDS[1] else ""
+    """The end of a message about a slow sensor that guesses the cause; empty if none is evident. rate: [Hz].
+
+    Usual rates are 10 to 1000 Hz; a thousandth of one is seen if milliseconds are read as seconds.
+    """
+    return " (milliseconds in a column of seconds?)" if 0.01 <= rate <= 1 else ""
 
 
 def install(extra: str) -> str:

@@ -145,9 +145,6 @@ def projected(epsg: int) -> Frame:
     return Frame("projected", epsg=epsg)
 
 
-FIRST_YEAR, LAST_YEAR = 2010.0, 2029.9  # covered by the models that pygeomag ships
-
-
 @dataclass(frozen=True)
 class EarthField:
     """Field of the earth: magnitude [µT]; declination east of true north and dip below horizontal [rad]."""
@@ -168,6 +165,6 @@ def earth_field(lat: float, lon: float, epoch: float | None = None) -> EarthFiel
     """The field by the World Magnetic Model (pygeomag) at a latitude and longitude [deg] and Unix time [s]."""
     # default year for a recording without absolute time: declination changes by a degree in ten years
     year = 2025.0 if epoch is None else 1970 + epoch / (365.25 * 86400)
-    year = min(max(year, FIRST_YEAR), LAST_YEAR)
+    year = min(max(year, 2010.0), 2029.9)  # covered by the models that pygeomag ships
     model = GeoMag(base_year=datetime(int(year), 1, 1)).calculate(glat=lat, glon=lon, alt=0.0, time=year)
     return EarthField(model.f / 1000, float(np.radians(model.d)), float(np.radians(model.i)))

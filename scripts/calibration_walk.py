@@ -8,12 +8,11 @@ from tables import publish, table
 from pdr_graph import detect_steps
 from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.floor.plan_files import read_route
-from pdr_graph.gait import step_length
-from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait import walker
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.gait.walker import Walker
+from pdr_graph.gait.walker import StepFeatures, Walker
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
-from pdr_graph.lab.papers import step_detectors
+from pdr_graph.lab.papers import gait_methods
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
@@ -42,10 +41,10 @@ def twenty_steps():
         for manner in MANNERS:
             attitude, forward, ours = twenty(sex, seed, manner)
             columns = (
-                step_detectors.trough_to_peak(attitude),
-                step_detectors.without_closing(attitude, forward),
-                step_detectors.peak_pairs(attitude),
-                step_detectors.vertical_forward(attitude, forward),
+                gait_methods.trough_to_peak(attitude),
+                gait_methods.without_closing(attitude, forward),
+                gait_methods.peak_pairs(attitude),
+                gait_methods.vertical_forward(attitude, forward),
                 ours,
             )
             for counted, column in zip(found.values(), columns, strict=True):
@@ -68,8 +67,8 @@ def further_walks():
     for seed in range(100, 125):
         for manner in MANNERS:
             attitude, forward, _, landed = walked(seed, manner, 13 + seed % 7 / 2, {})
-            before.append(len(step_detectors.trough_to_peak(attitude)))
-            after.append(len(step_detectors.without_closing(attitude, forward)))
+            before.append(len(gait_methods.trough_to_peak(attitude)))
+            after.append(len(gait_methods.without_closing(attitude, forward)))
             true.append(landed - 1)
     rows = [
         [name, sum(n), sum(n) - sum(true), f"{np.mean(np.equal(n, true)):.0%}"]
@@ -108,7 +107,7 @@ def hundred_metres():
     way = [walk.body.lengths.sum() for walk in walks]
 
     rows = []
-    for name, model in step_length.MODELS.items():
+    for name, model in walker.MODELS.items():
         walked = [model(StepFeatures(g[0]), height=h)[0].sum() for g, h in zip(gaits, HEIGHTS, strict=True)]
         shown = f"**{name}, ours**" if name == "inverted pendulum" else name
         rows.append([shown, f"{np.mean(np.abs(np.subtract(walked, way))):.2f}", PAPER_DISTANCE.get(name, "")])

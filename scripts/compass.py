@@ -16,7 +16,7 @@ from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.lab.papers.heading_methods import principal_axis
+from pdr_graph.lab.papers.gait_methods import principal_axis
 from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate

@@ -10,7 +10,7 @@ from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.attitude import runs
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.scenario import Scenario
-from pdr_graph.lab.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
+from pdr_graph.lab.simulation.sensors import standard_pressure
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Signal
 
@@ -166,7 +166,7 @@ def weathered(walk, seed, noise, rate, gusts):
     end = walk.body.time[-1]
     time = np.arange(0, end, 1 / rate)
     height = ALTITUDE + np.interp(time, walk.body.time, walk.body.height)
-    pressure = SEA_LEVEL * (1 - LAPSE * height) ** EXPONENT
+    pressure = standard_pressure(height)
     pressure += random.uniform(-WEATHER, WEATHER) * time / 3600 + random.normal(0, noise, len(time))
     for at in random.uniform(0, end, random.poisson(gusts * end / 60)):
         lasts = random.uniform(*LASTS)

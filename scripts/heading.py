@@ -12,7 +12,7 @@ from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.attitude_filters import imu_filter
-from pdr_graph.lab.papers.heading_methods import (
+from pdr_graph.lab.papers.gait_methods import (
     PrincipalDirection,
     acceleration_axis,
     accumulate_turn,

@@ -23,9 +23,8 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
-from pdr_graph.lab.simulation.itinerary import SHOP_FRONT
 from pdr_graph.lab.simulation.recorders import write
-from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.scenario import SHOP_FRONT, Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
 MALL = Path(__file__).resolve().parents[1] / "maps" / "mall.geojson"

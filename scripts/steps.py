@@ -7,13 +7,13 @@ from tables import publish, table
 from pdr_graph import Walker, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import posterior_profile, prior_of
 from pdr_graph.frames import enu
-from pdr_graph.gait import step_length
+from pdr_graph.gait import walker
 from pdr_graph.gait.step_detection import walking_steps
-from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.steps import gait_signals
+from pdr_graph.gait.walker import StepFeatures
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.lab.papers.step_detectors import peak_pairs, trough_to_peak
+from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
 from pdr_graph.priors import STRIDES
 from pdr_graph.types import LONLAT, Fixes
 
@@ -121,7 +121,7 @@ def strides(walks):
     known = [walk for walk in walks if walk.name.startswith("site")]
     others = [walk for walk in walks if walk not in known]
     rows = []
-    for name, model in step_length.MODELS.items():
+    for name, model in walker.MODELS.items():
         ratios, elsewhere = (np.array([w.ratio(model(w.features)[0]) for w in of]) for of in (known, others))
         shown = f"**{name}**" if name == "inverted pendulum" else name
         rows.append([shown, *spread(known, ratios), *(f"{ratio:.2f}" for ratio in elsewhere)])
@@ -173,7 +173,7 @@ def profiles(walks):
             for other in pieces:
                 profile = profile if other is piece else learnt(other, profile)
             factor = 1 + profile.E_length
-            lengths = step_length.inverted_pendulum(piece.features)[0]
+            lengths = walker.inverted_pendulum(piece.features)[0]
             plain.append(piece.ratio(lengths))
             taught.append(piece.ratio(factor * lengths))
             rows.append([piece.name, f"{piece.way:.0f}", f"{plain[-1]:.2f}", f"{factor:.2f}", f"{taught[-1]:.2f}"])

@@ -11,7 +11,7 @@ from pdr_graph.io.gpx import Points, Track
 from pdr_graph.io.source import Source
 from pdr_graph.lab.papers.attitude_filters import Navigation, Samples
 from pdr_graph.lab.papers.map_matching import correct, match
-from pdr_graph.lab.simulation.pedestrian import walk_path
+from pdr_graph.lab.simulation.body import walk_path
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 

@@ -7,12 +7,12 @@ ahead. A grip change turns the phone, while the walker turns less or not at all.
 A forward-axis method takes an `Attitude`, the walker's heading since the first sample ``(n,)`` (which is removed, so
 that the walk need not be straight), the mask of walking samples ``(n,)``, and the typical duration of a step [s]; it
 returns a `Forward`. A direction method takes an `Attitude` and the typical duration of a step and returns a
-`Direction`. Published methods for comparison are in `papers.heading_methods`.
+`Direction`. Published methods for comparison are in `papers.gait_methods`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
@@ -56,21 +56,13 @@ def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
 
 def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
     """The phone's y axis if its screen faces up and it is held steadily, for reading. `step` is not used."""
-    if not walking.any():
+    x, y, z, w = attitude.R_world_device.as_quat()[walking].T
+    if not len(x) or np.mean(1 - 2 * (x * x + y * y)) < FORWARD.facing_up:
         return UNKNOWN
-    if _screen_up(attitude, walking) < FORWARD.facing_up:
-        return UNKNOWN
-    attitudes = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
-    along = _level(attitudes.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
+    along = (2 * (x * y - w * z) + 1j * (1 - 2 * (x * x + z * z))) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
         return UNKNOWN
     return Forward(float(np.angle(along.mean())), FORWARD.unconfirmed)
-
-
-def _screen_up(attitude: Attitude, walking: Mask) -> float:
-    """Mean vertical component of the screen's normal while walking."""
-    x, y, _, _ = attitude.R_world_device.as_quat()[walking].T
-    return float(np.mean(1 - 2 * (x * x + y * y)))
 
 
 def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
@@ -101,8 +93,8 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     pushes = _pushes(attitude[walked], heading[walked], walking[walked], step, FORWARD.early_steps)
     mean = complex(pushes.mean()) if len(pushes) else 0.0j
     if abs(mean) < FORWARD.early_coherence:
-        facing_up = _screen_up(attitude, walking) > FORWARD.surely_facing_up
-        return reading if facing_up else UNKNOWN
+        x, y = attitude.R_world_device.as_quat()[walking, :2].T
+        return reading if np.mean(1 - 2 * (x * x + y * y)) > FORWARD.surely_facing_up else UNKNOWN
     sigma = float(np.hypot(FORWARD.gait_sigma, FORWARD.early_spread / np.sqrt(len(pushes))))
     gait = Forward(float(np.angle(mean)), sigma)
     if not reading.determined:
@@ -118,14 +110,19 @@ def _pushes(attitude: Attitude, heading: Array, walking: Mask, step: float, wind
     """The `push` of each window of so many steps in which the walker walks ``(k,)``."""
     level, vertical = at_step_frequency(attitude, heading, step)
     size = max(1, round(window_steps * step / attitude.period))
-    begins = [k for k in range(0, len(level) - size + 1, size) if np.mean(walking[k : k + size]) > 0.9]
-    return np.array([push(level[k : k + size], vertical[k : k + size]) for k in begins], dtype=complex)
+    used = len(level) // size * size
+    walked = walking[:used].reshape(-1, size).mean(axis=1) > 0.9
+    return push(level[:used].reshape(-1, size)[walked], vertical[:used].reshape(-1, size)[walked])
 
 
-def push(level: Complex, vertical: Complex) -> complex:
-    """Coherence of level and vertical acceleration, the latter shifted by the lead: a vector ahead, of length 0–1."""
+def push(level: Complex, vertical: Complex) -> Complex:
+    """Coherence ``(…,)`` of level and vertical acceleration ``(…, n)``: vectors ahead, of length 0 to 1.
+
+    The vertical acceleration is shifted by the lead.
+    """
     ahead = np.real(vertical.conj() * np.exp(-1j * FORWARD.lead))
-    return complex(np.mean(level * ahead) / np.sqrt(np.mean(np.abs(level) ** 2) * np.mean(ahead**2) + 1e-12))
+    power = np.mean(np.abs(level) ** 2, axis=-1) * np.mean(ahead**2, axis=-1)
+    return np.mean(level * ahead, axis=-1) / np.sqrt(power + 1e-12)
 
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
@@ -145,109 +142,12 @@ def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[
 def level_and_vertical(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
     """Level (complex, real along ``heading (n,)``) and vertical acceleration, both ``(n,)``. [m/s²]"""
     world = attitude.R_world_device.apply(attitude.acceleration)
-    return _level(world) * np.exp(-1j * heading), world[:, 2]
-
-
-def _level(vectors: Array) -> Complex:
-    """The level part of vectors ``(n, 3)`` as x + iy ``(n,)``; without BLAS, whose threads cost more than they save."""
-    return vectors[:, 0] + 1j * vectors[:, 1]
+    return (world[:, 0] + 1j * world[:, 1]) * np.exp(-1j * heading), world[:, 2]
 
 
 def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:
     """Acceleration along the walking direction ``(n,)``. [m/s²]"""
     return (level_and_vertical(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
-
-
-@dataclass(frozen=True)
-class GripChange:
-    """A change of how the phone is held: first, last sample; turn: the walker's own turn meanwhile [rad]."""
-
-    first: int
-    last: int
-    turn: float
-
-
-Spans = list[tuple[int, int]]  # first and last samples
-
-
-def possible_grip_changes(up: Array, heading: Array, step: float, period: float) -> tuple[Spans, Spans]:
-    """Spans in which the device changes its tilt, and other spans of turns as fast as a wrist's."""
-    tilted = _to_another_tilt(up, step, period)
-    return tilted, [span for span in _fast_turns(heading, period) if not _overlaps(span, tilted)]
-
-
-def confirmed_grip_changes(
-    attitude: Attitude, heading: Array, step: float, tilted: Spans, fast: Spans
-) -> list[GripChange]:
-    """The grip changes among candidate spans, with the turn of the walker, judged by the steps before and after."""
-    if not tilted and not fast:
-        return []
-    gait = _StepHarmonic(*at_step_frequency(attitude, heading, step), round(step / attitude.period))
-    found = [GripChange(*span, _walkers_turn(gait, heading, span)) for span in tilted]
-    return found + [
-        GripChange(*span, _walkers_turn(gait, heading, span)) for span in fast if _phone_turned(gait, heading, span)
-    ]
-
-
-@dataclass(frozen=True)
-class _StepHarmonic:
-    """Accelerations at the step frequency: level, vertical ``(n,)`` as of `at_step_frequency`; step: its samples."""
-
-    level: Complex
-    vertical: Complex
-    step: int
-
-    def moved(self, first: int, last: int, steps: int, coherent: float) -> float:
-        """Rotation of the forward axis in the device from before to after a span; NaN if unclear. [rad]
-
-        steps: number of steps to either side; coherent: least coherence with the gait.
-        """
-        before, after = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
-        if first < GRIP.steps_beside * self.step or last + GRIP.steps_beside * self.step > len(self.level):
-            return np.nan
-        ahead = [push(self.level[s], self.vertical[s]) for s in (before, after)]
-        if np.min(np.abs(ahead)) < coherent:
-            return np.nan
-        return float(np.angle(ahead[1] * np.conj(ahead[0])))
-
-
-def _to_another_tilt(up: Array, step: float, period: float) -> Spans:
-    """Spans after which the vertical has another direction in the device."""
-    samples = max(1, round(step / period))
-    found = []
-    tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > GRIP.tilting * period
-    for first, after in np.transpose(runs(tilting)).tolist():
-        begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
-        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > GRIP.new_tilt:
-            found.append((begin, end))
-    return found
-
-
-def _walkers_turn(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> float:
-    """The walker's turn during a grip change, from the gait before and after; 0 unless the gait shows a turn. [rad]"""
-    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, 2 * GRIP.steps_beside, GRIP.less_coherent)
-    turn = float(wrap_angle(turned + moved))
-    return turn if abs(turn) > GRIP.turned else 0.0
-
-
-def _fast_turns(heading: Array, period: float) -> Spans:
-    """Spans of turns that a wrist could have made."""
-    samples = max(1, round(GRIP.within / period))
-    fast = runs(np.abs(heading[samples:] - heading[:-samples]) > GRIP.fast)
-    return [(first, after - 1 + samples) for first, after in np.transpose(fast).tolist()]
-
-
-def _phone_turned(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> bool:
-    """True if the forward axis rotates in the device by the angle of the turn: the phone turned, not the walker.
-
-    At a corner the gait may be misread, but seldom by just the angle of the corner.
-    """
-    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, GRIP.steps_beside, GRIP.coherent)
-    return -moved * np.sign(turned) > GRIP.clear_change and abs(turned + moved) < GRIP.turned
-
-
-def _overlaps(span: tuple[int, int], others: Spans) -> bool:
-    return any(span[0] < other[1] and other[0] < span[1] for other in others)
 
 
 @dataclass(frozen=True)
@@ -261,15 +161,6 @@ class Direction:
 
     heading: Array
     variance: Array
-
-
-def mean_attitude(quaternion: Array, samples: int) -> Array:
-    """Unit quaternions ``(4, n)`` of attitudes ``(n, 4)`` averaged over a window of samples.
-
-    Means of quaternions `with_continuous_signs` are those of the attitudes for swings of less than 90°.
-    """
-    mean = uniform_filter1d(np.ascontiguousarray(quaternion.T), samples, axis=1, mode="nearest")
-    return mean / np.linalg.norm(mean, axis=0)
 
 
 def vertical_in_device(quaternion: Array) -> Array:
@@ -289,33 +180,11 @@ def turns_about_vertical(quaternion: Array) -> Array:
     return k * np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
 
 
-def without_grip_changes(heading: Array, changes: list[GripChange]) -> tuple[Array, Array]:
-    """The walker's turn since the previous sample ``(n,)`` [rad], and its variance ``(n,)`` [rad²]."""
-    turn, variance = np.diff(heading, prepend=heading[:1]), np.zeros(len(heading))
-    for change in changes:
-        during = slice(change.first + 1, change.last + 1)
-        count = change.last - change.first
-        turn[during] = change.turn / count
-        variance[during] = GRIP.sigma**2 / count
-    return turn, variance
-
-
-def with_continuous_signs(quaternion: Array) -> Array:
-    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not jump from sample to sample."""
-    turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
-    return quaternion * np.concatenate([[1.0], turned_round])[:, None]
-
-
 FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
 SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading", "course", "variance")
+Spans = list[tuple[int, int]]  # first and last samples
 
 
-def _context_steps() -> int:
-    """Number of steps before the first sample that is not final."""
-    return 2 * GRIP.steps_beside + FILTER_EDGE
-
-
-@dataclass
 class HeadingStream:
     """The samples of the last seconds and the walker's heading at them.
 
@@ -326,7 +195,8 @@ class HeadingStream:
     0 ± 0.35 rad.
 
     origin: time of sample 0 [s]; period [s]; first: number of the first stored sample; step: typical duration [s].
-    quaternion ``(n, 4)`` and acceleration ``(n, 3)``; measured: ``(n,)`` True where the gyroscope ran.
+    quaternion ``(n, 4)``, of signs that do not jump, and acceleration ``(n, 3)``; measured: ``(n,)`` True where the
+    gyroscope ran.
     rate_integral, turned: ``(n,)`` integrated rate about the vertical, and turn of the mean attitude [rad].
     up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` ignoring grip changes [rad]; both are final
         for the first ``heading_final`` samples.
@@ -334,21 +204,12 @@ class HeadingStream:
         samples.
     """
 
-    origin: float
-    period: float
-    first: int = 0
-    step: float = STEP.usual
-    heading_final: int = 0
-    course_final: int = 0
-    quaternion: Array = field(default_factory=lambda: np.empty((0, 4)))
-    acceleration: Array = field(default_factory=lambda: np.empty((0, 3)))
-    measured: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
-    rate_integral: Array = field(default_factory=lambda: np.empty(0))
-    up: Array = field(default_factory=lambda: np.empty((0, 3)))
-    turned: Array = field(default_factory=lambda: np.empty(0))
-    heading: Array = field(default_factory=lambda: np.empty(0))
-    course: Array = field(default_factory=lambda: np.empty(0))
-    variance: Array = field(default_factory=lambda: np.empty(0))
+    def __init__(self, origin: float, period: float, step: float = STEP.usual):
+        self.origin, self.period, self.step = origin, period, step
+        self.first = self.heading_final = self.course_final = 0
+        self.quaternion, self.acceleration, self.up = (np.empty((0, columns)) for columns in (4, 3, 3))
+        self.rate_integral, self.turned, self.heading, self.course, self.variance = (np.empty(0) for _ in range(5))
+        self.measured = np.empty(0, dtype=bool)
 
     @property
     def time(self) -> Array:
@@ -371,8 +232,33 @@ class HeadingStream:
 
         last: True if no more samples follow.
         """
-        self._append(quaternion, acceleration, angular_rate)
-        self._smooth()
+        # Integrate the rate about the vertical
+        rate = np.sum(vertical_in_device(quaternion.T) * angular_rate, axis=1) * self.period
+        measured = np.isfinite(rate)
+        rate = np.where(measured, rate, 0.0)
+        start = self.rate_integral[-1] if len(self.rate_integral) else -rate[0]
+        joined = np.concatenate([self.quaternion[-1:], quaternion])
+        signs = np.cumprod(np.where(np.sum(joined[1:] * joined[:-1], axis=1) < 0, -1.0, 1.0))
+        self.quaternion = np.concatenate([self.quaternion[:-1], joined * np.append(1.0, signs)[:, None]])
+        self.acceleration = np.concatenate([self.acceleration, acceleration])
+        self.measured = np.append(self.measured, measured)
+        self.rate_integral = np.append(self.rate_integral, start + np.cumsum(rate))
+
+        # Heading and vertical, gait removed. Means of quaternions are those of attitudes for swings of less than 90°
+        samples, keep = max(1, round(self.step / self.period)), self.heading_final
+        final = max(0, keep - 1)  # the last final sample stays
+        begin, new = max(0, final - 2 * samples), keep - final
+        mean = np.ascontiguousarray(self.quaternion[begin:].T)
+        mean = uniform_filter1d(mean, 2 * samples, axis=1, mode="nearest")
+        steady = (mean / np.linalg.norm(mean, axis=0))[:, final - begin :]
+        turn = turns_about_vertical(steady) * self.measured[final + 1 :]
+        turned = (self.turned[final] if len(self.turned) else 0.0) + np.concatenate([[0.0], np.cumsum(turn)])
+        of_step, of_stride = (uniform_filter1d(self.rate_integral[begin:], n * samples, mode="nearest") for n in (1, 2))
+        heading = turned + (of_step - of_stride)[final - begin :]
+        self.up = np.concatenate([self.up[:keep], vertical_in_device(steady)[new:]])
+        self.turned = np.concatenate([self.turned[:keep], turned[new:]])
+        self.heading = np.concatenate([self.heading[:keep], heading[new:]])
+        self.heading_final = max(keep, len(self.quaternion) - samples)
         if last:
             self.finish()
         else:
@@ -386,100 +272,105 @@ class HeadingStream:
     def forget(self, before: float) -> None:
         """Drop samples that no later step depends on; steps before the time ``before`` [s] are final."""
         final = min(self.course_final, int((before - self.origin) / self.period) - self.first)
-        drop = max(0, final - round(_context_steps() * self.step / self.period))
+        drop = max(0, final - round((2 * GRIP.steps_beside + FILTER_EDGE) * self.step / self.period))
         self.first += drop
         self.heading_final -= drop
         self.course_final -= drop
         for name in SERIES:
             setattr(self, name, getattr(self, name)[drop:])
 
-    def _append(self, quaternion: Array, acceleration: Array, angular_rate: Array) -> None:
-        rate = np.sum(vertical_in_device(quaternion.T) * angular_rate, axis=1) * self.period
-        measured = np.isfinite(rate)
-        rate = np.where(measured, rate, 0.0)
-        start = self.rate_integral[-1] if len(self.rate_integral) else -rate[0]
-        joined = with_continuous_signs(np.concatenate([self.quaternion[-1:], quaternion]))
-        self.quaternion = np.concatenate([self.quaternion[:-1], joined])
-        self.acceleration = np.concatenate([self.acceleration, acceleration])
-        self.measured = np.append(self.measured, measured)
-        self.rate_integral = np.append(self.rate_integral, start + np.cumsum(rate))
-
-    def _smooth(self) -> None:
-        """Update heading and vertical, gait removed."""
-        samples = max(1, round(self.step / self.period))
-        last = max(0, self.heading_final - 1)
-        begin = max(0, last - 2 * samples)
-        steady = mean_attitude(self.quaternion[begin:], 2 * samples)[:, last - begin :]
-        up = vertical_in_device(steady)
-        turn = turns_about_vertical(steady) * self.measured[last + 1 :]
-        start = self.turned[last] if len(self.turned) else 0.0
-        turned = start + np.concatenate([[0.0], np.cumsum(turn)])
-        of_step, of_stride = (uniform_filter1d(self.rate_integral[begin:], n * samples, mode="nearest") for n in (1, 2))
-        new = self.heading_final - last  # 0 or 1: the last final sample stays
-        keep = self.heading_final
-        self.up = np.concatenate([self.up[:keep], up[new:]])
-        self.turned = np.concatenate([self.turned[:keep], turned[new:]])
-        self.heading = np.concatenate([self.heading[:keep], (turned + (of_step - of_stride)[last - begin :])[new:]])
-        self.heading_final = max(self.heading_final, len(self.quaternion) - samples)
-
     def _correct(self, last: bool) -> None:
         """Update the walker's heading; it is final up to the first undecided grip change."""
+        step, now = self.step / self.period, len(self.quaternion)
         begin, end = max(0, self.course_final - 1), max(1, self.heading_final)
-        tilted, fast = self._possible_changes(begin, end)
-        until, decided = self._decided_changes(tilted, fast, last)
-        found = self._confirmed_changes(*decided)
-        found += [GripChange(*span, 0.0) for span in tilted if span[0] >= until]
-        turn, variances = without_grip_changes(self.heading, found)
-        course, variance = (self.course[begin], self.variance[begin]) if len(self.course) else (0.0, 0.0)
-        new = self.course_final - begin
-        self.course = np.append(self.course[: self.course_final], (course + _cumulative(turn[begin:]))[new:])
-        self.variance = np.append(self.variance[: self.course_final], (variance + _cumulative(variances[begin:]))[new:])
-        self.course_final = max(self.course_final, until)
 
-    def _possible_changes(self, begin: int, end: int) -> tuple[Spans, Spans]:
-        """Spans of changed tilt and of fast turns among the samples [begin, end)."""
-        if end - begin < 3:
-            return [], []
-        tilted, fast = possible_grip_changes(self.up[begin:end], self.heading[begin:end], self.step, self.period)
-        return _later(tilted, begin), _later(fast, begin)
+        # Spans after which the vertical has another direction in the device, and other turns that a wrist could make
+        tilted, fast = Spans(), Spans()
+        up, heading, beside = self.up[begin:end], self.heading[begin:end], max(1, round(step))
+        within = max(1, round(GRIP.within / self.period))
+        if end - begin >= 3:
+            tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > GRIP.tilting * self.period
+            for first, after in np.transpose(runs(tilting)).tolist():
+                before, behind = max(0, first - beside), min(len(up) - 1, after - 1 + beside)
+                if np.arccos(np.clip(up[before] @ up[behind], -1, 1)) > GRIP.new_tilt:
+                    tilted.append((begin + before, begin + behind))
+            turning = runs(np.abs(heading[within:] - heading[:-within]) > GRIP.fast)
+            spans = [(begin + first, begin + after - 1 + within) for first, after in np.transpose(turning).tolist()]
+            fast = [s for s in spans if not any(s[0] < other[1] and other[0] < s[1] for other in tilted)]
 
-    def _decided_changes(self, tilted: Spans, fast: Spans, last: bool) -> tuple[int, tuple[Spans, Spans]]:
-        """The first sample at which grip changes are undecided, and the spans before it."""
-        now = len(self.quaternion)
-        if last:
-            return now, (tilted, fast)
-        step = self.step / self.period
-        until = self.heading_final - round(GRIP.within / self.period) - round(step) - 2
-        spans = [(*span, 2 * GRIP.steps_beside + FILTER_EDGE) for span in tilted]
-        spans += [(*span, GRIP.steps_beside + FILTER_EDGE) for span in fast]
-        for begin, end, steps in sorted(spans, reverse=True):
-            undecided = end >= self.heading_final - 2 or end + steps * step > now
-            if undecided or end >= until:
-                until = min(until, begin)
-        until = max(until, now - round(GRIP.longest_undecided / self.period), self.course_final)
-        return until, ([s for s in tilted if s[1] < until], [s for s in fast if s[1] < until])
+        # The first sample at which grip changes are undecided
+        until = now
+        if not last:
+            until = self.heading_final - round(GRIP.within / self.period) - round(step) - 2
+            follow = [(*span, 2 * GRIP.steps_beside + FILTER_EDGE) for span in tilted]
+            follow += [(*span, GRIP.steps_beside + FILTER_EDGE) for span in fast]
+            for first, after, steps in sorted(follow, reverse=True):
+                if after >= min(until, self.heading_final - 2) or after + steps * step > now:
+                    until = min(until, first)
+            until = max(until, now - round(GRIP.longest_undecided / self.period), self.course_final)
+        decided = [span for span in tilted if last or span[1] < until]
+        maybe = [span for span in fast if last or span[1] < until]
 
-    def _confirmed_changes(self, tilted: Spans, fast: Spans) -> list[GripChange]:
-        """The grip changes among decided spans."""
-        if not tilted and not fast:
-            return []
-        begin = max(0, min(span[0] for span in tilted + fast) - round(_context_steps() * self.step / self.period))
-        attitude, heading = self.attitude(slice(begin, None)), self.heading[begin:]
-        found = confirmed_grip_changes(attitude, heading, self.step, _later(tilted, -begin), _later(fast, -begin))
-        return [GripChange(change.first + begin, change.last + begin, change.turn) for change in found]
+        # The walker's turn during each, judged by the steps before and after
+        changes = [(span, 0.0) for span in tilted if span[0] >= until]
+        if decided or maybe:
+            context = round((2 * GRIP.steps_beside + FILTER_EDGE) * step)
+            gait = _StepHarmonic(self, max(0, min(span[0] for span in decided + maybe) - context))
+            maybe = [span for span in maybe if gait.phone_turned(span)]
+            changes = [(span, gait.walkers_turn(span)) for span in decided + maybe] + changes
+        turn, variances = np.diff(self.heading, prepend=self.heading[:1]), np.zeros(len(self.heading))
+        for (first, final), walkers in changes:
+            turn[first + 1 : final + 1] = walkers / (final - first)
+            variances[first + 1 : final + 1] = GRIP.sigma**2 / (final - first)
+
+        kept, known = self.course_final, bool(len(self.course))
+        course = (self.course[begin] if known else 0.0) + np.append(0.0, np.cumsum(turn[begin + 1 :]))
+        variance = (self.variance[begin] if known else 0.0) + np.append(0.0, np.cumsum(variances[begin + 1 :]))
+        self.course = np.append(self.course[:kept], course[kept - begin :])
+        self.variance = np.append(self.variance[:kept], variance[kept - begin :])
+        self.course_final = max(kept, until)
 
 
-def _later(spans: Spans, samples: int) -> Spans:
-    return [(first + samples, last + samples) for first, last in spans]
+class _StepHarmonic:
+    """Accelerations at the step frequency, from a stored sample of a `HeadingStream` on."""
 
+    def __init__(self, stream: HeadingStream, begin: int):
+        self.begin, self.heading, self.step = begin, stream.heading, round(stream.step / stream.period)
+        attitude = stream.attitude(slice(begin, None))
+        self.level, self.vertical = at_step_frequency(attitude, self.heading[begin:], stream.step)
 
-def _cumulative(values: Array) -> Array:
-    """Cumulative sums ``(n,)`` from 0, without the first value."""
-    return np.concatenate([[0.0], np.cumsum(values[1:])])
+    def moved(self, span: tuple[int, int], steps: int, coherent: float) -> float:
+        """Rotation of the forward axis in the device from before to after a span; NaN if unclear. [rad]
+
+        steps: number of steps to either side; coherent: least coherence with the gait.
+        """
+        first, last = span[0] - self.begin, span[1] - self.begin
+        if first < GRIP.steps_beside * self.step or last + GRIP.steps_beside * self.step > len(self.level):
+            return np.nan
+        parts = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
+        before, after = (push(self.level[part], self.vertical[part]) for part in parts)
+        if min(abs(before), abs(after)) < coherent:
+            return np.nan
+        return float(np.angle(after * np.conj(before)))
+
+    def walkers_turn(self, span: tuple[int, int]) -> float:
+        """The walker's turn during a grip change; 0 unless the gait before and after shows a turn. [rad]"""
+        turned = self.heading[span[1]] - self.heading[span[0]]
+        turn = float(wrap_angle(turned + self.moved(span, 2 * GRIP.steps_beside, GRIP.less_coherent)))
+        return turn if abs(turn) > GRIP.turned else 0.0
+
+    def phone_turned(self, span: tuple[int, int]) -> bool:
+        """True if the forward axis rotates in the device by the angle of the turn: the phone turned, not the walker.
+
+        At a corner the gait may be misread, but seldom by just the angle of the corner.
+        """
+        turned = self.heading[span[1]] - self.heading[span[0]]
+        moved = self.moved(span, GRIP.steps_beside, GRIP.coherent)
+        return -moved * np.sign(turned) > GRIP.clear_change and abs(turned + moved) < GRIP.turned
 
 
 def walking_direction(attitude: Attitude, step: float) -> Direction:
     """The default: for a phone in any grip, and with grip changes in mid-walk (`HeadingStream`)."""
-    stream = HeadingStream(float(attitude.time[0]), attitude.period, step=step)
+    stream = HeadingStream(float(attitude.time[0]), attitude.period, step)
     stream.update(attitude.R_world_device.as_quat(), attitude.acceleration, attitude.angular_rate, last=True)
     return Direction(stream.course, stream.variance)

@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.priors import BOUT, CANDIDATE, STEP
-from pdr_graph.types import Array, Complex, Index, Mask
+from pdr_graph.types import Array, Index, Mask
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,17 @@ class Landings:
 
     @classmethod
     def at(cls, time: Array, amplitude: Array, start: float) -> Landings:
-        """Landings at times ``(n,)`` of a recording that starts at ``start`` [s]."""
-        return cls(time, _step_durations(time, start), amplitude)
+        """Landings at times ``(n,)`` of a recording that starts at ``start`` [s].
+
+        The first step, and each step after a stop, takes the duration of its neighbours.
+        """
+        intervals = np.diff(time, prepend=start)
+        walking = np.clip(intervals, STEP.shortest, STEP.longest)
+        walking[:1] = walking[:2][-1:]
+        rows = np.flatnonzero((intervals >= STEP.longest) | (np.arange(len(intervals)) == 0))
+        beside = np.clip(rows[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
+        intervals[rows] = np.median(walking[beside], axis=1)
+        return cls(time, intervals, amplitude)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -56,24 +65,7 @@ class Landings:
         return (leads_to < len(self)) & (time >= self.time[within] - self.period[within])
 
 
-def _step_durations(landed: Array, start: float) -> Array:
-    """Duration ``(n,)`` of each step [s]; the first step, and each step after a stop, takes that of its neighbours."""
-    if not len(landed):
-        return np.empty(0)
-    intervals = np.diff(landed, prepend=start)
-    walking = np.clip(intervals, STEP.shortest, STEP.longest)
-    walking[0] = walking[min(1, len(walking) - 1)]
-    alone = intervals >= STEP.longest
-    alone[0] = True
-    rows = np.flatnonzero(alone)
-    beside = np.clip(rows[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
-    intervals[rows] = np.sort(walking[beside], axis=1)[:, 2]
-    return intervals
-
-
 DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
-LAGS: Array = np.concatenate([DURATIONS, 2 * DURATIONS])  # [s] at which |a| is correlated with itself
-SHORTEST_SIGNAL = 2.5 * float(DURATIONS[-1])  # [s] in which the rhythm can be found
 
 
 @dataclass(frozen=True)
@@ -106,7 +98,7 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     """
     stride = decimation(period)
     sampling = period * stride
-    if sampling > CANDIDATE.slowest or len(acceleration) * period < SHORTEST_SIGNAL:
+    if sampling > CANDIDATE.slowest or len(acceleration) * period < 2.5 * DURATIONS[-1]:
         return NO_CANDIDATES
     signals = np.vstack([acceleration.T, _lengths(acceleration.T)])
     *gravity, smooth = gaussian_filter1d(signals, CANDIDATE.smoothing / period, axis=1)[:, ::stride]
@@ -114,19 +106,30 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     which, regularity = _rhythm(level, sampling)
     available = np.maximum(np.arange(len(level)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
     which, regularity = which[available], regularity[available]
-    wave = _at_frequency(level, which, sampling)
 
-    # The maxima that are high enough, and whether a walking body can move so
-    peaks, time = _maxima(wave, sampling)
+    # The maxima of the analytic signal at the frequency of the steps: samples before them, and interpolated times
+    kernels = _kernels(sampling)
+    windows = sliding_window_view(np.pad(level, kernels.shape[2] // 2), kernels.shape[2])
+    wave = np.vecdot(windows[:, None], kernels[which]).view(complex)[:, 0]
+    before, after = wave.imag[:-1], wave.imag[1:]
+    peaks = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
+    time = (peaks + before[peaks] / (before[peaks] - after[peaks])) * sampling
+
+    # Those that are high enough, and whether a walking body can move so: it hardly tilts, and bobs little
     amplitude = 2 * np.abs(wave)
     past, future = round(CANDIDATE.look_ahead / sampling), round(look_ahead / sampling)
     shift = (past + future + 1) // 2 - future
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
     strong = (amplitude > CANDIDATE.weakest) & (amplitude > CANDIDATE.weakest_share * around)
     peaks, time = peaks[strong[peaks]], time[strong[peaks]]
+    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
+    steady = gaussian_filter1d(np.stack(gravity), width / sampling, axis=1)
+    mean = np.vstack([steady, _lengths(steady)])
+    mean = uniform_filter1d(mean, max(1, round(CANDIDATE.tilt_window / sampling)), axis=1)
+    steadiness = _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)  # 1 if the device does not tilt
     step = DURATIONS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
-    bodily &= _steadiness(np.stack(gravity), sampling)[peaks] > CANDIDATE.steadiest_tilt
+    bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
     return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
 
 
@@ -141,16 +144,8 @@ def _rhythm(level: Array, sampling: float) -> tuple[Index, Array]:
     The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
     half and double the true duration. An unusual duration must fit better.
     """
-    once, twice = np.split(_correlations(level, sampling), 2)
-    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
-    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
-    samples = np.arange(len(which))
-    return which, np.maximum(once[which, samples], twice[which, samples])
-
-
-def _correlations(level: Array, sampling: float) -> Array:
-    """Correlation ``(k, n)`` of a signal with itself each of LAGS earlier, in a moving window."""
-    apart = np.maximum(1, np.round(LAGS / sampling)).astype(int)[:, None]
+    lags = np.concatenate([DURATIONS, 2 * DURATIONS])
+    apart = np.maximum(1, np.round(lags / sampling)).astype(int)[:, None]
     before, after = apart // 2, apart - apart // 2
     margin, at = int(after.max()), np.arange(len(level))
     padded = np.pad(level, margin)
@@ -158,14 +153,11 @@ def _correlations(level: Array, sampling: float) -> Array:
     power = (earlier**2 + later**2) / 2 * ((at >= before) & (at < len(level) - after))
     window = max(1, round(CANDIDATE.window / sampling))
     product = uniform_filter1d(earlier * later, window, axis=1, mode="constant")
-    return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
-
-
-def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
-    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``."""
-    kernels = _kernels(sampling)
-    around = sliding_window_view(np.pad(level, kernels.shape[2] // 2), kernels.shape[2])
-    return np.vecdot(around[:, None], kernels[which]).view(complex)[:, 0]
+    power = uniform_filter1d(power, window, axis=1, mode="constant")
+    once, twice = np.split(product / (power + 1e-4), 2)
+    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
+    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
+    return which, np.maximum(once[which, at], twice[which, at])
 
 
 @lru_cache(maxsize=64)
@@ -179,73 +171,48 @@ def _kernels(sampling: float) -> Array:
     return np.stack([kernel.real, -kernel.imag], axis=1)
 
 
-def _maxima(wave: Complex, sampling: float) -> tuple[Index, Array]:
-    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s]."""
-    before, after = wave.imag[:-1], wave.imag[1:]
-    top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
-    return top, (top + before[top] / (before[top] - after[top])) * sampling
-
-
-def _steadiness(acceleration: Array, sampling: float) -> Array:
-    """Length ``(n,)`` of the mean of gravity ``(3, n)`` in device axes: 1 if the device does not tilt."""
-    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
-    gravity = gaussian_filter1d(acceleration, width / sampling, axis=1)
-    window = max(1, round(CANDIDATE.tilt_window / sampling))
-    mean = uniform_filter1d(np.vstack([gravity, _lengths(gravity)]), window, axis=1)
-    return _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)
-
-
 def _lengths(vectors: Array) -> Array:
     """Lengths ``(n,)`` of vectors ``(3, n)``; `np.linalg.norm` takes three times as long for a few of them."""
     x, y, z = vectors
     return np.sqrt(x * x + y * y + z * z)
 
 
-_Steps = list[tuple[float, float]]  # times and amplitudes
-
-
 @dataclass
 class Bout:
     """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
 
-    walking: True within a bout; last: time of the last candidate [s]; waiting: candidates before the bout starts.
+    walking: True within a bout; last: time of the last candidate [s]; waiting: times and amplitudes of the candidates
+    before the bout starts.
     """
 
     walking: bool = False
     last: float = -np.inf
-    waiting: _Steps = field(default_factory=list)
+    waiting: list[tuple[float, float]] = field(default_factory=list)
 
     def steps(self, following: Candidates) -> tuple[Array, Array]:
         """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
-        names = ("time", "step", "amplitude", "regularity", "bodily")
-        columns = (getattr(following, name).tolist() for name in names)
-        certain = [step for candidate in zip(*columns, strict=True) for step in self._add(*candidate)]
+        certain = list[tuple[float, float]]()
+        columns = (values.tolist() for values in vars(following).values())
+        for time, step, amplitude, regularity, bodily in zip(*columns, strict=True):
+            if not bodily:
+                self.walking, self.waiting, self.last = False, [], -np.inf
+                continue
+            if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
+                continue
+            if time - self.last > STEP.longest:
+                self.walking, self.waiting = False, []
+            self.last = time
+            self.waiting = [(t, a) for t, a in self.waiting if t > time - BOUT.late] + [(time, amplitude)]
+            regular = regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start)
+            if not self.walking and regular and len(self.waiting) >= BOUT.fewest:
+                usual = float(np.median([a for _, a in self.waiting]))
+                self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
+                self.walking = True
+            if self.walking:
+                certain += self.waiting
+                self.waiting = []
         time, amplitude = np.array(certain).reshape(-1, 2).T
         return time, amplitude
-
-    def _add(self, time: float, step: float, amplitude: float, regularity: float, bodily: bool) -> _Steps:
-        """Add a candidate; returns the steps that it confirms."""
-        if not bodily:
-            self.walking, self.waiting, self.last = False, [], -np.inf
-            return []
-        if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
-            return []
-        if time - self.last > STEP.longest:
-            self.walking, self.waiting = False, []
-        self.last = time
-        self.waiting = [(t, a) for t, a in self.waiting if t > time - BOUT.late] + [(time, amplitude)]
-        if not self.walking and regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start):
-            self._start_if_long_enough()
-        if not self.walking:
-            return []
-        certain, self.waiting = self.waiting, []
-        return certain
-
-    def _start_if_long_enough(self) -> None:
-        if len(self.waiting) >= BOUT.fewest:
-            usual = float(np.median([amplitude for _, amplitude in self.waiting]))
-            self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
-            self.walking = True
 
 
 @dataclass
@@ -303,16 +270,14 @@ class StepDetector:
         return self.start + landed, amplitude
 
 
-LONGEST_BLOCK = 120.0  # [s] of samples that are evaluated together: quickest, and the memory does not grow
-
-
 def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDATE.look_ahead) -> Landings:
     """The landings of a whole recording.
 
     time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
     """
     start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
-    detector, size = StepDetector(period, start, look_ahead), round(LONGEST_BLOCK / period)
+    detector = StepDetector(period, start, look_ahead)
+    size = round(120.0 / period)  # two minutes at once are quickest, and the memory does not grow
     blocks = [detector.update(acceleration[first : first + size]) for first in range(0, len(time), size)]
     landed, amplitude = (np.concatenate(column) for column in zip(*blocks, detector.finish(), strict=True))
     return Landings.at(landed, amplitude, start)

@@ -15,8 +15,7 @@ from pdr_graph.errors import InputError, count, expect, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_detection import Landings, walking_steps
-from pdr_graph.gait.step_length import MODELS, StepFeatures
-from pdr_graph.gait.walker import Walker
+from pdr_graph.gait.walker import MODELS, StepFeatures, Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
 from pdr_graph.priors import MOTION, REST
 from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal, Steps
@@ -87,43 +86,29 @@ def uninterrupted(recording: Recording) -> list[Recording]:
     Parts of less than a second are dropped. Raises InputError if no part is longer.
     """
     inertial = [s for s in (recording.accelerometer, recording.linear_acceleration) if s is not None]
-    gaps = np.concatenate([_gaps(signal) for signal in inertial]) if inertial else np.empty((0, 2))
-    if not len(gaps):
+    begins, ends = np.empty(0), np.empty(0)  # of the gaps
+    for signal in inertial:
+        long = np.flatnonzero(np.diff(signal.time) > REST.longest_bridged)
+        begins, ends = np.append(begins, signal.time[long]), np.append(ends, signal.time[long + 1])
+    if not len(begins):
         return [recording]
-    begins, ends = np.sort(gaps[:, 0]), np.sort(gaps[:, 1])
-    start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
-    spans = [
-        (a, b) for a, b in zip(np.append(start, ends), np.append(begins, end), strict=True) if b - a > SHORTEST_WALK
-    ]
+    starts = np.append(min(s.time[0] for s in inertial), np.sort(ends))
+    stops = np.append(np.sort(begins), max(s.time[-1] for s in inertial))
+    spans = [(a, b) for a, b in zip(starts, stops, strict=True) if b - a > SHORTEST_WALK]
     if not spans:
-        longest = np.max(ends - begins)
-        found = f"{len(gaps)} gaps of up to {longest:.0f} s and no {SHORTEST_WALK:.0f} s of samples between them"
+        longest = np.max(starts[1:] - stops[:-1])
+        found = f"{len(begins)} gaps of up to {longest:.0f} s and no {SHORTEST_WALK:.0f} s of samples between them"
         expected = "samples more often than one a second" + slow_rate(min(s.rate for s in inertial))
         raise InputError(recording.source, "", found, expected)
-    return [_cut(recording, a, b) for a, b in spans]
 
-
-def _gaps(signal: Signal) -> Array:
-    """Begin and end ``(g, 2)`` of each gap in a signal. [s]"""
-    long = np.flatnonzero(np.diff(signal.time) > REST.longest_bridged)
-    return np.stack([signal.time[long], signal.time[long + 1]], axis=1)
-
-
-def _cut(recording: Recording, start: float, end: float) -> Recording:
-    """The recording with its inertial sensors from ``start`` to ``end`` [s], inclusive."""
-
-    def part(signal: Signal | None) -> Signal | None:
+    def part(signal: Signal | None, a: float, b: float) -> Signal | None:
         if signal is None:
             return None
-        inside = (signal.time >= start) & (signal.time <= end)
+        inside = (signal.time >= a) & (signal.time <= b)
         return Signal(signal.time[inside], signal.values[inside])
 
-    return replace(
-        recording,
-        accelerometer=part(recording.accelerometer),
-        linear_acceleration=part(recording.linear_acceleration),
-        gyroscope=part(recording.gyroscope),
-    )
+    names = ("accelerometer", "linear_acceleration", "gyroscope")
+    return [replace(recording, **{name: part(getattr(recording, name), *span) for name in names}) for span in spans]
 
 
 @dataclass(frozen=True)
@@ -169,10 +154,11 @@ def gait_signals(recording: Recording | list[GaitSignals]) -> list[GaitSignals]:
 
     Raises InputError without an accelerometer.
     """
-    return [_of_part(part) for part in uninterrupted(recording)] if isinstance(recording, Recording) else recording
-
-
-def _of_part(recording: Recording) -> GaitSignals:
-    attitude = attitude_of(recording)
-    landings = walking_steps(attitude.time, attitude.acceleration)
-    return GaitSignals(recording, attitude, landings, walking_direction(attitude, landings.usual_step))
+    if not isinstance(recording, Recording):
+        return recording
+    parts = []
+    for part in uninterrupted(recording):
+        attitude = attitude_of(part)
+        landings = walking_steps(attitude.time, attitude.acceleration)
+        parts.append(GaitSignals(part, attitude, landings, walking_direction(attitude, landings.usual_step)))
+    return parts

@@ -1,19 +1,219 @@
-"""The walker: ``walker.toml``, and the personal calibration of [calibration-walk] Sec. 3.3 with its covariance."""
+"""The walker: ``walker.toml``, stride models, and the personal calibration of [calibration-walk] Sec. 3.3.
+
+A stride model is one function per published model. It returns length and standard deviation ``(n,)`` [m] of every step.
+The standard deviation is that of one step about the model, in addition to the walker's scale R_s; if the source gives
+none it is a share of the length.
+"""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache, cached_property
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line, read_toml
-from pdr_graph.gait.step_length import MODELS, REFERENCE_HEIGHT
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import MOTION, STRIDES
 from pdr_graph.types import Array, OneLineRepr, Steps
 from pdr_graph.whole_files import write_file
+
+if TYPE_CHECKING:
+    from pdr_graph.gait.steps import GaitSignals
+
+BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] uses four bands of 0–5 Hz; their edges are not published
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """Features of the n steps of an uninterrupted part of a recording, computed on first use."""
+
+    gait: GaitSignals
+
+    @property
+    def amplitude(self) -> Array:
+        """Amplitude of |a|, peak to peak ``(n,)``. [m/s²]"""
+        return self.gait.landings.amplitude
+
+    @property
+    def period(self) -> Array:
+        """Duration of a step ``(n,)``. [s]"""
+        return self.gait.landings.period
+
+    @cached_property
+    def turn(self) -> Array:
+        """Heading change over the step ``(n,)``. [rad]"""
+        return self._turned(self.period)
+
+    @cached_property
+    def bend(self) -> Array:
+        """Half the heading change over the stride, which excludes the sway from step to step ``(n,)``. [rad]"""
+        return self._turned(2 * self.period) / 2
+
+    @property
+    def vertical(self) -> Array:
+        """Vertical acceleration, peak to peak ``(n,)``. [m/s²]"""
+        return self._lifts[:, 0]
+
+    @property
+    def lift(self) -> Array:
+        """Time from lift to landing of the foot: minimum to maximum of the vertical acceleration ``(n,)``. [s]"""
+        return self._lifts[:, 1]
+
+    @cached_property
+    def power(self) -> Array:
+        """Power of |a| around each landing, in four bands of 0–5 Hz ``(n, 4)``. [m²/s⁴]"""
+        attitude, window = self.gait.attitude, 2.0  # [s] chosen by hand
+        magnitude = np.linalg.norm(attitude.acceleration, axis=1)
+        count = min(max(4, round(window / attitude.period)), len(magnitude))
+        middle = np.searchsorted(attitude.time, self.gait.landings.time)
+        first = np.clip(middle - count // 2, 0, len(magnitude) - count)
+        windows = magnitude[first[:, None] + np.arange(count)]
+        taper = np.hanning(count)
+        level = (windows - windows.mean(axis=1, keepdims=True)) * taper
+        spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (taper**2).sum() / count
+        band = np.digitize(np.fft.rfftfreq(count, attitude.period), BANDS) - 1
+        return np.stack([spectrum[:, band == b].sum(axis=1) for b in range(len(BANDS) - 1)], axis=1)
+
+    def _turned(self, duration: Array) -> Array:
+        landed, time, heading = self.gait.landings.time, self.gait.attitude.time, self.gait.direction.heading
+        return np.interp(landed, time, heading) - np.interp(landed - duration, time, heading)
+
+    @cached_property
+    def _lifts(self) -> Array:
+        """Vertical acceleration, peak to peak [m/s²], and time from minimum to maximum [s] of each step ``(n, 2)``."""
+        from scipy.ndimage import gaussian_filter1d  # here, since walkers are read where no steps are detected
+
+        attitude, landings = self.gait.attitude, self.gait.landings
+        smoothing = 0.05  # [s] Gaussian; chosen by hand
+        up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]
+        smooth = gaussian_filter1d(up, smoothing / attitude.period)
+        found = np.zeros((len(landings), 2))
+        for n, (landed, period) in enumerate(zip(landings.time, landings.period, strict=True)):
+            first, middle, last = np.searchsorted(attitude.time, landed + period * np.array([-0.8, -0.3, 0.3]))
+            high = middle + int(np.argmax(smooth[middle : last + 1])) if middle < len(smooth) else len(smooth) - 1
+            low = first + int(np.argmin(smooth[first : high + 1]))
+            found[n] = smooth[high] - smooth[low], max(high - low, 1) * attitude.period
+        return found
+
+
+REFERENCE_HEIGHT = 1.70  # [m] stature for which models without stature were fitted
+Lengths = tuple[Array, Array]
+
+
+def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """The default: the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum), L = k₀ + k₁ √A T.
+
+    A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and the
+    pendulum's chord grows with √h. k₁ is fitted between the surveyed waypoints of 15 walks in two malls
+    (``scripts/reproduce steps``). k₀ is half a step, in agreement with a free fit: how hard a foot lands also depends
+    on shoes, floor and pocket, so that only half of the length follows it. Both scale with stature. In bends steps are
+    shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce steps``).
+    """
+    straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude) * steps.period
+    return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
+
+
+def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (6): L = 0.26 h + 0.31, the same for every step."""
+    return _plausible(np.full(len(steps.period), 0.26 * height + 0.31))
+
+
+def by_cadence(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    normal_step: float = 0.70,
+    normal_cadence: float = 111.0,
+) -> Lengths:
+    """[map-matching] Eqs. (1) to (3): L = R/100 · C r_c, with cadence C, r_c = L₀ / C₀, and R = 100 − a |θ| percent
+    in turns, θ the heading change of the step in degrees, here up to 89°.
+
+    normal_step: L₀ [m]; normal_cadence: C₀ [steps/min], by default of an average person; height is not used.
+    """
+    return _plausible(_in_turns(steps.turn) * 60 / steps.period * normal_step / normal_cadence)
+
+
+def _in_turns(turn: Array) -> Array:
+    """[map-matching] Eq. (2): length of steps that turn by ``turn (n,)`` [rad], as a share of that straight on."""
+    return 1 - STRIDES.turn_shortens / 100 * np.minimum(np.degrees(np.abs(turn)), STRIDES.largest_turn)
+
+
+def by_amplitude(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    intercept: float = 0.445,
+    slope: float = 0.0335,
+    variance: float = 0.01,
+) -> Lengths:
+    """[gps-dr] Sec. 2.3: linear in the amplitude of the vertical acceleration, L = intercept + slope A.
+
+    intercept [m], slope [s²] and variance [m²] are one person's, from `regression`; height is not used.
+    """
+    length, _ = _plausible(intercept + slope * steps.vertical)
+    return length, np.full(len(length), np.sqrt(variance))
+
+
+def regression(amplitude: Array, length: Array) -> dict[str, float]:
+    """Fit one person's constants of `by_amplitude` to amplitudes [m/s²] and lengths [m] of steps, both ``(n,)``.
+
+    Raises ValueError for fewer than three steps, or equal amplitudes.
+    """
+    if len(amplitude) < 3 or np.ptp(amplitude) == 0:
+        raise ValueError(f"found {len(amplitude)} steps, expected three or more with different amplitudes")
+    slope, intercept = np.polyfit(amplitude, length, 1)
+    residual = length - intercept - slope * amplitude
+    variance = float(residual @ residual / (len(residual) - 2))
+    return {"intercept": float(intercept), "slope": float(slope), "variance": variance}
+
+
+def weinberg(steps: StepFeatures, height: float = REFERENCE_HEIGHT, k: float = 0.425) -> Lengths:
+    """Weinberg 2002 (Analog Devices AN-602): L = k · (a_max − a_min)^¼ of the vertical acceleration.
+
+    k [m^¾ s^½]: by default fitted to Microsoft's walks (``scripts/reproduce steps``); height is not used.
+    """
+    return _plausible(k * steps.vertical**0.25)
+
+
+def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
+    |a| in four bands of 0–5 Hz.
+
+    The weights are not published; ours are the output of ``scripts/train_lasso``.
+    """
+    return _plausible(lasso_features(steps, height) @ lasso_weights())
+
+
+def lasso_features(steps: StepFeatures, height: float) -> Array:
+    """The five terms of [calibration-walk] Eq. (7), ``(n, 5)``."""
+    return np.column_stack([height / steps.lift, steps.power])
+
+
+@cache
+def lasso_weights() -> Array:
+    """The weights K₀ … K₄ of `lasso` ``(5,)``."""
+    with resources.files("pdr_graph.gait").joinpath("lasso.csv").open() as file:
+        return np.loadtxt(file, delimiter=",", skiprows=1, usecols=1)
+
+
+MODELS: dict[str, Callable[..., Lengths]] = {
+    "inverted pendulum": inverted_pendulum,
+    "height": by_height,
+    "cadence": by_cadence,
+    "amplitude": by_amplitude,
+    "weinberg": weinberg,
+    "lasso": lasso,
+}
+
+
+def _plausible(length: Array) -> Lengths:
+    """Lengths clipped to 0.2–1.2 m, and their standard deviation."""
+    length = np.clip(length, STRIDES.shortest, STRIDES.longest)
+    return length, STRIDES.sigma * length
+
 
 COEFFICIENTS = ("E_length", "E_straight", "E_corner")
 
@@ -54,7 +254,6 @@ class Profile(OneLineRepr):
 
 DEFAULT_STRIDE = "inverted pendulum"
 LARGEST_SETTING = 3  # height [m] and heading error per step [rad]; a larger value is in another unit
-LARGEST_COEFFICIENT = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # larger: degrees, or another walker
 
 
 @dataclass(frozen=True)
@@ -77,11 +276,8 @@ class Walker(OneLineRepr):
         """Raise ValueError for impossible values (a height in centimetres) and unknown stride models."""
         for name, unit in (("height", "metres"), ("sigma_turn", "radians")):
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float | np.number)
-                or not 0 < value < LARGEST_SETTING
-            ):
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not 0 < value < LARGEST_SETTING:
                 raise ValueError(f"Walker.{name}: found {value!r}, expected {unit} between 0 and {LARGEST_SETTING}")
         if self.stride not in MODELS:
             raise ValueError(f"Walker.stride: found {self.stride!r}, expected one of {', '.join(MODELS)}")
@@ -96,14 +292,21 @@ class Walker(OneLineRepr):
         names = {"height", "sigma_turn", "stride", "calibration"}
         for name in table.keys() - names:
             raise InputError(path, name, "an unknown name", "one of " + ", ".join(sorted(names)))
-        numbers = {
-            name: _number(path, name, table[name], 0, LARGEST_SETTING)
-            for name in ("height", "sigma_turn")
-            if name in table
-        }
-        stride, constants = _stride(path, table.get("stride", DEFAULT_STRIDE))
+        settings = table.keys() & {"height", "sigma_turn"}
+        numbers = {name: _number(path, name, table[name], 0, LARGEST_SETTING) for name in settings}
+
+        # ``stride = "name"``, or a table with ``model`` and constants
+        given = table.get("stride", DEFAULT_STRIDE)
+        stride = given if isinstance(given, dict) else {"model": given}
+        model = stride.get("model", DEFAULT_STRIDE)
+        if model not in MODELS:
+            raise InputError(path, "stride", repr(model)[:60], "one of " + ", ".join(MODELS))
+        allowed = [p for p in inspect.signature(MODELS[model]).parameters if p not in ("steps", "height")]
+        for key in stride.keys() - {"model", *allowed}:
+            raise InputError(path, f"stride.{key}", "an unknown constant", ", ".join(allowed) or "no constants")
+        constants = {key: _number(path, f"stride.{key}", stride[key], 0, 1000) for key in allowed if key in stride}
         profile = _profile(path, table["calibration"]) if "calibration" in table else None
-        return cls(**numbers, stride=stride, constants=constants, profile=profile)
+        return cls(**numbers, stride=model, constants=constants, profile=profile)
 
     def describe(self) -> dict[str, Any]:
         """The walker as plain numbers and texts, for ``summary.json``."""
@@ -117,34 +320,19 @@ class Walker(OneLineRepr):
         lines = [f"# {one_line(comment)}", f"height = {self.height:.3f}  # [m]"]
         lines += [f"sigma_turn = {self.sigma_turn:.4f}  # [rad]", "", "[stride]", f'model = "{self.stride}"']
         lines += [f"{name} = {value:.6g}" for name, value in self.constants.items()]
-        if self.profile is not None:
-            lines += ["", *_calibration_table(self.profile)]
+        if (profile := self.profile) is not None:
+            rows = ", ".join("[" + ", ".join(f"{value:.6e}" for value in row) + "]" for row in profile.covariance)
+            lines += [
+                "",
+                "[calibration]",
+                f"E_length = {profile.E_length:.5f}  # distance error per metre",
+                f"E_straight = {profile.E_straight:.6f}  # heading error per metre [rad/m]",
+                f"E_corner = {profile.E_corner:.5f}  # turn error per turn",
+                f"covariance = [{rows}]  # of the three, in this order",
+                f"residual = {profile.residual:.3f}  # rms distance of the calibration walk from its route [m]",
+                f"speed = {profile.speed:.3f}  # of the calibration walk [m/s]",
+            ]
         write_file(path, "\n".join(lines) + "\n")
-
-
-def _calibration_table(profile: Profile) -> list[str]:
-    rows = ", ".join("[" + ", ".join(f"{value:.6e}" for value in row) + "]" for row in profile.covariance)
-    return [
-        "[calibration]",
-        f"E_length = {profile.E_length:.5f}  # distance error per metre",
-        f"E_straight = {profile.E_straight:.6f}  # heading error per metre [rad/m]",
-        f"E_corner = {profile.E_corner:.5f}  # turn error per turn",
-        f"covariance = [{rows}]  # of the three, in this order",
-        f"residual = {profile.residual:.3f}  # rms distance of the calibration walk from its route [m]",
-        f"speed = {profile.speed:.3f}  # of the calibration walk [m/s]",
-    ]
-
-
-def _stride(path: str | Path, entry: Any) -> tuple[str, dict[str, float]]:
-    """The model's name and constants from ``stride = "name"`` or a table with ``model`` and constants."""
-    table = entry if isinstance(entry, dict) else {"model": entry}
-    name = table.get("model", DEFAULT_STRIDE)
-    if name not in MODELS:
-        raise InputError(path, "stride", repr(name)[:60], "one of " + ", ".join(MODELS))
-    allowed = [p for p in inspect.signature(MODELS[name]).parameters if p not in ("steps", "height")]
-    for key in table.keys() - {"model", *allowed}:
-        raise InputError(path, f"stride.{key}", "an unknown constant", ", ".join(allowed) or "no constants")
-    return name, {key: _number(path, f"stride.{key}", table[key], 0, 1000) for key in allowed if key in table}
 
 
 def _profile(path: str | Path, table: Any) -> Profile:
@@ -153,8 +341,8 @@ def _profile(path: str | Path, table: Any) -> Profile:
     for name in (*COEFFICIENTS, "covariance", "residual", "speed"):
         if name not in table:
             raise InputError(path, f"calibration.{name}", "nothing", "a number, as pdr-graph calibrate writes it")
-    limits = LARGEST_COEFFICIENT.items()
-    values = {n: _number(path, f"calibration.{n}", table[n], -limit, limit) for n, limit in limits}
+    limits = dict(zip(COEFFICIENTS, (0.6, 0.5, 0.5), strict=True))  # larger: degrees, or another walker
+    values = {n: _number(path, f"calibration.{n}", table[n], -limit, limit) for n, limit in limits.items()}
     values |= {n: _number(path, f"calibration.{n}", table[n], 0, 1e3) for n in ("residual", "speed")}
     try:
         covariance = np.array(table["covariance"], dtype=float).reshape(3, 3)

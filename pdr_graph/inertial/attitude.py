@@ -17,8 +17,6 @@ from pdr_graph.priors import REST
 from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, OneLineRepr, Recording, Signal
 
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
-LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|: walking raises it a little, a wrong unit far more
-MOST_GRID_SAMPLES = 40_000_000  # a day at 400 Hz
 
 
 def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[Array]]:
@@ -45,9 +43,9 @@ def _required(recording: Recording, name: str) -> Signal:
 
 
 def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
-    """Raise InputError if the median magnitude is far from that of gravity."""
+    """Raise InputError if the median magnitude is far from that of gravity: walking raises it a little."""
     gravity = float(np.median(np.linalg.norm(accelerometer.values, axis=1)))
-    if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
+    if not 7.0 < gravity < 13.0:
         expected = "about 9.8 m/s²: metres per second squared, gravity not removed"
         raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", expected)
 
@@ -59,9 +57,10 @@ def _uniform_grid(recording: Recording, accelerometer: Signal, start: float, end
         raise InputError(recording.source, "", found, f"at least {SHORTEST_WALK:.0f} s")
     intervals = np.diff(accelerometer.time)
     samples = round((end - start) / float(np.median(intervals[intervals > 0]))) + 1
-    if samples > MOST_GRID_SAMPLES:
+    most = 40_000_000  # a day at 400 Hz
+    if samples > most:
         found = f"{end - start:.0f} s, {samples} samples at their median interval"
-        raise InputError(recording.source, "accelerometer", found, f"up to {MOST_GRID_SAMPLES} samples: milliseconds?")
+        raise InputError(recording.source, "accelerometer", found, f"up to {most} samples: milliseconds?")
     return np.linspace(start, end, samples), (end - start) / (samples - 1)
 
 
@@ -159,7 +158,10 @@ def attitude_of(recording: Recording) -> Attitude:
 
     Raises InputError if there is no accelerometer at all, or the log is shorter than a second.
     """
-    recording, unknown = _with_gravity(recording)
+    linear, unknown = recording.linear_acceleration, ()
+    if recording.accelerometer is None and linear is not None:
+        restored = replace(linear, values=GravityRestorer().restored(linear.values))
+        recording, unknown = replace(recording, accelerometer=restored), (NO_GRAVITY,)
     accelerometer = _required(recording, "accelerometer")
     _check_gravity(recording, accelerometer)
     gyroscope, signal = SensorStream(), recording.gyroscope
@@ -190,29 +192,13 @@ def upright(up: Array) -> Rotation:
     return Rotation.from_quat(np.stack([x, y, np.zeros(len(up)), np.where(down, 0.0, w)], axis=1))
 
 
-def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """A recording whose accelerometer contains gravity, and the assumption that this needed.
-
-    If the recorder removed gravity, its direction is the principal axis of the acceleration: a walker bounces more than
-    they sway. Its sign assumes that the phone faces up or stands upright rather than upside down. On real walks with
-    the phone in hand the axis is within 3–9° of the vertical and gives the same steps and turns.
-    """
-    linear = recording.linear_acceleration
-    if recording.accelerometer is not None or linear is None:
-        return recording, ()
-    restored = GravityRestorer().restored(linear.values)
-    return replace(recording, accelerometer=replace(linear, values=restored)), (NO_GRAVITY,)
-
-
-def vertical_of(covariance: Array) -> Array:
-    """Unit vector ``(3,)`` upwards in the device axes of a walker's phone with this covariance of acceleration."""
-    vertical = np.linalg.eigh(covariance)[1][:, -1]
-    return vertical * np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
-
-
 @dataclass
 class GravityRestorer:
     """Restores gravity that the recorder removed, along the axis of the largest motion so far.
+
+    A walker bounces more than they sway. The sign of the axis assumes that the phone faces up or stands upright rather
+    than upside down. On real walks with the phone in hand the axis is within 3–9° of the vertical and gives the same
+    steps and turns.
 
     moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
     """
@@ -231,7 +217,9 @@ class GravityRestorer:
         self.moments = self.moments + ones.T @ ones
         count, total = self.moments[0, 0], self.moments[0, 1:]
         covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
-        return values + STANDARD_GRAVITY * vertical_of(covariance)
+        vertical = np.linalg.eigh(covariance)[1][:, -1]
+        up = np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
+        return values + STANDARD_GRAVITY * up * vertical
 
 
 class AttitudeStream:
@@ -257,8 +245,14 @@ class AttitudeStream:
         """
         measured = np.isfinite(angular_rate)
         ran = bool(measured.all())
-        if ran:
-            self._learn_from_rest(acceleration, angular_rate)
+        if ran:  # learn the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s
+            recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
+            self.recent = recent = recent[-self._samples :]
+            rate, bias = recent[:, :3], recent[:, :3].mean(axis=0)
+            known = len(recent) == self._samples and at_rest(rate, recent[:, 3:], self._period).all()
+            if known and np.linalg.norm(bias - self.rest_bias) > np.radians(1.0):
+                self.rest_bias = bias
+                self._vqf.setBiasEstimate(np.zeros(3))
         else:
             angular_rate = np.where(measured, angular_rate, self.bias)
         self._vqf.setMotionBiasEstEnabled(ran)
@@ -271,15 +265,3 @@ class AttitudeStream:
     def bias(self) -> Array:
         """Present bias of the gyroscope ``(3,)``. [rad/s]"""
         return self.rest_bias + np.array(self._vqf.state["bias"])
-
-    def _learn_from_rest(self, acceleration: Array, angular_rate: Array) -> None:
-        """Estimate the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s."""
-        recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
-        self.recent = recent[-self._samples :]
-        if len(self.recent) < self._samples:
-            return
-        still = at_rest(self.recent[:, :3], self.recent[:, 3:], self._period).all()
-        bias = self.recent[:, :3].mean(axis=0)
-        if still and np.linalg.norm(bias - self.rest_bias) > np.radians(1.0):
-            self.rest_bias = bias
-            self._vqf.setBiasEstimate(np.zeros(3))

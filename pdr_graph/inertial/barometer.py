@@ -61,10 +61,47 @@ def climbs(barometer: Signal) -> Climbs:
     if len(barometer) < 2 or barometer.time[-1] - barometer.time[0] < CLIMB.level:
         return Climbs.none()
     time, height, quiet = _without_gusts(barometer)
-    first, after = _moving(quiet, _noise(barometer))
-    likely = np.abs(quiet[after - 1] - quiet[first]) > CLIMB.least / 2
-    first, last = _without_false_levels(*_edges(quiet, first[likely], after[likely]))
-    found = _measured(time, height, first, last)
+
+    # Runs of grid cells in which the height rises or falls. The Gaussian of the rate is wide enough that noise seldom
+    # exceeds the high threshold: the derivative of a Gaussian of width s has a noise of noise / (2 π^¼ s^1.5)
+    change = np.diff(height_of(barometer.values[:, 0]))
+    noise = 1.4826 * float(np.median(np.abs(change))) / np.sqrt(2 * barometer.rate)  # [m] of a mean over one second
+    seconds = max(CLIMB.rate, (noise * CLIMB.quiet / CLIMB.fast / 2.66) ** (2 / 3))
+    rate = gaussian_filter1d(quiet, seconds / CLIMB.grid, order=1, mode="nearest") / CLIMB.grid
+    spans: list[tuple[int, int, int]] = []
+    for direction in (1, -1):
+        for a, b in np.transpose(runs(direction * rate > CLIMB.slow)).tolist():
+            if np.max(direction * rate[a:b]) > CLIMB.fast:
+                spans.append((a, b, direction))
+    joined: list[tuple[int, int, int]] = []
+    for a, b, direction in sorted(spans):
+        if joined and joined[-1][2] == direction and (a - joined[-1][1]) * CLIMB.grid < CLIMB.pause:
+            joined[-1] = (joined[-1][0], b, direction)
+        else:
+            joined.append((a, b, direction))
+
+    # First and last cells of each climb; those with a level shorter than a gust between them are one climb
+    edges = list[tuple[int, int]]()
+    for a, b, _ in joined:
+        total = quiet[b - 1] - quiet[a]
+        if abs(total) > CLIMB.least / 2:
+            share, edge = (quiet[a:b] - quiet[a]) / total, min(CLIMB.edge / abs(total), 1 / 8)
+            middle = int(np.argmax(share >= 0.5))
+            begin = a + int(np.flatnonzero(share[: middle + 1] <= edge)[-1])
+            end = max(a + middle + int(np.argmax(share[middle:] >= 1 - edge)), begin + 1)
+            if edges and (begin - edges[-1][1]) * CLIMB.grid <= CLIMB.gust:
+                begin = edges.pop()[0]
+            edges.append((begin, end))
+
+    # Heights from the levels before and after each climb
+    window, rows = round(CLIMB.level / CLIMB.grid), []
+    ends = [0, *(b for _, b in edges)], [*(a for a, _ in edges[1:]), len(height) - 1]
+    for (a, b), before, behind in zip(edges, *ends, strict=False):
+        low, sigma_low = _level(height[min(max(a - window, before), a) : a + 1])
+        high, sigma_high = _level(height[b : max(min(b + window, behind), b) + 1])
+        sigmas = [sigma_low, sigma_high, CLIMB.weather * float(time[b] - time[a]), CLIMB.placement]
+        rows.append((time[a], time[b], high - low, np.linalg.norm(sigmas)))
+    found = Climbs(*np.array(rows).reshape(-1, 4).T)
     lasting = np.minimum(found.start - time[0], time[-1] - found.end) > CLIMB.gust
     lasting |= found.end - found.start > CLIMB.gust  # at the ends of a recording a gust looks like a level
     return found[lasting & (np.abs(found.height) > np.maximum(CLIMB.least, CLIMB.certain * found.sigma))]
@@ -103,68 +140,6 @@ def _without_gusts(barometer: Signal) -> tuple[Array, Array, Array]:
     return np.interp(grid, filled, middle), height, quiet
 
 
-def _noise(barometer: Signal) -> float:
-    """Noise of a mean of the height over one second, from the differences of consecutive samples. [m]"""
-    change = np.diff(height_of(barometer.values[:, 0]))
-    return 1.4826 * float(np.median(np.abs(change))) / np.sqrt(2 * barometer.rate)
-
-
-def _moving(quiet: Array, noise: float) -> tuple[Index, Index]:
-    """First grid cells, and those after the last, of the runs in which the height ``(n,)`` rises or falls; in order.
-
-    The Gaussian of the rate is wide enough that noise [m] seldom exceeds the high threshold: the derivative of a
-    Gaussian of width s has a noise of noise / (2 π^¼ s^1.5).
-    """
-    seconds = max(CLIMB.rate, (noise * CLIMB.quiet / CLIMB.fast / 2.66) ** (2 / 3))
-    rate = gaussian_filter1d(quiet, seconds / CLIMB.grid, order=1, mode="nearest") / CLIMB.grid
-    spans: list[tuple[int, int, int]] = []
-    for direction in (1, -1):
-        first, after = runs(direction * rate > CLIMB.slow)
-        fast = [np.max(direction * rate[a:b]) > CLIMB.fast for a, b in zip(first, after, strict=True)]
-        spans += [(a, b, direction) for a, b, is_fast in zip(first, after, fast, strict=True) if is_fast]
-    joined: list[tuple[int, int, int]] = []
-    for a, b, direction in sorted(spans):
-        if joined and joined[-1][2] == direction and (a - joined[-1][1]) * CLIMB.grid < CLIMB.pause:
-            joined[-1] = (joined[-1][0], b, direction)
-        else:
-            joined.append((a, b, direction))
-    edges = np.array(joined, dtype=int).reshape(-1, 3)
-    return edges[:, 0], edges[:, 1]
-
-
-def _edges(quiet: Array, first: Index, after: Index) -> tuple[Index, Index]:
-    """First and last grid cells of each climb, within the runs from ``first`` to ``after``."""
-    begin, end = first.copy(), after - 1
-    for n, (a, b) in enumerate(zip(first, after, strict=True)):
-        share = (quiet[a:b] - quiet[a]) / (quiet[b - 1] - quiet[a])
-        edge = min(CLIMB.edge / abs(quiet[b - 1] - quiet[a]), 1 / 8)
-        middle = int(np.argmax(share >= 0.5))
-        begin[n] = a + np.flatnonzero(share[: middle + 1] <= edge)[-1]
-        end[n] = a + middle + np.argmax(share[middle:] >= 1 - edge)
-    return begin, np.maximum(end, begin + 1)
-
-
-def _without_false_levels(first: Index, last: Index) -> tuple[Index, Index]:
-    """The same climbs; those with a level shorter than a gust between them are joined."""
-    stays = (first[1:] - last[:-1]) * CLIMB.grid > CLIMB.gust
-    if not len(first):
-        return first, last
-    return first[np.append(True, stays)], last[np.append(stays, True)]
-
-
-def _measured(time: Array, height: Array, first: Index, last: Index) -> Climbs:
-    """Climbs between the cells ``first`` and ``last``, measured from the levels before and after each."""
-    window, rows = round(CLIMB.level / CLIMB.grid), []
-    earliest = np.maximum(first - window, np.append(0, last[:-1]))
-    latest = np.minimum(last + window, np.append(first[1:], len(height) - 1))
-    for a, b, left, right in zip(first, last, earliest, latest, strict=True):
-        before, sigma_before = _level(height[min(left, a) : a + 1])
-        behind, sigma_behind = _level(height[b : max(right, b) + 1])
-        sigmas = [sigma_before, sigma_behind, CLIMB.weather * float(time[b] - time[a]), CLIMB.placement]
-        rows.append((time[a], time[b], behind - before, np.linalg.norm(sigmas)))
-    return Climbs(*np.array(rows).reshape(-1, 4).T)
-
-
 def _level(height: Array) -> tuple[float, float]:
     """The median of heights and its standard deviation. [m]"""
     middle = float(np.median(height))
@@ -182,33 +157,18 @@ def climb_kinds(steps: Steps, climbs: Climbs) -> tuple[str, ...]:
     """
     seconds = climbs.end - climbs.start
     rate = np.abs(climbs.height) / seconds
-    per_step = np.abs(climbs.height) / np.maximum(_steps_made(steps, climbs), 1)
+    moving, made = np.zeros(len(climbs)), np.zeros(len(climbs))  # time on steps [s]; steps, with fractions at the ends
+    if len(steps):
+        knots = np.stack([steps.time - steps.duration, steps.time], axis=1).ravel()
+        for total, of in ((moving, np.append(0.0, np.cumsum(steps.duration))), (made, np.arange(len(steps) + 1.0))):
+            at_knots = np.repeat(of, 2)[1:-1]
+            total += np.interp(climbs.end, knots, at_knots) - np.interp(climbs.start, knots, at_knots)
+    per_step = np.abs(climbs.height) / np.maximum(made, 1)
     limits = (KIND.highest_step, KIND.highest_stairs, KIND.steepest_ramp)
     on_foot = np.select([per_step > limit for limit in limits], [DRAUGHT, ESCALATOR, STAIRS], RAMP)
     standing = np.where(rate > KIND.slowest_lift, LIFT, ESCALATOR)
-    kinds = np.where(_time_on_steps(steps, climbs) > KIND.walked * seconds, on_foot, standing)
+    kinds = np.where(moving > KIND.walked * seconds, on_foot, standing)
     return tuple(str(kind) for kind in kinds)
-
-
-def _time_on_steps(steps: Steps, climbs: Climbs) -> Array:
-    """Time in motion during each climb ``(c,)``. [s]"""
-    return _during(climbs, steps, np.repeat(np.append(0.0, np.cumsum(steps.duration)), 2)[1:-1])
-
-
-def _steps_made(steps: Steps, climbs: Climbs) -> Array:
-    """Number of steps during each climb ``(c,)``, with fractions of the steps at its ends."""
-    return _during(climbs, steps, np.repeat(np.arange(len(steps) + 1.0), 2)[1:-1])
-
-
-def _during(climbs: Climbs, steps: Steps, total: Array) -> Array:
-    """Increase ``(c,)`` during each climb of a quantity with values ``total (2 n,)`` at begin and end of each step."""
-    if not len(steps):
-        return np.zeros(len(climbs))
-    knots = np.stack([steps.time - steps.duration, steps.time], axis=1).ravel()
-    return np.interp(climbs.end, knots, total) - np.interp(climbs.start, knots, total)
-
-
-ALIKE = 0.02  # [m] a smaller change of a length is not reported, live
 
 
 def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:
@@ -225,17 +185,12 @@ def goings_of(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Array:
     for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
         count = np.count_nonzero(_steps_during(steps, start, end))
         if kind == STAIRS and count:
-            rows.append(
-                (
-                    start,
-                    end,
-                    np.clip(TREADS.blondel - 2 * abs(height) / count, TREADS.shortest_going, TREADS.longest_going),
-                )
-            )
+            going = TREADS.blondel - 2 * abs(height) / count
+            rows.append((start, end, np.clip(going, TREADS.shortest_going, TREADS.longest_going)))
     return np.array(rows).reshape(-1, 3)
 
 
-def with_goings(steps: Steps, goings: Array, alike: float = ALIKE) -> Steps:
+def with_goings(steps: Steps, goings: Array, alike: float = 0.02) -> Steps:
     """The steps with those on stairs as long as the treads, unless they are within ``alike`` [m]: then the same object.
 
     goings: ``(k, 3)``, see `goings_of`.

@@ -119,7 +119,13 @@ class SensorStream:
         apart = np.diff(time)
         jumps = np.flatnonzero((apart <= 0) | (apart > REST.longest_bridged)) + 1
         for part, its_values in zip(np.split(time, jumps), np.split(values, jumps), strict=True):
-            self._add_uninterrupted(part, its_values, offset)
+            # Times do not jump within a part: samples are added together from the first that follows those before
+            for k, moment in enumerate(part.tolist()):
+                if self._follows(part[k:] + self.offset):
+                    self._discard_suspects()
+                    self._accept(part[k:] + self.offset, its_values[k:])
+                    break
+                self._add(moment, its_values[k], offset)
 
     def forget(self, before: float) -> None:
         """Drop samples more than a second before a time ``before`` [s]."""
@@ -157,10 +163,8 @@ class SensorStream:
 
     def _follows(self, time: Array) -> bool:
         """True if times increase from the last sample on without a gap."""
-        apart = time[1:] - time[:-1]
-        first = float(time[0] - self.time[-1]) if len(self.time) else REST.longest_bridged
-        least, most = (float(apart.min()), float(apart.max())) if len(apart) else (first, first)
-        return min(first, least) > 0 and max(first, most) <= REST.longest_bridged
+        apart = np.diff(time, prepend=time[0] - REST.longest_bridged if not len(self.time) else self.time[-1])
+        return bool(apart.min() > 0 and apart.max() <= REST.longest_bridged)
 
     def _accept(self, time: Array, values: Array) -> None:
         """Append valid samples."""
@@ -169,22 +173,8 @@ class SensorStream:
         self.samples += len(time)
         self.time, self.values = np.concatenate([self.time, time]), np.concatenate([self.values, values])
 
-    def _add_uninterrupted(self, time: Array, values: Array, offset: float) -> None:
-        """Add samples whose times do not jump: together, from the first one on that follows those before."""
-        while len(time):
-            if self._follows(time + self.offset):
-                self._discard_suspects()
-                self._accept(time + self.offset, values)
-                return
-            self._add(float(time[0]), values[0], offset)
-            time, values = time[1:], values[1:]
-
     def _add(self, time: float, value: Array, offset: float) -> None:
         """Add one sample after a jump in time; it becomes valid when later samples confirm the jump."""
-        if self._follows(np.array([time + self.offset])):
-            self._discard_suspects()
-            self._accept(np.array([time + self.offset]), value[None])
-            return
         since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else REST.longest_bridged
         if -SENSOR_VALIDATION.clock_reset < since <= 0:
             self.dropped += 1
@@ -195,19 +185,16 @@ class SensorStream:
         self.suspect_values = np.concatenate([self.suspect_values, value[None]])
         ahead = self.suspect_time[0] + self.offset > self.last
         if not ahead and np.ptp(self.suspect_time) > SENSOR_VALIDATION.clock_reset:
-            self._reset_clock(offset)
+            # Continue where the samples ended, or with the other sensor's offset if it is plausible
+            begin, end = self.suspect_time[[0, -1]]
+            if not (end + offset > self.last and begin + offset <= self.last + REST.longest_bridged):
+                offset = self.last - begin + float(np.median(np.diff(self.suspect_time)))
+            self.offset, self.clock_resets = float(offset), self.clock_resets + 1
             ahead = True
         if ahead and len(self.suspect_time) >= SENSOR_VALIDATION.confirming:
             later = self.suspect_time + self.offset > self.last
             self._accept(self.suspect_time[later] + self.offset, self.suspect_values[later])
             self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
-
-    def _reset_clock(self, offset: float) -> None:
-        """Continue where the samples ended, or with the other sensor's ``offset`` [s] if it is plausible."""
-        begin, end = self.suspect_time[[0, -1]]
-        if not (end + offset > self.last and begin + offset <= self.last + REST.longest_bridged):
-            offset = self.last - begin + float(np.median(np.diff(self.suspect_time)))
-        self.offset, self.clock_resets = float(offset), self.clock_resets + 1
 
     def _discard_suspects(self) -> None:
         self.dropped += len(self.suspect_time)

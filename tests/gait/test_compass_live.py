@@ -8,11 +8,10 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import LiveCompass
+from pdr_graph.gait.compass import LiveCompass, fit_iron
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.magnetometer import fit_iron
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of

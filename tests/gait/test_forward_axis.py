@@ -10,7 +10,7 @@ from pdr_graph import detect_steps
 from pdr_graph.gait.heading import braking_axis, forward_axis, live_forward_axis, reading_axis, walking_direction
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, attitude_of
-from pdr_graph.lab.papers.heading_methods import principal_axis
+from pdr_graph.lab.papers.gait_methods import principal_axis
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import FORWARD

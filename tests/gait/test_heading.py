@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph import detect_steps
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.inertial.attitude import Attitude, attitude_of
-from pdr_graph.lab.papers.heading_methods import acceleration_axis, accumulate_turn, angular_rate_axis
+from pdr_graph.lab.papers.gait_methods import acceleration_axis, accumulate_turn, angular_rate_axis
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import GRIP

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pdr_graph.gait import step_length
-from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.gait import walker
 from pdr_graph.gait.steps import gait_signals
+from pdr_graph.gait.walker import StepFeatures
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import STRIDES
@@ -36,21 +36,21 @@ def walked():
 
 def test_by_height():
     """[calibration-walk] Eq. (6): 0.26 · 1.70 + 0.31 = 0.752."""
-    assert step_length.by_height(features(), height=1.70)[0] == pytest.approx(0.752)
+    assert walker.by_height(features(), height=1.70)[0] == pytest.approx(0.752)
 
 
 def test_by_cadence():
     """[map-matching] Eqs. (1)–(3): at 120 steps/min, of a walker of 0.7 m at 100, 0.84 m; in a turn by 30° 66.28 %."""
     straight, turning = features(), features(turn=[-np.pi / 6])
     normal = {"normal_step": 0.7, "normal_cadence": 100.0}
-    assert step_length.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
-    assert step_length.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
-    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == STRIDES.shortest, "clipped at 89°"
+    assert walker.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
+    assert walker.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
+    assert walker.by_cadence(features(turn=[3.0]), **normal)[0] == STRIDES.shortest, "clipped at 89°"
 
 
 def test_the_default_model_is_shorter_in_bends():
     """[map-matching] Eq. (2): by 11.24 % in a bend of 10° a step, to either side."""
-    straight, left, right = (step_length.inverted_pendulum(features(bend=[np.radians(v)]))[0] for v in (0, 10, -10))
+    straight, left, right = (walker.inverted_pendulum(features(bend=[np.radians(v)]))[0] for v in (0, 10, -10))
     assert left == pytest.approx(straight * (1 - 0.1124))
     assert right == left
 
@@ -59,39 +59,37 @@ def test_regression_fits_the_constants_of_by_amplitude():
     """[gps-dr] Sec. 2.3: slope, intercept and residual variance."""
     random = np.random.default_rng(0)
     amplitude = random.uniform(2, 10, 4000)
-    constants = step_length.regression(amplitude, 0.4 + 0.05 * amplitude + random.normal(0, 0.03, 4000))
+    constants = walker.regression(amplitude, 0.4 + 0.05 * amplitude + random.normal(0, 0.03, 4000))
     assert constants == pytest.approx({"intercept": 0.4, "slope": 0.05, "variance": 0.0009}, rel=0.06)
-    found, sigma = step_length.by_amplitude(features(), **constants)
+    found, sigma = walker.by_amplitude(features(), **constants)
     assert found == pytest.approx(0.65, abs=0.01)
     assert sigma == pytest.approx(0.03, rel=0.05)
     with pytest.raises(ValueError, match="three or more"):
-        step_length.regression(np.ones(9), np.ones(9))
+        walker.regression(np.ones(9), np.ones(9))
 
 
 def test_weinberg():
-    assert step_length.weinberg(features(vertical=[16.0]), k=0.4)[0] == pytest.approx(0.8)
+    assert walker.weinberg(features(vertical=[16.0]), k=0.4)[0] == pytest.approx(0.8)
 
 
 def test_lasso_uses_the_five_terms_of_the_paper():
     """[calibration-walk] Eq. (7)."""
-    terms = step_length.lasso_features(features(power=[[1, 2, 3, 4]]), 1.8)
+    terms = walker.lasso_features(features(power=[[1, 2, 3, 4]]), 1.8)
     assert terms[0] == pytest.approx([1.8 / 0.3, 1, 2, 3, 4])
-    assert step_length.lasso(features(power=[[1, 2, 3, 4]]), 1.8)[0] == pytest.approx(
-        terms @ step_length.lasso_weights()
-    )
+    assert walker.lasso(features(power=[[1, 2, 3, 4]]), 1.8)[0] == pytest.approx(terms @ walker.lasso_weights())
 
 
 def test_taller_people_take_longer_steps():
-    for model in (step_length.inverted_pendulum, step_length.by_height, step_length.lasso):
+    for model in (walker.inverted_pendulum, walker.by_height, walker.lasso):
         assert (
             model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.9)[0]
             > model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.5)[0]
         )
 
 
-@pytest.mark.parametrize("name", step_length.MODELS)
+@pytest.mark.parametrize("name", walker.MODELS)
 def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
-    found, sigma = step_length.MODELS[name](walked[1])
+    found, sigma = walker.MODELS[name](walked[1])
     assert found.shape == sigma.shape == walked[1].period.shape
     assert np.all((found >= STRIDES.shortest) & (found <= STRIDES.longest))
     assert np.all((sigma > 0.02) & (sigma < 0.5))
@@ -100,7 +98,7 @@ def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
 def test_the_default_model_follows_from_browsing_to_hurrying(walked):
     """Each quarter within 42 %: steps from 0.42 to 0.78 m, for which a constant length errs by 80 %."""
     walk, steps = walked
-    found, _ = step_length.inverted_pendulum(steps, walk.walker.height)
+    found, _ = walker.inverted_pendulum(steps, walk.walker.height)
     ends = np.interp([20, 40, 60, 80], np.cumsum(walk.body.lengths), walk.body.landings)
     landed = steps.gait.landings.time
     sums = np.array([found[(landed > a) & (landed <= b)].sum() for a, b in zip([0, *ends[:-1]], ends, strict=True)])

@@ -66,7 +66,7 @@ def mismeasured(steps, R_d, R_s):
 
 def region_of(steps, R_d, R_s):
     """The feasible region of ranges of R_d and R_s in the loop."""
-    d = lattice(R_d, 0)
+    d = lattice(*R_d)
     return feasible_region(steps, START, 0.0, d, np.tile(R_s, (len(d), 1)), LOOP.network.walls())
 
 

@@ -117,6 +117,8 @@ def test_a_scenario_is_simulated_smoothed_and_scored_by_the_command_line(tmp_pat
         ("route = [[0, 0], {visit = 'Books'}]", "route, item 2: found a visit to 'Books'"),
         ("route = [[0, 0], [9, 0]]\n[gnss]\nperiod = 0", "gnss.period: found 0"),
         ("route = [[0, 0], [9, 0]]\n[gnss]\noutages = [[1]]", "gnss.outages: found"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nsensors = ['nose']", "phone.sensors: found 'nose', expected one of acc"),
+        ("route = [[0, 0], [9, 0]]\n[wifi]\naccess_points = true", "wifi.access_points: found True"),
         ("route = [[0, 0], [9, 0]]\nstart = 'noon'", "start: found 'noon'"),
         ("route = [[0, 0], [9, 0]]\nplace = [200, 10]", "place: found"),
         ("route = [[0, 0", "Unclosed array"),
@@ -130,12 +132,6 @@ def test_a_wrong_scenario_raises_one_line(tmp_path, text, message):
         Scenario.load(path)
     assert message in str(error.value)
     assert str(error.value).isprintable()
-
-
-def test_the_former_key_wild_of_outliers_is_read():
-    fixes = [Scenario.of(SHORT | {"fixes": {key: 0.25}}).user_fixes for key in ("wild", "outliers")]
-    assert fixes[0] == fixes[1]
-    assert fixes[0].outliers == 0.25
 
 
 def test_a_wrong_scenario_writes_no_folder(tmp_path):

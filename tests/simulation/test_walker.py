@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.lab.simulation.pedestrian import MANNERS, Pedestrian, footfalls, walk_path
+from pdr_graph.lab.simulation.body import MANNERS, Pedestrian, footfalls, walk_path
 
 CROWD = [Pedestrian.sample(np.random.default_rng(seed)) for seed in range(400)]
 

@@ -243,7 +243,7 @@ def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
 
 def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
     """Mean magnetic field at both ends of a recording, in the walker's axes; None if it was not measured there."""
-    from pdr_graph.inertial.magnetometer import measured_field
+    from pdr_graph.gait.compass import measured_field
 
     fields = []
     for gait, end, span in ((gaits[0], 0, [0.0, END_DURATION]), (gaits[-1], -1, [-END_DURATION, 0.0])):

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 import vqf
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError, install
@@ -86,7 +86,6 @@ class GyroIntegration:
 
 # Standard deviations of GravityFilter, chosen by hand: [m/s²] of gravity per root second; of one walking sample
 GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0
-CONVERGED_GAIN = 1e-6  # relative change of the gain below which it is constant
 
 
 class GravityFilter:
@@ -100,34 +99,17 @@ class GravityFilter:
     def __init__(self, period: float):
         self._gyroscope = GyroIntegration(period)
         self._process = GRAVITY_PROCESS**2 * period / (GRAVITY_NOISE**2 * max(period * 50, 1.0))  # in units of noise
-        self._variance = np.inf
-        self._gravity = np.zeros(3)
-        steady = (self._process + np.sqrt(self._process**2 + 4 * self._process)) / 2
-        self._gain = steady / (steady + 1)
+        self._gravity, self._gain = np.zeros(3), 1.0
 
     def update(self, samples: Samples) -> Rotation:
         """R_world_device of the next samples."""
         drifting = self._gyroscope.update(samples)
-        measured = drifting.apply(samples.acceleration)
-        gravity = np.empty_like(measured)
-        k = 0
-        while k < len(measured) and (gain := self._next_gain()) is not None:
-            self._gravity = self._gravity + gain * (measured[k] - self._gravity)
-            gravity[k] = self._gravity
-            k += 1
-        if k < len(measured):
-            initial = (1 - self._gain) * self._gravity[None]
-            gravity[k:] = lfilter([self._gain], [1, self._gain - 1], measured[k:], axis=0, zi=initial)[0]
-            self._gravity = gravity[-1]
+        gravity = drifting.apply(samples.acceleration)
+        for row in gravity:
+            self._gravity = row[:] = self._gravity + self._gain * (row - self._gravity)
+            variance = self._gain + self._process
+            self._gain = variance / (variance + 1)
         return compose(upright(gravity), drifting)
-
-    def _next_gain(self) -> float | None:
-        """The gain for the next sample; None after convergence."""
-        gain = 1.0 if np.isinf(self._variance) else self._variance / (self._variance + 1)
-        if gain - self._gain < CONVERGED_GAIN * self._gain:
-            return None
-        self._variance = gain + self._process
-        return gain
 
 
 class Madgwick:
@@ -151,14 +133,11 @@ class Madgwick:
         """R_world_device of the next samples."""
         ahrs, rate, force = self._ahrs, np.degrees(samples.angular_rate), samples.acceleration / STANDARD_GRAVITY
         quaternion = np.empty((len(rate), 4))
-        if self._magnetometer:
-            for row, *sensors in zip(quaternion, rate, force, samples.magnetic_field, strict=True):
-                ahrs.update(*sensors)
-                row[:] = ahrs.get_quaternion()
-        else:
-            for row, *sensors in zip(quaternion, rate, force, strict=True):
-                ahrs.update_no_magnetometer(*sensors)
-                row[:] = ahrs.get_quaternion()
+        update = ahrs.update if self._magnetometer else ahrs.update_no_magnetometer
+        sensors = (rate, force, samples.magnetic_field) if self._magnetometer else (rate, force)
+        for row, *values in zip(quaternion, *sensors, strict=True):
+            update(*values)
+            row[:] = ahrs.get_quaternion()
         return Rotation.from_quat(quaternion, scalar_first=True)
 
 
@@ -198,82 +177,55 @@ class Switching:
         if self._correction is None:
             start = _level_north(samples.acceleration[:1], samples.magnetic_field[:1])[0]
             self._correction = start * drifting[0].inv()
-        rest, up, field = self._at_rest(samples)
-        rows = np.flatnonzero(rest)
-        at_rest = Rotation.from_quat(drifting.as_quat()[rows].reshape(-1, 4))
-        absolute = compose(_level_north(up[rows], field[rows]), at_rest.inv())
+        # Where the last samples were all at rest, and their means of acceleration and field
+        window = {name: np.concatenate([getattr(self._recent, name), values]) for name, values in vars(samples).items()}
+        self._recent = Samples(**{name: values[len(drifting) :] for name, values in window.items()})
+        below = np.linalg.norm(window["angular_rate"], axis=1, keepdims=True) <= self._threshold
+        rest = running_mean(below.astype(float), self._shortest)[:, 0] == 1
+        up, field = (running_mean(window[name], self._shortest)[rest] for name in ("acceleration", "magnetic_field"))
+
+        at_rest = Rotation.from_quat(drifting.as_quat()[rest].reshape(-1, 4))
+        absolute = compose(_level_north(up, field), at_rest.inv())
         corrections = np.concatenate([self._correction.as_quat()[None], absolute.as_quat().reshape(-1, 4)])
         self._correction = Rotation.from_quat(corrections[-1])
         return compose(Rotation.from_quat(corrections[np.cumsum(rest)]), drifting)
 
-    def _at_rest(self, samples: Samples) -> tuple[Mask, Array, Array]:
-        """True where the last `shortest` samples were all at rest, and their means of acceleration and field."""
-        pairs = zip(_fields(self._recent), _fields(samples), strict=True)
-        window = Samples(*(np.concatenate(pair) for pair in pairs))
-        self._recent = Samples(*(values[len(samples.acceleration) :] for values in _fields(window)))
-        below = np.linalg.norm(window.angular_rate, axis=1, keepdims=True) <= self._threshold
-        means = (below.astype(float), window.acceleration, window.magnetic_field)
-        share, up, field = (running_mean(values, self._shortest) for values in means)
-        return share[:, 0] == 1, up, field
 
+def run_filter(recording: Recording, make: Callable[[float], AttitudeFilter], magnetometer: bool = False) -> Attitude:
+    """The attitude of a whole recording by a filter. make: builds it for a period between samples [s].
 
-def accelerometer_magnetometer(recording: Recording) -> Attitude:
-    """See `AccelerometerMagnetometer`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: AccelerometerMagnetometer(), magnetometer=True)
-
-
-def gyro_integration(recording: Recording, start: Rotation | None = None) -> Attitude:
-    """See `GyroIntegration`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: GyroIntegration(period, start))
-
-
-def gravity_filter(recording: Recording) -> Attitude:
-    """See `GravityFilter`. Raises InputError if a sensor is missing."""
-    return _run(recording, GravityFilter)
-
-
-def imu_filter(recording: Recording) -> Attitude:
-    """See `Madgwick`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: Madgwick(period, magnetometer=False))
-
-
-def marg_filter(recording: Recording) -> Attitude:
-    """See `Madgwick`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: Madgwick(period, magnetometer=True), magnetometer=True)
-
-
-def vqf_6d(recording: Recording) -> Attitude:
-    """See `Vqf`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: Vqf(period, magnetometer=False))
-
-
-def vqf_9d(recording: Recording) -> Attitude:
-    """See `Vqf`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: Vqf(period, magnetometer=True), magnetometer=True)
-
-
-def switching(recording: Recording, threshold: float, shortest: int = 1) -> Attitude:
-    """See `Switching`. Raises InputError if a sensor is missing."""
-    return _run(recording, lambda period: Switching(period, threshold, shortest), magnetometer=True)
-
-
-METHODS: dict[str, Callable[[Recording], Attitude]] = {
-    "accelerometer + magnetometer": accelerometer_magnetometer,
-    "gyro integration": gyro_integration,
-    "gravity filter": gravity_filter,
-    "IMU filter": imu_filter,
-    "MARG filter": marg_filter,
-    "VQF, 6-D": vqf_6d,
-    "VQF, 9-D": vqf_9d,
-}
-
-
-def _run(recording: Recording, make: Callable[[float], AttitudeFilter], magnetometer: bool = False) -> Attitude:
-    """The attitude of a whole recording. make: builds the filter for a period between samples [s]."""
+    Raises InputError if a sensor is missing.
+    """
     names = ["accelerometer", "gyroscope", *(["magnetometer"] if magnetometer else [])]
     time, period, values = on_one_grid(recording, *names)
     samples = Samples(values[0], values[1], values[2] if magnetometer else np.empty((0, 3)))
     return Attitude(time, period, make(period).update(samples), samples.acceleration, samples.angular_rate)
+
+
+def gyro_integration(recording: Recording, start: Rotation | None = None) -> Attitude:
+    """See `GyroIntegration`. Raises InputError if a sensor is missing."""
+    return run_filter(recording, lambda period: GyroIntegration(period, start))
+
+
+def imu_filter(recording: Recording) -> Attitude:
+    """See `Madgwick`. Raises InputError if a sensor is missing."""
+    return run_filter(recording, lambda period: Madgwick(period, magnetometer=False))
+
+
+def switching(recording: Recording, threshold: float, shortest: int = 1) -> Attitude:
+    """See `Switching`. Raises InputError if a sensor is missing."""
+    return run_filter(recording, lambda period: Switching(period, threshold, shortest), magnetometer=True)
+
+
+METHODS: dict[str, Callable[[Recording], Attitude]] = {
+    "accelerometer + magnetometer": partial(run_filter, make=lambda _: AccelerometerMagnetometer(), magnetometer=True),
+    "gyro integration": gyro_integration,
+    "gravity filter": partial(run_filter, make=GravityFilter),
+    "IMU filter": imu_filter,
+    "MARG filter": partial(run_filter, make=lambda period: Madgwick(period, True), magnetometer=True),
+    "VQF, 6-D": partial(run_filter, make=lambda period: Vqf(period, False)),
+    "VQF, 9-D": partial(run_filter, make=lambda period: Vqf(period, True), magnetometer=True),
+}
 
 
 def _level_north(acceleration: Array, field: Array) -> Rotation:
@@ -282,10 +234,6 @@ def _level_north(acceleration: Array, field: Array) -> Rotation:
     x = np.cross(field, z)
     x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
-
-
-def _fields(samples: Samples) -> tuple[Array, Array, Array]:
-    return samples.acceleration, samples.angular_rate, samples.magnetic_field
 
 
 def rest_threshold(angular_rate: Array) -> float:
@@ -322,18 +270,11 @@ def strapdown(attitude: Attitude, rest: Mask, look_ahead: bool = False) -> Navig
     acceleration = attitude.R_world_device.apply(attitude.acceleration)
     acceleration[:, 2] -= acceleration[rest, 2].mean() if rest.any() else STANDARD_GRAVITY
     if look_ahead:
-        acceleration = _without_mean(acceleration, rest)
+        for first, after in np.transpose(runs(~rest)).tolist():
+            if first > 0 and after < len(rest):
+                acceleration[first:after] -= acceleration[first:after].mean(axis=0)
     integral = np.cumsum(acceleration, axis=0) * attitude.period
     last_rest = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))  # sample from which each movement starts
     velocity = integral - integral[last_rest]
     moved = velocity * attitude.period - acceleration * attitude.period**2 / 2
     return Navigation(velocity, np.cumsum(np.where(rest[:, None], 0.0, moved), axis=0))
-
-
-def _without_mean(acceleration: Array, rest: Mask) -> Array:
-    """Acceleration ``(n, 3)`` minus its mean over each movement between two rests."""
-    corrected = acceleration.copy()
-    for first, after in zip(*runs(~rest), strict=True):
-        if first > 0 and after < len(rest):
-            corrected[first:after] -= acceleration[first:after].mean(axis=0)
-    return corrected

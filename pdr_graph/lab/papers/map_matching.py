@@ -139,8 +139,7 @@ def _meeting(network: Network, link: int) -> Index:
     return np.flatnonzero(np.isin(network.links, network.links[link]).any(axis=1))
 
 
-RESOLUTION = 0.005, 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
-LEAST_SCALE, MOST_SCALE = 0.7, 1.4  # limits of R_d and R_s: others are errors of the association; chosen by hand
+RESOLUTION = 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
 Pair = tuple[float, float]  # R_d, R_s
 
 
@@ -167,7 +166,8 @@ class FeasibleRegion(OneLineRepr):
     def pairs(self) -> set[tuple[int, int]]:
         """The feasible pairs, in multiples of 0.005."""
         d, s = np.nonzero(self.feasible)
-        return set(zip(_counted(self.R_d, 0)[d].tolist(), _counted(self.R_s, 1)[s].tolist(), strict=True))
+        R_d, R_s = (np.rint(values / RESOLUTION).astype(int) for values in (self.R_d[d], self.R_s[s]))
+        return set(zip(R_d.tolist(), R_s.tolist(), strict=True))
 
 
 def calibrated_tracks(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array) -> Array:
@@ -182,7 +182,8 @@ def range_of_R_d(turn: Turn, corners: Array, theta: float, before: float, after:
 
     before, after: as for `range_of_turn`.
     """
-    return _ordered(*(angle / theta for angle in range_of_turn(turn.into, turn.out_of, corners, before, after)))
+    low, high = sorted(angle / theta for angle in range_of_turn(turn.into, turn.out_of, corners, before, after))
+    return low, high
 
 
 def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> Array:
@@ -204,7 +205,7 @@ def feasible_region(steps: Steps, start: Array, heading: float, R_d: Array, R_s:
     """
     if not len(R_d) or np.isnan(R_s).all():
         return FeasibleRegion.none()
-    s = lattice((float(np.nanmin(R_s)), float(np.nanmax(R_s))), 1)
+    s = lattice(float(np.nanmin(R_s)), float(np.nanmax(R_s)))
     feasible = (s >= R_s[:, :1]) & (s <= R_s[:, 1:])
     d_of, s_of = np.nonzero(feasible)
     tracks = calibrated_tracks(steps, np.zeros(2), heading, R_d, np.ones(1))[d_of, 0] * s[s_of, None, None]
@@ -212,12 +213,15 @@ def feasible_region(steps: Steps, start: Array, heading: float, R_d: Array, R_s:
     return FeasibleRegion(R_d, s, feasible)
 
 
-def lattice(limits: tuple[float, float], axis: int) -> Array:
-    """Multiples of 0.005 within limits ``(m,)``, for R_d (axis 0) or R_s (axis 1); empty for limits that are NaN."""
-    if not np.isfinite(limits).all():
+def lattice(low: float, high: float) -> Array:
+    """Multiples of 0.005 ``(m,)`` from ``low`` to ``high``, within 0.7 to 1.4: others are errors of the association.
+
+    Empty for limits that are NaN.
+    """
+    if not np.isfinite([low, high]).all():
         return np.empty(0)
-    low, high = max(limits[0], LEAST_SCALE) / RESOLUTION[axis], min(limits[1], MOST_SCALE) / RESOLUTION[axis]
-    return np.arange(np.ceil(low), np.floor(high) + 1) * RESOLUTION[axis]
+    first, last = np.ceil(max(low, 0.7) / RESOLUTION), np.floor(min(high, 1.4) / RESOLUTION)
+    return np.arange(first, last + 1) * RESOLUTION
 
 
 def stays_within(tracks: Array, walls: Array) -> Mask:
@@ -233,11 +237,6 @@ def stays_within(tracks: Array, walls: Array) -> Mask:
         crossed = (side[:, :-1] * side[:, 1:] <= 0) & (apart <= 0)
         left = left[~crossed.any(axis=1)]
     return np.isin(np.arange(len(tracks)), left)
-
-
-def method_1(newest: FeasibleRegion) -> Pair | None:
-    """The centroid of the newest region, since people mostly keep to the middle; None if it is empty."""
-    return centroid(newest.pairs)
 
 
 def method_2(newest: FeasibleRegion, common: set[tuple[int, int]]) -> tuple[Pair | None, set[tuple[int, int]]]:
@@ -264,16 +263,8 @@ def corners_at(corners: Array, node: Array) -> Array:
     return square if np.isnan(corners).any() else corners
 
 
-def _counted(values: Array, axis: int) -> Index:
-    return np.rint(values / RESOLUTION[axis]).astype(np.intp)
-
-
 def _cross(a: Array, b: Array) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def _ordered(a: float, b: float) -> tuple[float, float]:
-    return (a, b) if a <= b else (b, a)
 
 
 @dataclass(frozen=True)
@@ -335,7 +326,7 @@ def feasible_pairs(
     if not R_d:
         return FeasibleRegion.none(), 0.0
     stretch, start, heading = steps_between(steps, first, end), raw[first], float(track.heading[first])
-    d = lattice((min(R_d), max(R_d)), 0)
+    d = lattice(min(R_d), max(R_d))
     ends = [turn.first - first, turn.last - first]
     walked = calibrated_tracks(stretch, np.zeros(2), heading, d, np.ones(1))[:, 0, ends]
     corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
@@ -347,14 +338,11 @@ def feasible_pairs(
     return region, SLACKS[-1]
 
 
-MINIMUM_THETA = np.radians(10)  # of an estimated turn; a smaller one does not determine R_d
-
-
 def _R_d_of(turn: Turn, track: Array, begin: int, end: int, network: Network) -> tuple[float, ...]:
     """The range of R_d by Eq. (6) of a turn, from steps ``begin`` to ``end`` of a track; empty for a small turn."""
     before, after = track[turn.first] - track[begin], track[end] - track[turn.last]
     theta = turn_between(before, after)
-    if abs(theta) < MINIMUM_THETA:
+    if abs(theta) < TURNING:  # it does not determine R_d
         return ()
     corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
     return range_of_R_d(turn, corners, theta, float(np.hypot(*before)), float(np.hypot(*after)))
@@ -421,9 +409,6 @@ def match(steps: Steps, network: Network, start: Array, heading: float) -> Match
     return MatchedWalk(links, tuple(turns), _trajectory(steps, track, theta, 1.0))
 
 
-FAR_START = 5.0  # [m] distance of the start from the nearest link that is noted
-
-
 def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method: Literal[1, 2] = 1) -> CorrectedWalk:
     """[map-matching] Sec. 3: at each turn, calibrate the track since the turn before so that it crosses no wall.
 
@@ -439,7 +424,7 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
     """
     network = _walkable(floor.network)
     link, distance = Segments.of(network).nearest(start)
-    notes = [f"the start is {distance:.1f} m from the nearest link"] if distance > FAR_START else []
+    notes = [f"the start is {distance:.1f} m from the nearest link"] if distance > 5 else []
     pair, common = (1.0, 1.0), set[tuple[int, int]]()
     track = CalibratedTrack(start[None], np.array([heading])).recalibrated(steps, 0, pair)
     previous, stretches = None, list[Stretch]()
@@ -450,20 +435,18 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
         if turn is None:
             break
         region, slack = feasible_pairs(steps, track, previous, turn, network)
-        chosen, common = method_2(region, common) if method == 2 else (method_1(region), common)
+        chosen = centroid(region.pairs)  # method 1: people mostly keep to the middle
+        if method == 2:
+            chosen, common = method_2(region, common)
         pair = chosen or pair
         stretches.append(Stretch(first, evidence_end(turn, steps), turn, region, pair, slack))
-        notes += _notes(turn, chosen, slack)
+        if chosen is None:
+            notes.append(f"turn at step {turn.first}: no pair stays within the walls; the calibration before was kept")
+        elif slack:
+            notes.append(f"turn at step {turn.first}: walls were moved outwards by {slack} m")
         track = track.recalibrated(steps, first, pair)
         previous, link = turn, turn.after
     return CorrectedWalk(_trajectory(steps, track.position, track.heading, pair[0]), tuple(stretches), tuple(notes))
-
-
-def _notes(turn: Turn, chosen: Pair | None, slack: float) -> list[str]:
-    """A note if no pair was feasible at a turn, or only with walls moved outwards."""
-    if chosen is None:
-        return [f"turn at step {turn.first}: no pair stays within the walls; the calibration before was kept"]
-    return [f"turn at step {turn.first}: walls were moved outwards by {slack} m"] if slack else []
 
 
 def _walkable(network: Network) -> Network:

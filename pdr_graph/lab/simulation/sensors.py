@@ -8,15 +8,15 @@ GNSS, Bluetooth beacons and Wi-Fi access points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.lab.simulation.body import Body
+from pdr_graph.lab.simulation.body import Body, autoregressive_noise, smooth_noise
 from pdr_graph.lab.simulation.carrying import Motion
-from pdr_graph.lab.simulation.pedestrian import autoregressive_noise, smooth_noise
 from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Sightings, Signal
 
 
@@ -43,6 +43,11 @@ MAGNETOMETER_ERRORS = SensorErrors(0.45, 3.0, 0.05, 0.3, 0.02, 4900.0, 0.06)  # 
 BAROMETER_ERRORS = SensorErrors(0.012, 0.8, 0.002, 0.02, 0.0, 1300.0, 0.0012)  # [hPa]
 
 
+def setting(default: Any, *accepted: Any) -> Any:
+    """A dataclass field that is a key of a scenario; accepted: least, most and unit of a number, else the texts."""
+    return field(default=default, metadata={"accepted": accepted})
+
+
 @dataclass(frozen=True)
 class SampleClock:
     """The sample times of a sensor.
@@ -50,10 +55,10 @@ class SampleClock:
     rate [Hz]; jitter: standard deviation of the times [s]; lost, repeated: shares of the samples.
     """
 
-    rate: float = 100.0
-    jitter: float = 0.0004
-    lost: float = 0.0005
-    repeated: float = 0.0002
+    rate: float = setting(100.0, 20, 1000, "Hz")
+    jitter: float = setting(0.0004, 0, 1, "s")
+    lost: float = setting(0.0005, 0, 0.9, "of all samples")
+    repeated: float = setting(0.0002, 0, 0.9, "of all samples")
 
     def times(self, start: float, end: float, random: np.random.Generator) -> tuple[Array, Index]:
         """Sorted sample times ``(n,)`` [s], and how often each sample is written ``(n,)``: 0, 1 or 2 times."""
@@ -79,31 +84,31 @@ def imu(motion: Motion, clock: SampleClock, random: np.random.Generator) -> dict
     return signals
 
 
-FIELD_RATE = 10.0  # [Hz] at which the magnetic field is evaluated along the walk; interpolated between
-
-
 def magnetometer(
     motion: Motion, position: Array, field: MagneticField, clock: SampleClock, random: np.random.Generator
 ) -> Signal:
     """Measurements of the magnetic field [µT] at positions ``(n, 2)``. Hard iron, as of a case, is part of the bias."""
     time, copies = clock.times(motion.time[0], motion.time[-1], random)
-    every = slice(None, None, max(1, round(motion.rate / FIELD_RATE)))
+    every = slice(None, None, max(1, round(motion.rate / 10.0)))  # at 10 Hz, interpolated between
     world = interpolate(motion.time, motion.time[every], field.at(position[every]))
     device = motion.R_world_device.inv().apply(world)
     at = interpolate(time, motion.time, device)
     return _written(time, _measured(at, time, MAGNETOMETER_ERRORS, clock.rate, random), copies)
 
 
-SEA_LEVEL, LAPSE, EXPONENT = 1013.25, 2.25577e-5, 5.25588  # [hPa], [1/m], [-]: the standard atmosphere
-WEATHER, WEATHER_TIME = 0.15, 1200.0  # [hPa] standard deviation of the pressure over time; [s] over which it changes
+def standard_pressure(height: Array) -> Array:
+    """Air pressure ``(n,)`` [hPa] at heights ``(n,)`` above the sea [m], by the standard atmosphere."""
+    return 1013.25 * (1 - 2.25577e-5 * height) ** 5.25588
 
 
 def barometer(motion: Motion, altitude: float, clock: SampleClock, random: np.random.Generator) -> Signal:
-    """Measurements of the air pressure [hPa]. altitude: of the floor where the walk begins, above the sea [m]."""
+    """Measurements of the air pressure [hPa]. altitude: of the floor where the walk begins, above the sea [m].
+
+    Weather changes the pressure by 0.15 hPa over 20 minutes.
+    """
     time, copies = clock.times(motion.time[0], motion.time[-1], random)
-    height = altitude + np.interp(time, motion.time, motion.height)
-    pressure = SEA_LEVEL * (1 - LAPSE * height) ** EXPONENT
-    weather = smooth_noise(random, len(time), WEATHER_TIME * clock.rate, WEATHER)[:, 0] if len(time) else 0.0
+    pressure = standard_pressure(altitude + np.interp(time, motion.time, motion.height))
+    weather = smooth_noise(random, len(time), 1200.0 * clock.rate, 0.15)[:, 0] if len(time) else 0.0
     truth = (pressure + weather)[:, None]
     return _written(time, _measured(truth, time, BAROMETER_ERRORS, clock.rate, random), copies)
 
@@ -165,13 +170,10 @@ class MagneticField(OneLineRepr):
         return self.earth + self.disturbance * self.steel.at(position)
 
 
-WARMING, WARMING_TIME = 8.0, 900.0  # [K] by which a phone warms up while recording; [s] time constant
-
-
 def _measured(truth: Array, time: Array, errors: SensorErrors, rate: float, random: np.random.Generator) -> Array:
     """Measurements ``(n, k)`` of a sensor from true values ``(n, k)``."""
     count, axes = truth.shape
-    warmth = WARMING * (1 - np.exp(-time / WARMING_TIME))
+    warmth = 8.0 * (1 - np.exp(-time / 900.0))  # [K] by which a phone warms up while recording
     bias = random.normal(0, errors.bias, axes) + warmth[:, None] * random.normal(0, errors.per_kelvin, axes)
     bias = bias + np.cumsum(random.normal(0, errors.walk / np.sqrt(3600 * rate), (count, axes)), axis=0)
     scale = 1 + random.normal(0, errors.scale, axes)
@@ -192,12 +194,12 @@ class Receiver:
     outliers: share of the fixes; outages: intervals without fixes, start and end [s]; hdop: median.
     """
 
-    accuracy: float = 4.5
-    period: float = 1.0
-    latency: float = 0.0
-    outliers: float = 0.005
+    accuracy: float = setting(4.5, 0.01, 10_000, "m")
+    period: float = setting(1.0, 0.01, 86_400, "s")
+    latency: float = setting(0.0, 0, 3600, "s")
+    outliers: float = setting(0.005, 0, 1, "of all fixes")
     outages: tuple[tuple[float, float], ...] = ()
-    hdop: float = 0.9
+    hdop: float = setting(0.9, 0.1, 100)
 
 
 @dataclass(frozen=True)
@@ -212,22 +214,20 @@ class SatelliteFixes(OneLineRepr):
         return self.fixes._summary()
 
 
-ACCURACY_SPREAD = 0.25  # log-normal spread of the accuracy about the receiver's
-SYSTEMATIC, SYSTEMATIC_TIME = 0.9, 50.0  # correlated share of the error (multipath, atmosphere); its time constant [s]
-FIX_OUTLIER = 5.0  # standard deviation of an outlier per axis, in accuracies of the receiver
-
-
 def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> SatelliteFixes:
-    """Fixes whose errors follow a varying accuracy and are mostly correlated in time."""
+    """Fixes whose errors follow a varying accuracy; nine tenths stay for 50 s: multipath, atmosphere.
+
+    An outlier's standard deviation per axis is five times the accuracy of the receiver.
+    """
     measured = np.arange(body.time[0], body.time[-1], receiver.period)
     at = interpolate(measured, body.time, body.position)
     n = len(measured)
-    reported = receiver.accuracy * np.exp(autoregressive_noise(random, n, 0.98, ACCURACY_SPREAD)[:, 0])
-    keep = np.exp(-receiver.period / SYSTEMATIC_TIME)
-    share = autoregressive_noise(random, n, keep, SYSTEMATIC, 2) + random.normal(0, np.sqrt(1 - SYSTEMATIC**2), (n, 2))
+    reported = receiver.accuracy * np.exp(autoregressive_noise(random, n, 0.98, 0.25)[:, 0])
+    keep, systematic = np.exp(-receiver.period / 50.0), 0.9
+    share = autoregressive_noise(random, n, keep, systematic, 2) + random.normal(0, np.sqrt(1 - systematic**2), (n, 2))
     error = reported[:, None] / RADIUS_68 * share
     outlier = random.random(n) < receiver.outliers
-    error[outlier] += FIX_OUTLIER * receiver.accuracy * random.normal(0, 1, (int(outlier.sum()), 2))
+    error[outlier] += 5.0 * receiver.accuracy * random.normal(0, 1, (int(outlier.sum()), 2))
     logged = measured + receiver.latency
     available = logged <= body.time[-1]
     for begin, end in receiver.outages:
@@ -266,10 +266,6 @@ BLUETOOTH = RadioChannel(exponent=2.2, shadow=7.0, fading=4.0, period=0.35, toge
 WIFI = RadioChannel(exponent=2.8, shadow=4.0, fading=3.0, period=3.0, together=True)
 
 
-WALL_LOSS = 3.0  # [dB] standard deviation of the gain or loss by walls and furniture, a fixed pattern
-SENSITIVITY = -97.0  # [dBm] of the receivers
-
-
 def receptions(
     body: Body,
     transmitters: Sequence[Transmitter],
@@ -279,6 +275,9 @@ def receptions(
 ) -> Sightings:
     """Receptions with signal strength: log-distance path loss, shadow of the body, walls as a fixed pattern, fading.
 
+    Walls and furniture change the level by 3 dB, each ceiling between two floors by 15 dB; levels up to −97 dBm are
+    not received.
+
     place: generator of the walls' pattern, which is the same for all walks at one place.
     """
     times, names, levels = [np.empty(0)], list[str](), [np.empty(0)]
@@ -287,29 +286,18 @@ def receptions(
         time = scans if channel.together else scans + random.uniform(-0.4, 0.4, len(scans)) * channel.period
         time = np.clip(time, 0, body.time[-1])
         at = np.clip(np.searchsorted(body.time, time), 0, len(body.time) - 1)
-        pattern = RandomPattern.sample(place, 4.0, 1)
-        level = _level(body, at, transmitter, channel) + WALL_LOSS * pattern.at(body.position[at])[:, 0]
+        vector = transmitter.place - body.position[at]
+        level = transmitter.power - 10 * channel.exponent * np.log10(np.maximum(np.hypot(*vector.T), 0.5))
+        behind = np.abs(wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - body.heading[at])) / np.pi
+        level = level - channel.shadow * behind**2
+        if transmitter.floor:
+            level -= 15.0 * np.array([label != transmitter.floor for label in body.floors])[body.floor[at]]
+        level += 3.0 * RandomPattern.sample(place, 4.0, 1).at(body.position[at])[:, 0]
         level += random.normal(0, channel.fading, len(at))
-        received = level > SENSITIVITY
+        received = level > -97.0
         times.append(time[received])
         levels.append(np.round(level[received]))
         names += [transmitter.name] * int(received.sum())
     time, level = np.concatenate(times), np.concatenate(levels)
     order = np.argsort(time, kind="stable")
     return Sightings(time[order], tuple(names[n] for n in order), level[order])
-
-
-FLOOR_LOSS = 15.0  # [dB] through the ceilings between two floors
-
-
-def _level(body: Body, at: Index, transmitter: Transmitter, channel: RadioChannel) -> Array:
-    """Expected received power ``(n,)`` [dBm] at the samples `at` of the body."""
-    vector = transmitter.place - body.position[at]
-    distance = np.maximum(np.hypot(*vector.T), 0.5)
-    level = transmitter.power - 10 * channel.exponent * np.log10(distance)
-    behind = np.abs(wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - body.heading[at])) / np.pi
-    level = level - channel.shadow * behind**2
-    if transmitter.floor:
-        ceilings = np.array([label != transmitter.floor for label in body.floors], float)
-        level = level - FLOOR_LOSS * ceilings[body.floor[at]]
-    return level

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -12,9 +13,8 @@ from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.lab.simulation import sensors
-from pdr_graph.lab.simulation.body import Body, move
+from pdr_graph.lab.simulation.body import Body, Pedestrian, move
 from pdr_graph.lab.simulation.carrying import Motion, carry
-from pdr_graph.lab.simulation.pedestrian import Pedestrian
 from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
 from pdr_graph.lab.simulation.sensors import BLUETOOTH, WIFI, SatelliteFixes, gnss_fixes, receptions
 from pdr_graph.types import Fixes, OneLineRepr, Recording, Sightings, Signal, Trajectory
@@ -60,19 +60,8 @@ class Simulation(OneLineRepr):
 
     def recording(self, *sensors: str) -> Recording:
         """The measurements of some sensors as a recording, as if read from a file; of all sensors by default."""
-        signals = {name: self.signals[name] for name in sensors or self.signals}
-        return Recording(
-            source="simulated",
-            clock_origin=0.0,
-            epoch=None,
-            accelerometer=signals.get("accelerometer"),
-            gyroscope=signals.get("gyroscope"),
-            magnetometer=signals.get("magnetometer"),
-            barometer=signals.get("barometer"),
-        )
-
-
-MINIMUM_RATE = 100.0  # [Hz] of the movement, even if the phone samples more slowly
+        signals: dict[str, Any] = {name: self.signals[name] for name in sensors or self.signals}
+        return Recording("simulated", clock_origin=0.0, epoch=None, **signals)
 
 
 def simulate(scenario: Scenario) -> Simulation:
@@ -89,7 +78,7 @@ def simulate(scenario: Scenario) -> Simulation:
 
     # Pedestrian and movement of the body
     walker = Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
-    rate = phone.rate * np.ceil(MINIMUM_RATE / phone.rate)
+    rate = phone.rate * np.ceil(100.0 / phone.rate)  # at least 100 Hz
     clearances = {label: (lambda at, plan=plan: plan.distance.at(at)[0]) for label, plan in scenario.plans.items()}
     route = scenario.route
     body = move(
@@ -98,10 +87,10 @@ def simulate(scenario: Scenario) -> Simulation:
 
     # Motion of the phone and its sensors
     motion = carry(body, walker, streams[2])
-    signals = sensors.imu(motion, phone.clock, streams[3])
+    signals = sensors.imu(motion, phone, streams[3])
     lon, lat = frame.to_lonlat(np.zeros((1, 2)))[0]
     field = sensors.MagneticField.sample(place, earth_field(lat, lon, scenario.start).vector, phone.disturbance)
-    signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone.clock, streams[4])
+    signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone, streams[4])
     slow_clock = sensors.SampleClock(rate=phone.barometer_rate)
     signals["barometer"] = sensors.barometer(motion, phone.altitude, slow_clock, streams[5])
 
@@ -120,16 +109,13 @@ def simulate(scenario: Scenario) -> Simulation:
     )
 
 
-OUTLIER = 8.0  # [σ] by which an outlier is off
-
-
 def _user_fixes(body: Body, errors: UserFixes, random: np.random.Generator) -> Fixes:
-    """The positions that the user knows, with their errors."""
+    """The positions that the user knows, with their errors; an outlier is off by 8 σ."""
     time = np.arange(0.0, body.time[-1], errors.period)
     at = interpolate(time, body.time, body.position)
     place = at + random.normal(0, errors.sigma, at.shape)
     outlier = random.random(len(time)) < errors.outliers
-    place[outlier] += OUTLIER * errors.sigma * unit(random.uniform(-np.pi, np.pi, int(outlier.sum())))
+    place[outlier] += 8.0 * errors.sigma * unit(random.uniform(-np.pi, np.pi, int(outlier.sum())))
     row = np.clip(np.searchsorted(body.time, time), 0, len(body.time) - 1)
     labels = tuple(body.floors[n] for n in body.floor[row])
     return Fixes(time, place, np.full(len(time), errors.sigma), labels)

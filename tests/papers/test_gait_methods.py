@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.lab.papers import step_detectors
+from pdr_graph.lab.papers import gait_methods
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
@@ -25,7 +25,7 @@ def bouncing(amplitude=3.0):
     return amplitude * np.cos(2 * np.pi * TIME / STEP)
 
 
-@pytest.mark.parametrize("method", [step_detectors.peak_pairs, step_detectors.trough_to_peak])
+@pytest.mark.parametrize("method", [gait_methods.peak_pairs, gait_methods.trough_to_peak])
 def test_strong_bounces_are_steps_and_weak_ones_are_not(method):
     assert len(method(level(bouncing()))) == pytest.approx(40, abs=1)
     assert len(method(level(bouncing(0.2)))) == 0
@@ -34,16 +34,16 @@ def test_strong_bounces_are_steps_and_weak_ones_are_not(method):
 def test_a_step_has_a_forward_push_after_the_vertical_peak():
     """[gps-dr] Sec. 2.2: vertical + then −, forward − then +, and the slope between these."""
     pushed = 1.5 * np.sin(2 * np.pi * TIME / STEP - np.pi)
-    assert len(step_detectors.vertical_forward(level(bouncing()), pushed)) == pytest.approx(40, abs=2)
-    assert len(step_detectors.vertical_forward(level(bouncing()), 0.1 * pushed)) == 0
-    assert len(step_detectors.vertical_forward(level(0 * TIME), pushed)) == 0
+    assert len(gait_methods.vertical_forward(level(bouncing()), pushed)) == pytest.approx(40, abs=2)
+    assert len(gait_methods.vertical_forward(level(bouncing()), 0.1 * pushed)) == 0
+    assert len(gait_methods.vertical_forward(level(0 * TIME), pushed)) == 0
 
 
 def test_the_templates_are_those_of_the_paper():
     """[calibration-walk] Fig. 3: in walking the acceleration rises and falls strongly, since the other foot moves on;
     with closing feet it only rises, while the body comes to rest.
     """
-    walking, together = step_detectors.templates().T
+    walking, together = gait_methods.templates().T
     low = int(np.argmin(together))
     assert np.all(np.diff(together[low:]) > 0)
     top = int(np.argmax(walking))
@@ -56,6 +56,6 @@ def test_the_closing_step_is_not_counted():
     for seed in range(20):
         walk = simulate(Scenario.of({"seed": seed, "route": [[0, 0], {"stand": 2}, {"to": [[14.5, 0]]}, {"stand": 2}]}))
         gait = gait_signals(walk.recording("accelerometer", "gyroscope"))[0]
-        wrong.append(len(step_detectors.without_closing(gait.attitude, gait.forward)) - (len(walk.body.landings) - 1))
+        wrong.append(len(gait_methods.without_closing(gait.attitude, gait.forward)) - (len(walk.body.landings) - 1))
     assert np.mean(np.equal(wrong, 0)) >= 0.7
     assert abs(np.sum(wrong)) <= 2

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.frames import EarthField, earth_field
-from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.magnetometer import (
+from pdr_graph.gait.compass import (
     dip_error,
     field_in_world,
     fit_iron,
@@ -14,6 +13,7 @@ from pdr_graph.inertial.magnetometer import (
     predicted_field,
     prediction_error,
 )
+from pdr_graph.inertial.attitude import Attitude
 
 PERIOD = 0.02
 EARTH = EarthField(magnitude=48.0, declination=0.1, dip=1.0)
