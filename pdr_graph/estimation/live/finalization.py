@@ -153,6 +153,11 @@ class MarginalFactor(Measurement):
 
     name: ClassVar[str] = "marginal"
 
+    @property
+    def names(self) -> list[tuple[str, int]]:
+        """Symbol and number of each variable."""
+        return list(zip(self.symbol, self.number.tolist(), strict=True))
+
     def among(self, state: State) -> MarginalFactor | None:
         """The marginal without the variables that a state does not have; None if none is left."""
         names = zip(self.symbol, self.number.tolist(), strict=True)

@@ -188,7 +188,7 @@ def _optimized(graph: LiveGraph, rounds: int) -> float:
     """The cost of the path at its optimum, with the price of the regions that it leads through."""
     price = graph.associate_walls(UNLIMITED)
     graph.solve(rounds)
-    return graph.total_cost + price
+    return graph.at.cost + price
 
 
 class LiveAmbiguity:

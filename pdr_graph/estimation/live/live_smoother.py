@@ -65,7 +65,7 @@ class LiveSmoother:
         busy = self._close() or self._refine()
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
-        self.graph.begin_search()
+        self.graph.search()
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
@@ -79,7 +79,7 @@ class LiveSmoother:
         if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
             self._close()
             self.ambiguity.follow_modes()
-            self.graph.begin_search()
+            self.graph.search()
 
     def collect(self, received: Sightings, radio: str) -> bool:
         """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""

@@ -37,12 +37,11 @@ END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
 class Interval:
     """The steps between two keyframes.
 
-    i, j: numbers of the keyframes; segment: number of the calibration; pieces, bridge: of its steps; delta: ``(3,)``
+    j: number of the last keyframe; segment: number of the calibration; pieces, bridge: of its steps; delta: ``(3,)``
     displacement with the prior mean of the calibration; row_time [s], row_piece: of the trajectory rows that end in it;
     fields: distance to the walls of each piece, None without; label: of its floor.
     """
 
-    i: int
     j: int
     segment: int
     pieces: Pieces
@@ -127,22 +126,22 @@ class StepBuffer:
 
         goings: ``(k, 3)``, see `goings_of`.
         """
-        first, whole, chunks = np.inf, self.whole.copy(), list[Steps]()
-        for steps in self.chunks:
-            chunks.append(with_goings(steps, goings))
-            changed = np.flatnonzero(chunks[-1].length != steps.length)
-            ends = np.round(steps.time[changed], DECIMALS)
-            row = np.minimum(np.searchsorted(whole[:, END], ends - CLOSE), len(whole) - 1)
-            stored = np.abs(whole[row, END] - ends) < CLOSE
-            row, changed = row[stored], changed[stored]
-            whole[row, LENGTH], whole[row, VARIANCE] = chunks[-1].length[changed], chunks[-1].sigma_length[changed] ** 2
-            first = min(first, float(whole[row, END].min(initial=np.inf)))
-        self.chunks, self.whole = chunks, whole
-        return first
+        if not self.chunks:
+            return np.inf
+        before, self.chunks, self.whole = self.steps, [with_goings(self.steps, goings)], self.whole.copy()
+        row = np.flatnonzero(self.whole[:, IS_ROW])  # of the last steps: those before them have no piece any more
+        changed = (self.steps.length != before.length)[len(before) - len(row) :]
+        self.whole[row, LENGTH] = self.steps.length[len(before) - len(row) :]
+        self.whole[row, VARIANCE] = self.steps.sigma_length[len(before) - len(row) :] ** 2
+        return float(self.whole[row[changed], END].min(initial=np.inf))
 
     def with_tail(self, tail: Steps | None) -> Array:
         """The whole pieces, followed by those of provisional steps."""
-        return self.whole if tail is None else np.concatenate([self.whole, _rows(tail)])
+        if tail is None:
+            return self.whole
+        whole, gaps = whole_pieces(tail), tail.time[tail.is_gap]
+        row, gap = (np.isin(whole[:, END], np.round(ends, DECIMALS)) for ends in (tail.time, gaps))
+        return np.concatenate([self.whole, np.column_stack([whole, row, gap])])
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
@@ -172,19 +171,6 @@ class StepBuffer:
         rest = pieces[pieces > last + CLOSE]
         return ends + rest[MOTION.steps_per_keyframe - 1 :: MOTION.steps_per_keyframe].tolist()
 
-    def interval(self, i: int, j: int, begin: float, end: float, segment: int, c: Array, label: str) -> Interval:
-        """The interval from keyframe i to j, from ``begin`` to ``end`` [s]; c: prior mean of the calibration."""
-        pieces = intervals(self.whole, self.start, begin, np.array([end]))
-        ends, rows = begin + pieces.to_end[1], self.rows(begin, end)[:, END]
-        which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
-        increments = preintegrate(pieces, c[None])
-        bridges, delta = bridge(pieces, increments), increments.delta[-1]
-        return Interval(i, j, segment, pieces, bridges, delta, rows, which, [None] * len(ends), label)
-
-    def gap_within(self, begin: float, end: float) -> bool:
-        """True if the recording has a gap between ``begin`` and ``end`` [s]."""
-        return bool(self.rows(begin, end)[:, IS_GAP].any())
-
     def forget(self, before: float) -> None:
         """Drop steps that ended before the first keyframe of the window, ``before`` [s]."""
         count = int(np.searchsorted(self.whole[:, END], before + CLOSE))
@@ -207,14 +193,6 @@ def later_steps(steps: Steps, before: float) -> Steps:
         return steps
     later = {name: getattr(steps, name)[count:] for name in STEP_COLUMNS}
     return Steps(start=float(steps.time[count - 1]), end=steps.end, final_turn=steps.final_turn, **later)
-
-
-def _rows(steps: Steps) -> Array:
-    """Whole pieces ``(m, 8)`` of some steps, see `StepBuffer`."""
-    whole = whole_pieces(steps)
-    row = np.isin(whole[:, END], np.round(steps.time, DECIMALS)).astype(float)
-    gap = np.isin(whole[:, END], np.round(steps.time[steps.is_gap], DECIMALS)).astype(float)
-    return np.column_stack([whole, row, gap])
 
 
 UNLIMITED = 10**9  # more pieces or intervals than any window has
@@ -256,12 +234,20 @@ class Window:
         return self.times[-1] - self.times[0]
 
     def cut(self, ends: Iterable[float]) -> list[Interval]:
-        """Close the intervals since the last keyframe that end at these times [s], and return them."""
+        """Close the intervals since the last keyframe that end at these times [s], and return them.
+
+        After so many steps and after a gap, a new calibration begins.
+        """
         new: list[Interval] = []
         for end in ends:
-            segment = self._segment_until(end)
-            new.append(self._interval(self.keyframes[-1], self._number(), self.times[-1], end, segment, self.floor))
-            ahead = self._pose_after(self.pose[-1], new[-1], self.c[segment])
+            rows = self.steps.rows(self.times[-1], end)
+            due = self.in_segment >= MOTION.steps_per_segment or rows[:, IS_GAP].any()
+            if due and self.intervals:  # an empty window has no link from the segment before
+                self.segment, self.in_segment = self.segment + 1, 0
+                self.c[self.segment] = self.c[self.segment - 1]
+            self.in_segment += len(rows)
+            new.append(self._interval(self._number(), self.times[-1], end, self.segment, self.floor))
+            ahead = self._pose_after(self.pose[-1], new[-1], self.c[self.segment])
             self.pose = np.concatenate([self.pose, ahead[None]])
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
@@ -270,17 +256,15 @@ class Window:
             self._chain = _extended(self._chain, new)
         return new
 
-    def has_keyframe(self, time: float) -> bool:
-        """True if there is a keyframe at this time [s]."""
-        return bool(np.abs(np.array(self.times) - time).min() <= CLOSE)
-
     def split(self, time: float) -> None:
-        """Insert a keyframe at ``time`` [s] into a closed interval; its pose is interpolated."""
+        """Insert a keyframe at ``time`` [s] into a closed interval, if it has none; its pose is interpolated."""
+        if not self.times[0] <= time <= self.times[-1] or np.abs(np.array(self.times) - time).min() <= CLOSE:
+            return
         at = int(np.searchsorted(self.times, time))
         old, number = self.intervals[at - 1], self._number()
         halves = [
-            self._interval(old.i, number, old.begin, time, old.segment, old.label),
-            self._interval(number, old.j, time, old.end, old.segment, old.label),
+            self._interval(number, old.begin, time, old.segment, old.label),
+            self._interval(old.j, time, old.end, old.segment, old.label),
         ]
         ends = old.begin + old.pieces.to_end[1]
         for half in halves:
@@ -300,23 +284,57 @@ class Window:
         first = self.steps.set_goings(goings)
         for n, old in enumerate(self.intervals):
             if old.end > first - CLOSE:
-                new = self._interval(old.i, old.j, old.begin, old.end, old.segment, old.label)
+                new = self._interval(old.j, old.begin, old.end, old.segment, old.label)
                 self.intervals[n] = replace(new, fields=old.fields)
                 self._chain = None
         return first < np.inf
 
-    def part(self, last: int = UNLIMITED) -> Part:
-        """The last ``last`` intervals, as a chain for the factors."""
-        first = max(0, len(self.intervals) - last)
+    def chain(self, first: int = 0) -> Chain:
+        """The intervals from the ``first`` on, as a chain for the factors."""
         if self._chain is None:
             at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
             self._chain = _extended(at, self.intervals)
-        return Part(self, self.intervals[first:], self._chain.after(first))
+        return replace(self._chain.after(first), begins=first == 0, ends=self.finished)
+
+    def state(self, chain: Chain, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
+        """The estimate of the last keyframes, those of ``chain``, and of the variables that measurements add.
+
+        others: present estimates of these; without one, a variable is at its initial value.
+        """
+        c = np.array([self.c[segment] for segment in chain.segment_number.tolist()])
+        arrays: dict[str, Array] = {POSE: self.pose[-len(chain.number) :], CALIBRATION: c}
+        numbers: dict[str, Index] = {POSE: chain.number, CALIBRATION: chain.segment_number}
+        for measurement in measurements:
+            for new in measurement.variables(arrays[POSE]):
+                values = (others or {}).get(new.symbol, {})
+                rows = zip(new.number.tolist(), new.initial, strict=True)
+                arrays[new.symbol] = np.array([values.get(n, initial) for n, initial in rows]).reshape(-1, 3)
+                numbers[new.symbol] = new.number
+        return State(arrays, numbers)
 
     @property
     def located_plan(self) -> Building | None:
         """The plan if it has the present floor, else None."""
         return self.plan if self.plan is not None and self.floor in self.plan.labels else None
+
+    @property
+    def floors(self) -> FloorSequence | None:
+        """The floor of each piece; None if the plan does not have the present floor."""
+        return None if self.located_plan is None else self._floors(self.intervals)
+
+    def _floors(self, intervals: Iterable[Interval]) -> FloorSequence:
+        assert self.located_plan is not None, "asked for with a plan"
+        return FloorSequence.of(self.located_plan, [each.label for each in intervals for _ in each.fields])
+
+    @property
+    def walls(self) -> Measurement | None:
+        """The walls that the pieces are associated with; None without a plan."""
+        if self.plan is None:
+            return None
+        fields = [field for interval in self.intervals for field in interval.fields]
+        number = {field: n for n, field in enumerate(dict.fromkeys(field for field in fields if field is not None))}
+        field_of = np.array([-1 if field is None else number[field] for field in fields], dtype=np.intp)
+        return walls_of_fields(list(number), field_of, self.prior)
 
     def associate_walls(self, pieces: int) -> tuple[float, bool]:
         """Associate the last ``pieces`` with the walls along the estimate.
@@ -326,14 +344,12 @@ class Window:
         if self.located_plan is None or not self.intervals:
             return 0.0, False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
-        last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
-        labels = [interval.label for interval in last.intervals for _ in interval.fields]
-        walls = walls_on_plan(FloorSequence.of(self.located_plan, labels), self.prior)
-        walls = walls.associated(last.chain.evaluate(last.state()))
+        first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces, count[-1]))))
+        chain, last, changed = self.chain(first), self.intervals[first:], False
+        walls = walls_on_plan(self._floors(last), self.prior).associated(chain.evaluate(self.state(chain)))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
-        changed = False
-        for interval, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
-            before, interval.fields = interval.fields, named[first : first + len(interval.fields)]
+        for interval, at in zip(last, chain.pieces.first.tolist(), strict=True):
+            before, interval.fields = interval.fields, named[at : at + len(interval.fields)]
             changed |= any(a is not b for a, b in zip(before, interval.fields, strict=True))
         return walls.price, changed
 
@@ -390,8 +406,14 @@ class Window:
         other.intervals, other.c, other.steps = [copy(each) for each in self.intervals], dict(self.c), self.steps.copy()
         return other
 
-    def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
-        return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
+    def _interval(self, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
+        """The interval to keyframe j, from ``begin`` to ``end`` [s]."""
+        pieces = intervals(self.steps.whole, self.steps.start, begin, np.array([end]))
+        ends, rows = begin + pieces.to_end[1], self.steps.rows(begin, end)[:, END]
+        which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
+        increments = preintegrate(pieces, np.array([self.prior.mean]))
+        bridges, delta = bridge(pieces, increments), increments.delta[-1]
+        return Interval(j, segment, pieces, bridges, delta, rows, which, [None] * len(ends), label)
 
     def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
         """The pose ``(3,)`` after the steps of an interval."""
@@ -401,15 +423,6 @@ class Window:
     def _number(self) -> int:
         self.count += 1
         return self.count - 1
-
-    def _segment_until(self, end: float) -> int:
-        """The segment of the interval up to ``end`` [s]; a new one after so many steps and after a gap."""
-        due = self.in_segment >= MOTION.steps_per_segment or self.steps.gap_within(self.times[-1], end)
-        if due and self.intervals:  # an empty window has no link from the segment before
-            self.segment, self.in_segment = self.segment + 1, 0
-            self.c[self.segment] = self.c[self.segment - 1]
-        self.in_segment += len(self.steps.rows(self.times[-1], end))
-        return self.segment
 
 
 def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
@@ -426,45 +439,3 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
         number=np.append(chain.number, [interval.j for interval in new]),
         segment_number=segment_number,
     )
-
-
-class Part:
-    """The last intervals of a window as a chain of keyframes; valid until the window changes."""
-
-    def __init__(self, window: Window, intervals: list[Interval], chain: Chain):
-        self.window, self.intervals = window, intervals
-        self.first = len(window.keyframes) - len(intervals) - 1
-        self.chain = replace(chain, begins=self.first == 0, ends=window.finished)
-
-    @property
-    def segments(self) -> Index:
-        """Numbers ``(s,)`` of the calibration segments."""
-        return self.chain.segment_number
-
-    def state(self, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
-        """Poses and calibrations of the window, and the variables that measurements add.
-
-        others: present estimates of these; without one, a variable is at its initial value.
-        """
-        c = np.array([self.window.c[segment] for segment in self.segments.tolist()])
-        arrays, numbers = {POSE: self.window.pose[self.first :], CALIBRATION: c}, dict[str, Index]()
-        numbers |= {POSE: self.chain.number, CALIBRATION: self.segments}
-        others = others or {}
-        for measurement in measurements:
-            for new in measurement.variables(arrays[POSE]):
-                values = others.get(new.symbol, {})
-                rows = zip(new.number.tolist(), new.initial, strict=True)
-                arrays[new.symbol] = np.array([values.get(n, initial) for n, initial in rows]).reshape(-1, 3)
-                numbers[new.symbol] = new.number
-        return State(arrays, numbers)
-
-    def walls(self) -> Measurement | None:
-        """The walls that its pieces are associated with; None without a plan."""
-        if self.window.plan is None:
-            return None
-        number: dict[DistanceField | None, int] = {None: -1}
-        field_of = [
-            number.setdefault(field, len(number) - 1) for interval in self.intervals for field in interval.fields
-        ]
-        fields = [field for field in number if field is not None]
-        return walls_of_fields(fields, np.array(field_of, dtype=np.intp), self.window.prior)
