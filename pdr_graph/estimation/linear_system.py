@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import coo_array
+from scipy.sparse import csc_array
 
 from pdr_graph.estimation.factors.base import FactorBlock, State
 from pdr_graph.estimation.factors.chain import Evaluation
@@ -227,9 +227,8 @@ class Sum:
         if np.count_nonzero(occurs) < FEW_PLACES * count:  # sums to these alone
             self._places, column = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
             self._rows = len(self._places)
-        matrix = coo_array((np.ones(self.size), (column, np.arange(self.size))), shape=(self._rows, self.size))
-        matrix.has_canonical_format = True  # or it would be sorted
-        self._matrix = matrix.tocsr()
+        one_each = np.arange(self.size + 1)
+        self._matrix = csc_array((np.ones(self.size), column, one_each), shape=(self._rows, self.size))
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""
