@@ -110,8 +110,8 @@ class LiveGraph:
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
             self.too_late += int(early.sum())
-            data, times = self.log.select(data, ~early), times[~early]
-            number = None if number is None else number[~early]
+            kept = ~early if early.ndim == 1 else ~early.any(axis=1)
+            data, times, number = take(data, kept), times[kept], None if number is None else number[kept]
         if len(times):
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.review import SOURCE, Findings
+from pdr_graph.estimation.ambiguity.bank import Findings
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.live_ambiguity import LiveAmbiguity
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
+from pdr_graph.estimation.live.review import SOURCE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.priors import SCHEDULE
@@ -102,13 +103,13 @@ class LiveSmoother:
         if not graph.window.keyframes:
             return
         self._close(at_end=True)
-        ambiguity.cancel()
+        for question in ambiguity.questions:
+            question.cancel()
         if not self.sure and graph.has_position:
             ambiguity.adopt_batch(ambiguity.batch_question()())
         if graph.window.complete:
             self.final = smooth(graph.batch_graph(decided=False, but=SOURCE)())
             return
-        ambiguity.sources.cancel()
         ambiguity.next_comparison = -np.inf
         ambiguity.compare_sources(0.0, Findings())
         graph.solve(SCHEDULE.final_rounds)

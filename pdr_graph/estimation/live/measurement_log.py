@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
 from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps, appended, last_time, take
+from pdr_graph.types import INSTANT, Array, Fixes, Headings, Index, Mask, Sightings, Steps, appended, last_time, take
 
+Rows = TypeVar("Rows", Fixes, Headings)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 
@@ -91,14 +92,10 @@ class MeasurementLog:
         kind_of(data)
         return np.asarray(np.round(np.asarray(data.time, dtype=np.float64), DECIMALS), dtype=np.float64)
 
-    @staticmethod
-    def select(data: Any, kept: Mask) -> Any:
-        """The rows of ``data`` whose times are all ``kept``, ``(n,)`` or ``(n, 2)``."""
-        return take(data, np.flatnonzero(kept if kept.ndim == 1 else kept.all(axis=1)))
-
-    def numbers(self, name: str) -> Index | None:
-        """Row numbers of one kind, in order of time; None without rows."""
-        return next((table.number for table in self._tables.values() if kind_of(table.data).name == name), None)
+    def rows_and_numbers(self, kind: type[Rows]) -> tuple[Rows, Index]:
+        """All rows of one type, in order of time, and their numbers."""
+        table = self._tables.get(kind)
+        return (kind.none(), np.empty(0, dtype=np.intp)) if table is None else (table.data, table.number)
 
     def all_numbers(self, until: float) -> dict[str, Index]:
         """Row numbers of each kind up to ``until`` [s], in order of time."""
@@ -107,7 +104,7 @@ class MeasurementLog:
 
     def renumbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
         """Decisions about one kind, by row of all data instead of permanent number; without rows that are gone."""
-        numbers = self.numbers(name)
+        numbers = self.all_numbers(np.inf).get(name)
         if "number" not in decisions or numbers is None:
             return decisions
         row, old = np.nonzero(numbers[:, None] == decisions["number"])
@@ -127,10 +124,8 @@ class MeasurementLog:
         """Remove the row with this number, if there is one."""
         if self.longer is not None:
             self.longer.remove(kind, number)
-        table = self._tables.get(kind)
-        if table is not None:
-            self._keep(kind, table, table.number != number)
-            self.version += 1
+        if kind in self._tables:
+            self._keep(kind, self._tables[kind].number != number)
 
     def rows(self, kind: type) -> Any | None:
         """All rows of one type; None if none was ever appended."""
@@ -155,19 +150,14 @@ class MeasurementLog:
 
     def forget(self, before: float) -> None:
         """Drop the rows from before ``before`` [s]."""
-        for kind, table in list(self._tables.items()):
+        for kind, table in self._tables.items():
             time = table.data.time
-            kept = (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT
-            if not kept.all():
-                self._keep(kind, table, kept)
-                self.version += 1
+            self._keep(kind, (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT)
 
     def keep_latest(self, count: int = WAITING) -> None:
         """Drop all rows but the ``count`` of each type that arrived last; of the longer log too."""
-        for kind, table in list(self._tables.items()):
-            if len(table.number) > count:
-                self._keep(kind, table, table.number >= np.sort(table.number)[-count])
-                self.version += 1
+        for kind, table in self._tables.items():
+            self._keep(kind, np.isin(table.number, np.sort(table.number)[-count:]))
         if self.longer is not None:
             self.longer.keep_latest(count)
 
@@ -177,9 +167,11 @@ class MeasurementLog:
         other._tables, other.version = dict(self._tables), self.version
         return other
 
-    def _keep(self, kind: type, table: Table, kept: Any) -> None:
-        which = np.flatnonzero(kept)
-        self._tables[kind] = Table(take(table.data, which), table.number[which], table.count)
+    def _keep(self, kind: type, kept: Mask) -> None:
+        """Drop the rows of one type that are not ``kept (n,)``."""
+        if not kept.all():
+            table, self.version = self._tables[kind], self.version + 1
+            self._tables[kind] = Table(take(table.data, kept), table.number[kept], table.count)
 
 
 def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str, AnyArray]:
