@@ -103,24 +103,16 @@ class BatchSolution:
     """The most probable walk so far.
 
     path: at its start and the ends of its pieces; decisions: about measurements, by kind; sure: no other path is
-    likely, and the direction is certain; modes: all paths that remain, at the end; directed: each has a direction;
-    headings: numbers of those that it used.
+    likely, and the direction is certain; ways: all paths that remain, at the end, in all directions unless `directed`:
+    each has a direction; headings: numbers of those that it used.
     """
 
     path: Path
     decisions: Decisions
     sure: bool
-    modes: GaussianMixture
+    ways: GaussianMixture
     directed: bool
     headings: Index
-
-    @property
-    def ways(self) -> GaussianMixture:
-        """The paths that remain; in all directions at the end of the walk if they have none."""
-        if self.directed:
-            return self.modes
-        sigma = float(horizontal_sigma(self.modes.covariance[0]))
-        return in_any_direction(self.modes, Position(float(self.path.time[-1]), self.path.pose[-1, :2], sigma, 1.0))
 
 
 def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> BatchSolution:
@@ -133,20 +125,23 @@ def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> Ba
     best, path = optima[0], paths(optima)
     walled, at, chain = best.graph.walled, best.at, best.at.chain
     probability = probabilities(optima, path)
-    modes = modes_at_end(optima, probability)
-    variance = modes.covariance[:, 2, 2]
+    ways = modes_at_end(optima, probability)
+    variance = ways.covariance[:, 2, 2]
     certain = float(probability[path == 0].sum()) > REPORTS.sure
     long = graph.steps.end - graph.steps.start > SCHEDULE.least_duration
     determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
     narrow = variance[0] < (SCHEDULE.most_sigma_on_plan if walled else SCHEDULE.most_sigma) ** 2
     decided = {} if best.graph.positions.approximate else {k.name: decisions_of(k) for k in best.graph.measurements}
     time = np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1])
+    if not (directed := bool((variance < INITIAL.ambiguous**2).all())):
+        sigma = float(horizontal_sigma(ways.covariance[0]))
+        ways = in_any_direction(ways, Position(float(time[-1]), at.ends[-1, :2], sigma, 1.0))
     return BatchSolution(
         path=Path(time, np.vstack([at.pose_i[:1], at.ends]), chain.time[chain.segment_first], best.state.c),
         decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items() if rows},
         sure=bool(certain and determined and narrow),
-        modes=modes,
-        directed=bool((variance < INITIAL.ambiguous**2).all()),
+        ways=ways,
+        directed=directed,
         headings=numbers.get("headings", np.empty(0, dtype=np.intp)),
     )
 
@@ -215,16 +210,13 @@ class LiveAmbiguity:
         solution = self.batch.collect(now)
         if solution is not None:
             self.adopt_batch(solution)
-        sure = self.output.sure
-        if not sure and window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
+        if self.output.sure:
+            return solution is not None
+        if window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
             graph.restart(graph.lag)  # keyframes leave the window although the direction is open
-        numbers = graph.log.all_numbers(now)
-        unasked = any(
-            not np.isin(numbers[kind], self._asked.get(kind, ())).all()
-            for kind in ("fixes", "headings")
-            if kind in numbers
-        )
-        if not sure and self.batch.idle and graph.has_position and (now >= self.next_batch or unasked):
+        numbers, kinds = graph.log.all_numbers(now), ("fixes", "headings")
+        unasked = any(not np.isin(numbers.get(kind, ()), self._asked.get(kind, ())).all() for kind in kinds)
+        if self.batch.idle and graph.has_position and (now >= self.next_batch or unasked):
             if not (self.solved or graph.finalized.anchored) and np.isfinite(graph.leaving_after):
                 graph.restart(np.inf)  # no keyframe leaves the window before the batch has placed the walk
             self.batch.ask(self.batch_question(), now + SCHEDULE.batch_time)
@@ -286,11 +278,7 @@ class LiveAmbiguity:
 
         The errors of a receiver's fixes are common: its jumps are a bias.
         """
-        window, steps, (fixes, numbers) = (
-            self.graph.window,
-            self.graph.window.steps,
-            self.graph.log.rows_and_numbers(Fixes),
-        )
+        window, (fixes, numbers) = self.graph.window, self.graph.log.rows_and_numbers(Fixes)
         if not self.output.sure:
             return np.empty(0, dtype=np.intp)
         unexpected, steps, begin = list[int](), window.steps, window.times[-1]
@@ -318,15 +306,13 @@ class LiveAmbiguity:
 
     def reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
-        graph = self.graph
-        at = graph.at
-        kinds = at.measurements
-        reclassified = [kind.reclassified(at) if isinstance(kind, Gated) else kind for kind in kinds]
-        if graph.store_decisions(reclassified):
+        graph, at = self.graph, self.graph.at
+        gated = [kind.reclassified(at) for kind in at.measurements if isinstance(kind, Gated)]
+        others = [kind for kind in at.measurements if not isinstance(kind, Gated)]
+        if graph.store_decisions([*gated, *others]):
             graph.log.version += 1
             graph.solve()
-        diverged = any(kind.diverged for kind in reclassified if isinstance(kind, Gated))
-        if diverged and graph.window.times[-1] >= self.next_batch:
+        if any(kind.diverged for kind in gated) and graph.window.times[-1] >= self.next_batch:
             self.restart()
 
     def doubt_new_fixes(self) -> None:

@@ -34,7 +34,7 @@ from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Array, Index, Sightings, take
+from pdr_graph.types import Array, Index, take
 
 MOST_REASONS = 100  # reasons that are kept
 
@@ -84,7 +84,7 @@ class LiveGraph:
         self.leaving_after, self.marginals = lag, list[MarginalFactor]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self.too_late, self.excess, self.failures, self.iterations = 0, Excess.none(), list[str](), 0
+        self.too_late, self.excess, self.failures, self.iterations = 0, Excess(), list[str](), 0
         self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
@@ -124,10 +124,6 @@ class LiveGraph:
         if self.window.set_goings(goings):
             self._factors = None
             self.log.version += 1
-
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Pass receptions of a radio to all collectors; True if one of them uses any."""
-        return any([collector.collect(received, radio) for collector in self.collectors])
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
         """Close the keyframes due after new steps and measurements; those older than the lag leave.

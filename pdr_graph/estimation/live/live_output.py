@@ -34,7 +34,6 @@ from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import horizontal_sigma, pose_rotation
 from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
 from pdr_graph.types import Array, Calibration, Fixes, Headings, Index, Steps, take
@@ -146,16 +145,6 @@ def after_headings(
     return mixture
 
 
-def in_walkable_area(mixture: GaussianMixture, field: DistanceField) -> GaussianMixture:
-    """The mixture with lower weights of ways that are inside walls, by their depth there [σ]."""
-    if len(mixture) == 1:
-        return mixture
-    depth = np.maximum(0.0, -field.exact(mixture.mean[:, :2]))
-    sigma = horizontal_sigma(mixture.covariance)
-    price = np.minimum(0.5 * np.square(depth / sigma), LIVE_PATHS.wall_price)
-    return replace(mixture, log_weight=mixture.log_weight - price).take(np.arange(len(mixture)))
-
-
 def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
     """The last pose and calibration of each solution, with its covariance in the output axes and its probability."""
     mean, covariance = [], []
@@ -244,7 +233,11 @@ class LiveOutput:
             headings, numbers = self.graph.log.rows_and_numbers(Headings)
             new = ~np.isin(numbers, modes.used) & (headings.time <= end)  # that no batch has used
             ways = after_headings(ways, whole, window.steps.start, end, take(headings, new))
-            ways = ways if plan is None else in_walkable_area(ways, plan[window.floor].distance)
+            if plan is not None and len(ways) > 1:  # ways inside walls count less, by their depth there [σ]
+                depth = np.maximum(0.0, -plan[window.floor].distance.exact(ways.mean[:, :2]))
+                sigmas = depth / horizontal_sigma(ways.covariance)
+                weight = ways.log_weight - np.minimum(0.5 * np.square(sigmas), LIVE_PATHS.wall_price)
+                ways = replace(ways, log_weight=weight).take(np.arange(len(ways)))
         stated = ways.covariance.copy()
         stated[:, :3, :3] += self.graph.excess.at(np.array([end]))[0]
         return replace(ways, covariance=stated)
@@ -357,7 +350,3 @@ class LiveOutput:
         covariance = self.graph.calibration_covariance()
         path = window.path
         return Calibration(path.begin, path.c, covariance, prior_sigma(self.graph.prior, np.array(segments)))
-
-    def pop_finalized(self) -> list[TrajectoryRows]:
-        """Return and remove the finalised rows."""
-        return self.graph.finalized.pop_finalized()

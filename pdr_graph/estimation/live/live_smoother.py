@@ -63,7 +63,14 @@ class LiveSmoother:
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
-        busy = self._close() or self._refine()
+        busy = self._close()
+        if not busy and (self._walls_due or self._rounds_due):  # the work is spread over the steps between keyframes
+            busy = True
+            if not self._walls_due:
+                self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
+            elif self.ambiguity.solved:  # there are no walls before the batch has solved the walk
+                self.graph.associate_walls(SCHEDULE.wall_pieces)
+            self._walls_due = False
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
         self.graph.search()
@@ -84,7 +91,7 @@ class LiveSmoother:
 
     def collect(self, received: Sightings, radio: str) -> bool:
         """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""
-        return self.graph.collect(received, radio)
+        return any([collector.collect(received, radio) for collector in self.graph.collectors])
 
     def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
         """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""
@@ -139,17 +146,3 @@ class LiveSmoother:
         ambiguity.follow(new)
         self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True
-
-    def _refine(self) -> bool:
-        """Associate walls, or take a step of the search: the work is spread over the steps between keyframes.
-
-        Returns True if anything was due. There are no walls before the batch has solved the walk.
-        """
-        due = bool(self._rounds_due) or self._walls_due
-        if self._walls_due:
-            self._walls_due = False
-            if self.ambiguity.solved:
-                self.graph.associate_walls(SCHEDULE.wall_pieces)
-        elif self._rounds_due:
-            self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
-        return due

@@ -22,7 +22,7 @@ from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.finalization import Excess
+from pdr_graph.estimation.live.finalization import Excess, moved
 from pdr_graph.estimation.live.live_output import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
 from pdr_graph.estimation.live.window import Path, later_steps
@@ -34,7 +34,6 @@ from pdr_graph.geometry import (
     horizontal_sigma,
     nearest,
     pose_rotation,
-    rotation,
 )
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import DOUBTS, REPORTS
@@ -66,10 +65,8 @@ class Review:
         path, there = self.path, self.path.poses(time)
         for beyond, edge in ((time < path.time[0], 0), (time > path.time[-1], -1)):
             if beyond.any():
-                (old,), new = poses_at(path.time[[edge]], time, pose), path.pose[edge]
-                turn = new[2] - old[2]
-                there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
-                there[beyond, 2] = pose[beyond, 2] + turn
+                (old,) = poses_at(path.time[[edge]], time, pose)
+                there[beyond] = moved(pose[beyond], old, path.pose[edge])
         return there
 
 
@@ -92,7 +89,7 @@ def compare_sources(
     best, optima = bank.members[0], bank.members
     probability = probabilities(optima, paths(optima))
     found = replace(bank.findings, contradictions=contradictions(optima, probability))
-    excess = Excess.none() if walled else _excess(optima, probability / probability.sum())
+    excess = Excess() if walled else _excess(optima, probability / probability.sum())
     if best is bank.recalled:  # no source says more about it than before
         found, excess = before, excess if walled else None
     changed, chain = before.changes | found.changes, best.at.chain

@@ -118,7 +118,7 @@ class StepBuffer:
         """Append the next steps."""
         if not self.chunks:
             self.start = round(steps.start, DECIMALS)
-        self.chunks.append(steps)
+        self.chunks = [*self.chunks, steps]
         self.whole = self.with_tail(steps)
 
     def set_goings(self, goings: Array) -> float:
@@ -178,12 +178,6 @@ class StepBuffer:
             start = float(self.whole[count - 1, END])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
         self.chunks = [later_steps(self.steps, before)]
-
-    def copy(self) -> StepBuffer:
-        """An independent buffer of the same steps."""
-        other = copy(self)
-        other.chunks = list(self.chunks)
-        return other
 
 
 def later_steps(steps: Steps, before: float) -> Steps:
@@ -402,8 +396,8 @@ class Window:
     def copy(self) -> Window:
         """An independent window in the same state."""
         other = copy(self)
-        other.keyframes, other.times, other.pose = list(self.keyframes), list(self.times), self.pose.copy()
-        other.intervals, other.c, other.steps = [copy(each) for each in self.intervals], dict(self.c), self.steps.copy()
+        other.keyframes, other.times, other.c = list(self.keyframes), list(self.times), dict(self.c)
+        other.intervals, other.steps = [copy(each) for each in self.intervals], copy(self.steps)
         return other
 
     def _interval(self, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
