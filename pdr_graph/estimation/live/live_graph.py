@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
-from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Priors
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
@@ -27,7 +27,6 @@ from pdr_graph.estimation.live.measurement_log import (
     Decisions,
     MeasurementLog,
     merged_decisions,
-    same_decisions,
 )
 from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Path, Window
 from pdr_graph.estimation.optimizer import Descent
@@ -104,9 +103,12 @@ class LiveGraph:
         self.finalized.edge = self.window.times[0], self.finalized.edge[1]
         self.log.forget(self.window.times[0] - self.log.longest_overhang)
 
-    def append(self, data: Any, number: Index | None = None) -> None:
-        """Append measurements; those from before the window are dropped and counted as late."""
-        times = self.log.times(data)
+    def append(self, data: Any, number: Index | None = None) -> Array:
+        """Append measurements; those from before the window are dropped and counted as late.
+
+        Returns the times of the others [s].
+        """
+        times = np.round(np.asarray(data.time, dtype=np.float64), DECIMALS)
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
             self.too_late += int(early.sum())
@@ -118,12 +120,7 @@ class LiveGraph:
         if not self.window.times:
             self.log.keep_latest()
             del self._arrivals[:-WAITING]
-
-    def set_goings(self, goings: Array) -> None:
-        """Give the steps on stairs the length of the treads, see `StepBuffer`."""
-        if self.window.set_goings(goings):
-            self._factors = None
-            self.log.version += 1
+        return times
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
         """Close the keyframes due after new steps and measurements; those older than the lag leave.
@@ -179,7 +176,7 @@ class LiveGraph:
             kinds.append(self._hold[1])
         if (walls := window.walls) is not None:
             kinds.append(walls)
-        if window.intervals and (floors := window.floors) is not None and self.prior.corridors:
+        if window.intervals and self.prior.corridors and (floors := window.floors()) is not None:
             at = chain.evaluate(window.state(chain))
             kinds += [kind.associated(at) for kind in corridors_of(floors, self.prior)]
 
@@ -322,16 +319,6 @@ class LiveGraph:
         """Covariances ``(s, 3, 3)`` of the calibrations in the window."""
         return self.solution.joint((CALIBRATION, np.arange(len(self.at.state.c))))
 
-    def end_covariance(self) -> Array:
-        """Covariance ``(6, 6)`` of the last pose, in its axes, and its calibration."""
-        state = self.at.state
-        last, c = np.array([len(state.poses) - 1]), np.array([len(state.c) - 1])
-        if self.window.intervals:
-            return self.solution.joint((POSE, last), (CALIBRATION, c))[0]
-        joint = np.zeros((6, 6))  # nothing binds the pose of a window without steps to a calibration
-        joint[:3, :3], joint[3:, 3:] = self.solution.joint((POSE, last))[0], self.solution.joint((CALIBRATION, c))[0]
-        return joint
-
     # Keyframes out
 
     def _leave(self, count: int) -> None:
@@ -372,7 +359,9 @@ class LiveGraph:
             if decided := decisions_of(measurement):
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
-                changed |= not same_decisions(stored, merged)
+                changed |= stored.keys() != merged.keys() or not all(
+                    np.array_equal(stored[name], rows, equal_nan=rows.dtype == float) for name, rows in merged.items()
+                )
                 self.decisions = self.decisions | {measurement.name: merged}
         return changed
 

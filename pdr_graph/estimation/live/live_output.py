@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.estimation.factors import made_from
-from pdr_graph.estimation.factors.base import Itemized
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized
 from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
 from pdr_graph.estimation.kalman import (
     FAR,
@@ -278,9 +278,14 @@ class LiveOutput:
         """State of the last keyframe and its calibration, on the most probable way."""
         graph, window = self.graph, self.graph.window
         if self._last is None or self._last[0] is not graph.at:
-            pose = window.pose[-1]
-            covariance = in_output_axes(graph.end_covariance(), float(pose[2]))
-            self._last = graph.at, single_mode(np.append(pose, window.c[window.segment]), covariance)
+            joint, solution = np.zeros((6, 6)), graph.solution
+            last, c = (POSE, np.array([len(window.pose) - 1])), (CALIBRATION, np.array([len(graph.at.state.c) - 1]))
+            if window.intervals:
+                joint = solution.joint(last, c)[0]
+            else:  # nothing binds the pose of a window without steps to a calibration
+                joint[:3, :3], joint[3:, 3:] = solution.joint(last)[0], solution.joint(c)[0]
+            mean = np.append(window.pose[-1], window.c[window.segment])
+            self._last = graph.at, single_mode(mean, in_output_axes(joint, float(mean[2])))
         return self._last[1]
 
     def fixes_between(self, begin: float, end: float) -> list[Position]:

@@ -78,13 +78,13 @@ class LiveSmoother:
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
         self.ambiguity.history.set_goings(goings)
-        self.graph.set_goings(goings)
+        if self.graph.window.set_goings(goings):
+            self.graph.log.version += 1
 
     def append(self, data: Any) -> None:
         """Append measurements of any type in `KINDS`; those from before the window are dropped and counted as late."""
-        self.graph.append(data)
-        window = self.graph.window
-        if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
+        times, window = self.graph.append(data), self.graph.window
+        if window.keyframes and (times <= window.steps.end).any():
             self._close()
             self.ambiguity.follow_modes()
             self.graph.search()

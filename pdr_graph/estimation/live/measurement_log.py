@@ -10,7 +10,6 @@ import numpy as np
 
 from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
-from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.types import INSTANT, Array, Fixes, Headings, Index, Mask, Sightings, Steps, appended, last_time, take
 
@@ -85,12 +84,6 @@ class MeasurementLog:
     def overhang(data: Any) -> float:
         """Time [s] by which measurements of the type of ``data`` may lie outside the steps."""
         return kind_of(data).overhang + INSTANT
-
-    @staticmethod
-    def times(data: Any) -> Array:
-        """The times of rows ``(n,)``, or ``(n, 2)`` of pairs. [s]"""
-        kind_of(data)
-        return np.asarray(np.round(np.asarray(data.time, dtype=np.float64), DECIMALS), dtype=np.float64)
 
     def rows_and_numbers(self, kind: type[Rows]) -> tuple[Rows, Index]:
         """All rows of one type, in order of time, and their numbers."""
@@ -181,18 +174,9 @@ def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str,
     return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
 
 
-def same_decisions(old: Mapping[str, AnyArray], new: Mapping[str, AnyArray]) -> bool:
-    """True if two sets of decisions are the same."""
-    if old.keys() != new.keys():
-        return False
-    return all(np.array_equal(old[name], rows, equal_nan=rows.dtype == float) for name, rows in new.items())
-
-
 def merged_decisions(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
     """The new decisions, and the old ones about instances that have no new one."""
     if "number" not in new or not old:
-        return new
-    if np.array_equal(old["number"], new["number"]):
         return new
     kept = ~np.isin(old["number"], new["number"])
     joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}

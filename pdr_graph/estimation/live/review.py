@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import Findings, HypothesisBank, contradictions, paths, probabilities
-from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, localized
+from pdr_graph.estimation.ambiguity.plan_hypotheses import localized
 from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
@@ -186,25 +186,22 @@ class Places:
 
 
 def places_on_plan(build: Callable[[], WalkGraph]) -> Places:
-    """The places where a walk can be now. build: makes the graph of the walk so far."""
+    """The places where a walk can be now, and with the remaining probability anywhere on the plan, in any direction.
+
+    build: makes the graph of the walk so far.
+    """
     graph = build()
     found = localized(graph)
     path = paths(found.optima)
     share = probabilities(found.optima, path)
     there = 1.0 - found.elsewhere
-    ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
+    ways, elsewhere = modes_at_end(found.optima, share), 1.0 - there * float(share.sum())
+    if elsewhere >= DOUBTS.nowhere_else:
+        mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
+        mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
+        covariance[:3], covariance[:, :3] = 0.0, 0.0
+        covariance[:2, :2], covariance[2, 2] = np.cov(found.anywhere.T), ANY_HEADING**2
+        weight = np.append(ways.log_weight + np.log(max(1.0 - elsewhere, LEAST)), np.log(elsewhere))
+        both: tuple[Array, Array] = np.vstack([ways.mean, mean]), np.concatenate([ways.covariance, covariance[None]])
+        ways = GaussianMixture(*both, weight, np.arange(len(weight)))
     return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
-
-
-def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:
-    """The ways, and anywhere on the plan in any direction with a probability."""
-    if probability < DOUBTS.nowhere_else:
-        return ways
-    mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
-    mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
-    covariance[:3], covariance[:, :3] = 0.0, 0.0
-    covariance[:2, :2], covariance[2, 2] = np.cov(found.anywhere.T), ANY_HEADING**2
-    remaining = np.log(max(1.0 - probability, LEAST))
-    weight = np.append(ways.log_weight + remaining, np.log(probability))
-    both: tuple[Array, Array] = np.vstack([ways.mean, mean]), np.concatenate([ways.covariance, covariance[None]])
-    return GaussianMixture(*both, weight, np.arange(len(weight)))

@@ -155,10 +155,8 @@ class StepBuffer:
         return self.whole[(self.whole[:, IS_ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
 
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
-        """Times [s] of the next keyframes after ``last``: at ``marks``, gaps and each PIECES_PER_KEYFRAME pieces."""
+        """Times [s] of the next keyframes after ``last``: at ``marks``, gaps, and after MOTION.steps_per_keyframe."""
         after = self.whole[:, END] > last + CLOSE
-        if np.count_nonzero(after) < MOTION.steps_per_keyframe and not marks and not self.whole[after, IS_GAP].any():
-            return []
         gaps = np.flatnonzero(after & (self.whole[:, IS_GAP] > 0))
         begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
         required = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *self.whole[gaps, END]])
@@ -311,14 +309,10 @@ class Window:
         """The plan if it has the present floor, else None."""
         return self.plan if self.plan is not None and self.floor in self.plan.labels else None
 
-    @property
-    def floors(self) -> FloorSequence | None:
-        """The floor of each piece; None if the plan does not have the present floor."""
-        return None if self.located_plan is None else self._floors(self.intervals)
-
-    def _floors(self, intervals: Iterable[Interval]) -> FloorSequence:
-        assert self.located_plan is not None, "asked for with a plan"
-        return FloorSequence.of(self.located_plan, [each.label for each in intervals for _ in each.fields])
+    def floors(self, first: int = 0) -> FloorSequence | None:
+        """The floor of each piece from interval ``first`` on; None if the plan does not have the present floor."""
+        labels = [interval.label for interval in self.intervals[first:] for _ in interval.fields]
+        return None if self.located_plan is None else FloorSequence.of(self.located_plan, labels)
 
     @property
     def walls(self) -> Measurement | None:
@@ -335,12 +329,14 @@ class Window:
 
         Returns the price of their regions, and True if any piece has other walls than before.
         """
-        if self.located_plan is None or not self.intervals:
+        if not self.intervals:
             return 0.0, False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
         first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces, count[-1]))))
+        if (floors := self.floors(first)) is None:
+            return 0.0, False
         chain, last, changed = self.chain(first), self.intervals[first:], False
-        walls = walls_on_plan(self._floors(last), self.prior).associated(chain.evaluate(self.state(chain)))
+        walls = walls_on_plan(floors, self.prior).associated(chain.evaluate(self.state(chain)))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
         for interval, at in zip(last, chain.pieces.first.tolist(), strict=True):
             before, interval.fields = interval.fields, named[at : at + len(interval.fields)]
