@@ -60,23 +60,28 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
         bank.add(others, SEARCH.dropped)
         return bank.members
     free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
-    between = list(_between_walls(graph, free))
+    best, *others = free
+
+    # Between the walls: on each path for the best walk without walls, then near each other one
+    first, *more = solutions(graph, best)
+    between = [_assuming(walk, best) for walk in (first, *more)]
+    for other in others:
+        same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
+        between.append(_assuming(near_walk(graph, other, first.state if same_path else None), other))
     by_walls = _measurements_by_walls(between[0])
     placing = [kind for kind in graph.measurements if kind.determines_position]
     single = placing == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
-    if single and between[0].surprise > free[0].surprise + DOUBTS.unlikely:
-        between += _displaced(graph, free[0])
-    return pruned([*between, *(walk for other in free for walk in _without_walls(other, by_walls))])
+    if single and between[0].surprise > best.surprise + DOUBTS.unlikely:
+        between += _displaced(graph, best)
 
-
-def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
-    """Walks between the walls: on each path for the best walk ``free`` without walls, then near each other one."""
-    best, *others = free
-    first, *more = solutions(graph, best)
-    yield from (_assuming(walk, best) for walk in (first, *more))
-    for other in others:
-        same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
-        yield _assuming(near_walk(graph, other, first.state if same_path else None), other)
+    # If the plan does not fit: in each direction if the other sources do not determine it
+    for other in free:
+        walks = different_directions(other)
+        for walk in walks:
+            price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
+            wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
+            between.append(_assuming(replace(walk, burden=0.0), other, wrong))
+    return pruned(between)
 
 
 def _assuming(walk: Optimum, free: Optimum, *hypotheses: Hypothesis) -> Optimum:
@@ -96,18 +101,6 @@ def _measurements_by_walls(optimum: Optimum) -> float:
         of_rows = [(symbol, rows[block.row_of]) for symbol, rows in block.variables]
         total += float(np.sum((J @ optimum.solution.joint(*of_rows)) * J))
     return total
-
-
-def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
-    """The walk if the plan does not fit; in each direction if the other sources do not determine it.
-
-    by_walls: the number of measurements that the walls amount to.
-    """
-    walks = different_directions(free)
-    for walk in walks:
-        price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
-        wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
-        yield _assuming(replace(walk, burden=0.0), free, wrong)
 
 
 def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:

@@ -6,6 +6,8 @@ without climbs, on the floor estimated for it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pdr_graph.estimation.floors import FloorHeights, floors_along
@@ -33,7 +35,7 @@ class LiveFloors:
         self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps in the window [s]
         self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
         self.open = np.empty((0, 2))  # samples of the cell that is not complete
-        self.fix_time, self.fix_label = np.empty(0), np.empty(0, dtype=object)
+        self.fixes = Fixes.none()  # with floor labels
         self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
         self.heard = False  # True if fixes with a floor came since the last estimate
         self.goings = np.empty((0, 3))
@@ -58,8 +60,7 @@ class LiveFloors:
         """Append fixes; only those with a floor label are used."""
         labelled = np.array([bool(label) for label in fixes.floor], dtype=bool)
         if labelled.any():
-            self.fix_time = np.append(self.fix_time, fixes.time[labelled])[-STORED_FIXES:]
-            self.fix_label = np.append(self.fix_label, np.array(fixes.floor, dtype=object)[labelled])[-STORED_FIXES:]
+            self.fixes = Fixes.concatenate([self.fixes, fixes[labelled]])[-STORED_FIXES:]
             self.heard = True
 
     def add_steps(self, steps: Steps) -> None:
@@ -75,7 +76,7 @@ class LiveFloors:
         if not (now > self.begin and abs(now - self.looked) >= LIVE_FLOORS.interval):
             return False
         measured = self._is_measured(now)
-        named = self.building is None or bool(self.start) or len(self.fix_label) > 0
+        named = self.building is None or bool(self.start) or len(self.fixes) > 0
         if named and (measured or self.heard) and now > self.begin:
             self._estimate(now, tail, measured)
         elif now - self.begin > LIVE_FLOORS.longest:
@@ -98,12 +99,7 @@ class LiveFloors:
             return False
         if now - self.pressure[-1, 0] > LIVE_FLOORS.silent:
             self._cut(self.end)
-            self.pressure, self.open, self.goings, self.climbing = (
-                self.pressure[:0],
-                self.open[:0],
-                self.goings[:0],
-                False,
-            )
+            self.pressure, self.open, self.climbing, self.goings = *np.empty((2, 0, 2)), False, np.empty((0, 3))
             return False
         first = float(self.pressure[0, 0])
         if self.begin + LIVE_FLOORS.silent < first <= self.end:
@@ -112,16 +108,13 @@ class LiveFloors:
 
     def _estimate(self, now: float, tail: Steps | None, measured: bool) -> None:
         """Estimate the floors of the window, and cut it if it is too long."""
-        fixes = Fixes(
-            self.fix_time, np.zeros((len(self.fix_time), 2)), np.ones(len(self.fix_time)), tuple(self.fix_label)
-        )
         barometer = Signal(self.pressure[:, 0], self.pressure[:, 1:]) if measured else None
         time, duration, end = self.time, self.duration, self.end
         if tail is not None and tail.end > end and (not len(tail) or tail.time[0] - tail.duration[0] >= end - 1e-6):
             time, duration, end = np.append(time, tail.time), np.append(duration, tail.duration), tail.end
         nothing, some = np.zeros(len(time)), np.ones(len(time))
         steps = Steps(self.begin, end, time, duration, some, nothing, nothing, some, some)
-        floors = floors_along(steps, barometer, self.start, fixes, self.building)
+        floors = floors_along(steps, barometer, self.start, self.fixes, self.building)
         before = (self.row_time < self.begin) & (self.row_time > now - LIVE_FLOORS.remembered)
         self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
         self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
@@ -149,10 +142,7 @@ class LiveFloors:
         later = self.time - self.duration >= time
         self.time, self.duration = self.time[later], self.duration[later]
         self.pressure = self.pressure[self.pressure[:, 0] >= time]
-        order = np.argsort(self.fix_time, kind="stable")
-        self.fix_time, self.fix_label = self.fix_time[order], self.fix_label[order]
-        first = int(np.searchsorted(self.fix_time, time))
-        if first and self.fix_label[first - 1] == self.start:  # a climb leads from it to the next, on another floor
+        first = int(np.searchsorted(self.fixes.time, time))
+        if first and self.fixes.floor[first - 1] == self.start:  # a climb leads from it to the next, on another floor
             first -= 1
-            self.fix_time[first] = time
-        self.fix_time, self.fix_label = self.fix_time[first:], self.fix_label[first:]
+        self.fixes = replace(self.fixes, time=np.maximum(self.fixes.time, time))[first:]
