@@ -34,10 +34,9 @@ from pdr_graph.estimation.live.live_output import (
     modes_at_end,
     predict,
 )
-from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
-from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Path
+from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Decisions, Interval, Path, numbered
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE

@@ -21,14 +21,18 @@ from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations, Solution
 from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
-from pdr_graph.estimation.live.measurement_log import (
+from pdr_graph.estimation.live.window import (
+    CLOSE,
+    UNLIMITED,
     WAITING,
     Collector,
     Decisions,
+    Interval,
     MeasurementLog,
+    Path,
+    Window,
     merged_decisions,
 )
-from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Path, Window
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation

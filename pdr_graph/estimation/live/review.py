@@ -24,8 +24,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import Excess, moved
 from pdr_graph.estimation.live.live_output import modes_at_end
-from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
-from pdr_graph.estimation.live.window import Path, later_steps
+from pdr_graph.estimation.live.window import Decisions, MeasurementLog, Path, later_steps, numbered
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import (
