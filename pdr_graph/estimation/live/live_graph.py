@@ -116,7 +116,7 @@ class LiveGraph:
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
             self.too_late += int(early.sum())
-            kept = ~early if early.ndim == 1 else ~early.any(axis=1)
+            kept = np.flatnonzero(~early if early.ndim == 1 else ~early.any(axis=1))
             data, times, number = take(data, kept), times[kept], None if number is None else number[kept]
         if len(times):
             self.log.append(data, number)

@@ -253,9 +253,9 @@ class LiveOutput:
         others = predict(particles.elsewhere, whole, start, begin, end, [])
         own = max(1.0 - float(np.exp(others.log_weight).sum()), LIVE_PATHS.least_probability)
         weight = np.append(np.log(own) + ways.log_weight, others.log_weight)
-        parts = ((ways.mean, others.mean), (ways.covariance, others.covariance))
-        every = np.arange(len(weight))
-        return GaussianMixture(*map(np.concatenate, parts), weight, every).take(every)
+        every, mean = np.arange(len(weight)), np.concatenate([ways.mean, others.mean])
+        covariance = np.concatenate([ways.covariance, others.covariance])
+        return GaussianMixture(mean, covariance, weight, every).take(every)
 
     def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
         """Expectation over the ways that remain, see `mixture`, in the walkable area."""

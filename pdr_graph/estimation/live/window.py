@@ -158,7 +158,7 @@ class StepBuffer:
         if tail is None:
             return self.whole
         whole, gaps = whole_pieces(tail), tail.time[tail.is_gap]
-        row, gap = (np.isin(whole[:, END], np.round(ends, DECIMALS)) for ends in (tail.time, gaps))
+        row, gap = (np.isin(whole[:, END], np.round(ends, DECIMALS)).astype(float) for ends in (tail.time, gaps))
         return np.concatenate([self.whole, np.column_stack([whole, row, gap])])
 
     def walked_by(self, time: float | Array) -> Array:
