@@ -397,7 +397,7 @@ def _most_alike(scans: _WalkScans) -> Iterator[tuple[int, int, float]]:
 class ScanCollector:
     """Makes fixes of a radio map on a walk under way, one per block of scans; listener: is called with each.
 
-    It is a `Collector` of `estimation/live/measurement_log.py`.
+    It is a `Collector` of `estimation/live/window.py`.
     """
 
     def __init__(self, radio_map: RadioMap, listener: Callable[[Fixes], None]):

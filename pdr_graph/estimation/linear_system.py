@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import coo_array
+from scipy.sparse import csc_array
 
 from pdr_graph.estimation.factors.base import FactorBlock, State
 from pdr_graph.estimation.factors.chain import Evaluation
@@ -220,9 +220,8 @@ class Sum:
         occurs = np.zeros(count, dtype=bool)
         occurs[column] = True
         self._places, row = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
-        matrix = coo_array((np.ones(self.size), (row, np.arange(self.size))), shape=(len(self._places), self.size))
-        matrix.has_canonical_format = True  # or it would be sorted
-        self._matrix = matrix.tocsr()
+        one_each = np.arange(self.size + 1)
+        self._matrix = csc_array((np.ones(self.size), row, one_each), shape=(len(self._places), self.size))
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""

@@ -93,8 +93,9 @@ class Descent:
     far, with those that were not taken. Raises RuntimeError if the cost is not finite.
     """
 
-    def __init__(self, graph: Factors, start: State, converged: float = CONVERGED):
-        self.graph, self.at, self.iterations, self.converged = graph, graph.evaluate(start), 0, False
+    def __init__(self, graph: Factors, start: State | Evaluation, converged: float = CONVERGED):
+        at = start if isinstance(start, Evaluation) else graph.evaluate(start)
+        self.graph, self.at, self.iterations, self.converged = graph, at, 0, False
         if not np.isfinite(self.at.cost):
             bad = sorted({block.name for block in self.at.blocks if not np.isfinite(block.cost)})
             raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
@@ -136,7 +137,11 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     The loop and its linear algebra are not GTSAM's: that passes a copy of all values to each Python callback (quadratic
     in the length of the walk), and takes a Python call for each factor of each iteration.
     """
-    search = Descent(graph, start, converged)
+    return _searched(graph, Descent(graph, start, converged))
+
+
+def _searched(graph: WalkGraph, search: Descent) -> Optimum:
+    """The end of a search."""
     while not search.converged and search.iterations < MOST_ITERATIONS:
         search.step()
     return Optimum(graph, search.at, search.system.solved, search.iterations, search.converged)
@@ -150,10 +155,11 @@ def fully_optimized(optimum: Optimum) -> Optimum:
     last = _longest(optimum.solution.moves)
     if last <= AT_OPTIMUM:
         return optimum
-    following = _longest(optimum.graph.normal_equations(optimum.at).assembled(optimum.at).step())
+    search = Descent(optimum.graph, optimum.at, EXACTLY)
+    following = _longest(search.system.step())
     if following <= AT_OPTIMUM * max(1 - following / last, 0.0):
         return optimum
-    further = optimize(optimum.graph, optimum.state, EXACTLY)
+    further = _searched(optimum.graph, search)
     iterations = optimum.iterations + further.iterations
     converged = optimum.converged or further.converged
     return replace(optimum, at=further.at, system=further.system, iterations=iterations, converged=converged)

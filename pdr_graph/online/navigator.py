@@ -223,7 +223,7 @@ class Navigator:
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._steps.forget()
-        return trajectory_of_rows(self._graph.output.pop_finalized())
+        return trajectory_of_rows(self._graph.graph.finalized.pop_finalized())
 
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""

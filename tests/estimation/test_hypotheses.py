@@ -8,7 +8,7 @@ import pytest
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph import WalkGraph
-from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, pruned, weighed
+from pdr_graph.estimation.ambiguity.bank import Findings, HypothesisBank, contradictions, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
 from pdr_graph.estimation.optimizer import solve_robust
 from pdr_graph.priors import DOUBTS
@@ -62,10 +62,10 @@ def test_a_receiver_that_is_off_by_twice_what_it_states_is_usual():
 
 
 def test_a_hypothesis_is_stored_without_loss():
-    memory = Memory(tuple(hypothesis for hypothesis, _, _ in TEXTS), (replace(TEXTS[0][0], price=5.5),))
-    again = decode(encode(memory), Memory)
-    assert again == memory
-    assert [claim.parameter for claim in again.adopted] == [claim.parameter for claim in memory.adopted]
+    findings = Findings(tuple(hypothesis for hypothesis, _, _ in TEXTS), (replace(TEXTS[0][0], price=5.5),))
+    again = decode(encode(findings), Findings)
+    assert again == findings
+    assert [claim.parameter for claim in again.adopted] == [claim.parameter for claim in findings.adopted]
     assert again.possible[0].price == 5.5
 
 

@@ -53,9 +53,9 @@ def test_a_solution_of_the_batch_is_adopted_with_its_walls(off):
 def test_the_end_of_a_walk_costs_no_more_than_before(off):
     """Everything is linearised again there, where hardly any wall pulls; undamped it ends 30 m out of the corridor."""
     *_, live = walking(off, steps=150, lag=20.0)
-    before = live.graph.total_cost
+    before = live.graph.at.cost
     live.finish()
-    assert live.graph.total_cost <= before + 1e-6
+    assert live.graph.at.cost <= before + 1e-6
     assert np.abs(live.graph.window.pose[:, 1]).max() < HALF
     assert np.abs(live.graph.window.pose[-1, 0] - 150 * STRIDE) < 15.0
 

@@ -9,11 +9,11 @@ from test_one_engine import started, walking
 from walks import drawn_beside_beacons, drawn_with_a_receiver
 
 from pdr_graph import smooth
-from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory
+from pdr_graph.estimation.ambiguity.bank import Findings, HypothesisBank
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
-from pdr_graph.estimation.ambiguity.review import Findings, Question
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import Excess
+from pdr_graph.estimation.live.review import compare_sources
 from pdr_graph.priors import DOUBTS
 
 STEPS = 160
@@ -65,7 +65,7 @@ def test_a_correct_list_stays_as_it_is():
     steps, fixes, levels, _ = drawn_beside_beacons(STEPS, 0, wrong=0.5)
     live = followed(steps, [fixes, levels])
     assert live.ambiguity.findings.contradictions == ()
-    assert not any(claim.kind[0] == "beacons" for claim in live.ambiguity.findings.memory.adopted)
+    assert not any(claim.kind[0] == "beacons" for claim in live.ambiguity.findings.adopted)
 
 
 def with_a_receiver():
@@ -101,16 +101,16 @@ def test_a_lone_receiver_has_the_batchs_region():
 def test_an_adopted_assumption_stays_without_evidence_and_goes_against_it():
     """A pair once found swapped, in a past without its levels, and in one in which the list is right."""
     steps, (fixes, levels), _, _ = swapped()
-    first = Question(partial(WalkGraph, steps, fixes, levels=levels), Findings(), {}, False).answer()
-    assert len(first.findings.memory.adopted) == 1
+    first = compare_sources(partial(WalkGraph, steps, fixes, levels=levels), Findings(), {}, False)
+    assert len(first.findings.adopted) == 1
     silent = replace(levels, time=levels.time[:4], beacon=levels.beacon[:4], rssi=levels.rssi[:4])
-    later = Question(partial(WalkGraph, steps, fixes, levels=silent), first.findings, first.decisions, False).answer()
+    later = compare_sources(partial(WalkGraph, steps, fixes, levels=silent), first.findings, first.decisions, False)
     assert later.findings.same_decisions(first.findings)
     right = replace(levels, position=drawn_beside_beacons(STEPS, 0, wrong=0.5)[2].position)
     places = np.column_stack([levels.position, np.zeros(len(levels.position))])
     wrong = {"beacons": first.decisions["beacons"] | {"position": levels.position, "prior": places}}
-    after = Question(partial(WalkGraph, steps, fixes, levels=right), first.findings, wrong, False).answer()
-    assert after.findings.memory.adopted == ()
+    after = compare_sources(partial(WalkGraph, steps, fixes, levels=right), first.findings, wrong, False)
+    assert after.findings.adopted == ()
 
 
 def fix_wrong(number):
@@ -165,15 +165,15 @@ def test_what_competes_with_an_adopted_hypothesis_stays_possible(monkeypatch, co
 
     monkeypatch.setattr(HypothesisBank, "explain", explained)
     rivals = (displaced(29.0),) * competed + (receiver_off,)
-    before = Findings(Memory((receiver_off,), rivals))
-    found = Question(partial(WalkGraph, steps, fixes, levels=levels), before, {}, False).answer().findings
+    before = Findings((receiver_off,), rivals)
+    found = compare_sources(partial(WalkGraph, steps, fixes, levels=levels), before, {}, False).findings
     (contradiction,) = found.contradictions
     if competed:
-        assert found.memory.adopted == (list_off,)
+        assert found.adopted == (list_off,)
         assert contradiction.amount == pytest.approx(1 / (1 + np.exp(-1.3)), abs=0.001)
-        assert set(found.memory.possible) == set(rivals)
+        assert set(found.possible) == set(rivals)
     else:
-        assert found.memory.adopted == (receiver_off,)
+        assert found.adopted == (receiver_off,)
         assert contradiction.amount > 0.99
 
 
@@ -181,9 +181,9 @@ def test_the_past_that_is_compared_is_bounded():
     """There are no more than those of DOUBTS.span, and no older measurement."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
-    graph = live.ambiguity.history.question(
-        live.graph.window.times[-1], live.graph.prior, Findings(), {}, False
-    ).graph()
+    graph = live.ambiguity.history.question(live.graph.window.times[-1], live.graph.prior, Findings(), {}, False).args[
+        0
+    ]()
     assert graph.steps.end - graph.steps.start < DOUBTS.span + 2
     assert graph.fixes.time.min() > graph.steps.start - 10
 
@@ -192,12 +192,12 @@ def test_decisions_name_rows_that_are_dropped_before_the_answer_is_used():
     """A silence of minutes between a question and its answer, or a late fix, may change the rows of the history."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
-    before = Findings(Memory((replace(fix_wrong(0), changes=("fixes",)),)))
+    before = Findings((replace(fix_wrong(0), changes=("fixes",)),))
     question = live.ambiguity.history.question(live.graph.window.times[-1], live.graph.prior, before, {}, False)
-    numbers = live.ambiguity.history.log.numbers("fixes").tolist()
+    numbers = live.ambiguity.history.log.all_numbers(np.inf)["fixes"].tolist()
     live.ambiguity.history.log.forget(np.inf)
     assert numbers[0] > 0
-    assert set(question.answer().decisions["fixes"]["number"].tolist()) <= set(numbers)
+    assert set(question().decisions["fixes"]["number"].tolist()) <= set(numbers)
 
 
 def test_excess_is_constant_beyond_its_times():

@@ -308,7 +308,7 @@ def test_memory_is_bounded():
         later = replace(steps, start=steps.start + shift, end=steps.end + shift, time=steps.time + shift)
         for now in walking(graph, later, replace(fixes, time=fixes.time + shift), size=5):
             if now % 50 == 0:
-                handed += sum(len(rows.time) for rows in graph.output.pop_finalized())
+                handed += sum(len(rows.time) for rows in graph.graph.finalized.pop_finalized())
                 live = graph.graph
                 held = [live.window.keyframes, live.window.intervals, live.window.c, live.window.steps.chunks]
                 held += [
@@ -337,7 +337,7 @@ def test_every_step_has_one_row_in_order(lag):
     expected = np.append(steps.start, steps.time)
     for now in walking(graph, steps, fixes, size=7):
         if now % 2:
-            handed += graph.output.pop_finalized()
+            handed += graph.graph.finalized.pop_finalized()
         times = np.concatenate([*(rows.time for rows in handed), rows_of(graph).time])
         if now < 250:
             assert times == pytest.approx(expected[: now + 1], abs=2e-6)
@@ -428,7 +428,7 @@ def test_no_row_is_returned_before_the_position_is_certain():
     steps = wandering_walk(400, seed=3)
     graph = LiveSmoother(lag=LAG)
     for _ in walking(graph, steps, fixes_at([], np.empty((0, 2)))):
-        assert not graph.output.pop_finalized()
+        assert not graph.graph.finalized.pop_finalized()
 
 
 def test_many_fixes_at_one_moment_are_one_keyframe():

@@ -56,18 +56,18 @@ def trial(live, graph, y, decisions=None):
 
 
 def test_the_other_aisle_costs_more(walking):
-    assert not trial(walking, walking.graph, OTHER).accepted
+    assert trial(walking, walking.graph, OTHER) is None
 
 
 def test_the_present_path_is_no_alternative_to_itself(walking):
-    assert not trial(walking, walking.graph, RIGHT).accepted
+    assert trial(walking, walking.graph, RIGHT) is None
 
 
 def test_a_path_that_has_left_the_window_is_no_alternative(walking):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(walking.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    assert not try_path(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds).accepted
+    assert try_path(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds) is None
 
 
 def test_out_of_the_shops_the_aisle_is_found(walking):
@@ -78,9 +78,10 @@ def test_out_of_the_shops_the_aisle_is_found(walking):
     graph.move_to(along(graph, SHOP))
     assert np.abs(graph.window.pose[:, 1] - SHOP).max() < 0.1, "a control: it stays there"
     found = trial(walking, graph, RIGHT, decided)
-    assert found.accepted
-    graph.decide(found.decisions)
-    graph.move_to(found.path)
+    assert found is not None
+    path, decisions = found
+    graph.decide(decisions)
+    graph.move_to(path)
     assert np.abs(graph.window.pose[:, 1] - RIGHT).max() < 0.1
 
 

@@ -13,7 +13,7 @@ import pytest
 from pdr_graph.estimation import fingerprinting
 from pdr_graph.estimation.factors import beacon_rssi
 from pdr_graph.estimation.live import live_ambiguity
-from pdr_graph.estimation.live.measurement_log import WAITING
+from pdr_graph.estimation.live.window import WAITING
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.online.event_checks import SPAN
 from pdr_graph.online.interface import Samples, Scan

@@ -32,11 +32,25 @@ LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that f
 
 
 @dataclass(frozen=True)
-class Memory:
-    """What the last review of a walk left: the adopted hypotheses, and all that remained possible."""
+class Findings:
+    """What a review of a walk found: the adopted hypotheses, and all that remain possible.
+
+    contradictions: what sources probably get wrong.
+    """
 
     adopted: tuple[Hypothesis, ...] = ()
     possible: tuple[Hypothesis, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
+
+    @property
+    def changes(self) -> frozenset[str]:
+        """The names of the measurement kinds that the adopted hypotheses change."""
+        return frozenset(name for claim in self.adopted for name in claim.changes)
+
+    def same_decisions(self, other: Findings) -> bool:
+        """True if both adopt the same hypotheses, of the same size."""
+        mine, theirs = ({(claim, claim.parameter) for claim in each.adopted} for each in (self, other))
+        return mine == theirs
 
 
 class HypothesisBank:
@@ -53,12 +67,18 @@ class HypothesisBank:
     def explain(self) -> HypothesisBank:
         """Add the walk near ``first`` under each joint hypothesis that remains.
 
-        Kind by kind, hypotheses are added to those of the best walk so far, or made instead of them.
+        Kind by kind, hypotheses are added to those of the best walk so far, or made instead of them. Of a walk that is
+        solved from two starts, the better one remains.
         """
         for name in [kind.name for kind in self.first.graph.measurements]:
-            best = self.members[0]
-            bases = [best] if best is self.first else [best, self.first]
-            self.add((new for base in bases for new in self._alternatives(base, name)), DOUBTS.unlikely)
+            best, new = self.members[0], list[Optimum]()
+            for base in [best] if best is self.first else [best, self.first]:
+                solved = dict[tuple[Hypothesis, tuple[float, ...]], Optimum]()
+                for proposal in self.propose(base, name):
+                    claim, optimum = (proposal.hypothesis, proposal.hypothesis.parameter), self.solve(base, proposal)
+                    solved[claim] = min(solved.get(claim, optimum), optimum, key=lambda each: each.surprise)
+                new += solved.values()
+            self.add(new, DOUBTS.unlikely)
         return self
 
     def add(self, optima: Iterable[Optimum], within: float) -> None:
@@ -86,60 +106,48 @@ class HypothesisBank:
         information = optimum.solution.log_determinant - base.solution.log_determinant
         return weighed(replace(optimum, unseen=self.first.unseen), base, hypothesis, information=information)
 
-    def _alternatives(self, base: Optimum, name: str) -> list[Optimum]:
-        """The walk under each hypothesis about one kind; the better one where it was solved from two starts."""
-        best = dict[tuple[Hypothesis, tuple[float, ...]], Optimum]()
-        for proposal in self.propose(base, name):
-            claim, new = (proposal.hypothesis, proposal.hypothesis.parameter), self.solve(base, proposal)
-            if claim not in best or new.surprise < best[claim].surprise:
-                best[claim] = new
-        return list(best.values())
-
-    def remember(self, memory: Memory, decisions: Mapping[str, Mapping[str, AnyArray]]) -> None:
+    def remember(self, before: Findings, decisions: Mapping[str, Mapping[str, AnyArray]]) -> None:
         """Count the evidence from before the data of this walk, and put first the member that is to be adopted.
 
         Adopted hypotheses are kept until evidence speaks against them. It supports as much what competed with them:
         often it says only that one of two sources is wrong. decisions: about the kinds that the adopted ones change.
         """
-        adopted = frozenset(memory.adopted)
+        adopted = frozenset(before.adopted)
         kept = [frozenset(member.assumed) == adopted for member in self.members]
         if not kept[0]:
-            self.members = [self._supported(member, memory) for member in self.members]
+            for n, member in enumerate(self.members):
+                if member.assumed and set(member.assumed) <= set(before.possible):
+                    older = min(self._older(member.assumed), self._older(before.adopted))
+                    self.members[n] = replace(member, burden=member.burden - older)
         if adopted and not any(kept):
             graph = self.first.graph.decided(decisions)
             optimum = replace(optimize(graph, graph.start), unseen=self.first.unseen)
             information = optimum.solution.log_determinant - self.first.solution.log_determinant
-            held = weighed(optimum, self.first, *memory.adopted, information=information)
-            self.recalled = replace(held, burden=held.burden - self._older(memory.adopted))
+            held = weighed(optimum, self.first, *before.adopted, information=information)
+            self.recalled = replace(held, burden=held.burden - self._older(before.adopted))
             self.members, kept = [*self.members, self.recalled], [*kept, True]
-        lead = [
-            member.surprise - DOUBTS.lead * held if _adoptable(member) else np.inf
-            for member, held in zip(self.members, kept, strict=True)
-        ]
+        lead = np.array([member.surprise for member in self.members]) - DOUBTS.lead * np.array(kept)
+        for n, member in enumerate(self.members):  # a walk under way can adopt changes of kinds that have decisions
+            changed = {name for hypothesis in member.assumed for name in hypothesis.changes}
+            if not all(decisions_of(kind) for kind in member.graph.measurements if kind.name in changed):
+                lead[n] = np.inf
         self.members = [self.members[n] for n in np.argsort(lead, kind="stable").tolist()]
 
     @property
-    def memory(self) -> Memory:
-        """What this review leaves: the hypotheses of the first member, and those that remain possible."""
+    def findings(self) -> Findings:
+        """The hypotheses of the first member, and those that remain possible."""
         best, least = self.members[0], min(member.surprise for member in self.members)
         possible = [member for member in self.members if member is best or member.surprise < least + DOUBTS.unlikely]
-        return Memory(best.assumed, tuple(dict.fromkeys(claim for member in possible for claim in member.assumed)))
-
-    def _supported(self, member: Optimum, memory: Memory) -> Optimum:
-        """A member with what older evidence says for its hypotheses."""
-        known = bool(member.assumed) and set(member.assumed) <= set(memory.possible)
-        older = min(self._older(member.assumed), self._older(memory.adopted)) if known else 0.0
-        return replace(member, burden=member.burden - older)
+        return Findings(best.assumed, tuple(dict.fromkeys(claim for member in possible for claim in member.assumed)))
 
     def _older(self, hypotheses: Iterable[Hypothesis]) -> float:
         """What older evidence says for hypotheses [nats]; nothing where all that they are about is in the data."""
-        return sum(DOUBTS.older for claim in hypotheses if not self._is_recent(claim))
-
-    def _is_recent(self, claim: Hypothesis) -> bool:
-        """True if a hypothesis is about rows of the data alone."""
-        rows = [n for n in claim.instances if isinstance(n, int)]
-        present = self._numbers.get(claim.kind[0], ())
-        return len(rows) == len(claim.instances) > 0 and bool(np.isin(rows, present).all())
+        older = 0.0
+        for claim in hypotheses:
+            rows = [n for n in claim.instances if isinstance(n, int)]
+            present = np.isin(rows, self._numbers.get(claim.kind[0], ())).all()
+            older += 0.0 if present and len(rows) == len(claim.instances) > 0 else DOUBTS.older
+        return older
 
 
 def weighed(optimum: Optimum, base: Optimum, *hypotheses: Hypothesis, information: float = 0.0) -> Optimum:
@@ -158,25 +166,19 @@ def pruned(optima: Iterable[Optimum], within: float | None = None) -> list[Optim
     Of equal solutions the first is first: it has heading 0 if a walk has one fix.
     """
     kept, within = list[Optimum](), SEARCH.dropped if within is None else within
+
+    def same(one: Optimum, other: Optimum) -> bool:
+        """True if two solutions assume the same, and lead along the same path."""
+        claims = [[(claim, claim.parameter) for claim in optimum.assumed] for optimum in (one, other)]
+        apart = one.at.ends[:, :2] - other.at.ends[:, :2]
+        return claims[0] == claims[1] and float(np.abs(apart).max()) <= DOUBTS.different
+
     for new in sorted(optima, key=lambda optimum: round(optimum.surprise, 3)):
         if kept and new.surprise - kept[0].surprise >= within:
             break
-        if all(_differ(new, other) for other in kept):
+        if not any(same(new, other) for other in kept):
             kept.append(new)
     return kept
-
-
-def _differ(one: Optimum, other: Optimum) -> bool:
-    """True if two solutions assume different things, or lead elsewhere."""
-    claims = [[(claim, claim.parameter) for claim in optimum.assumed] for optimum in (one, other)]
-    apart = one.at.ends[:, :2] - other.at.ends[:, :2]
-    return claims[0] != claims[1] or float(np.abs(apart).max()) > DOUBTS.different
-
-
-def _adoptable(optimum: Optimum) -> bool:
-    """True if a walk under way can adopt all hypotheses: the kinds that they change have decisions."""
-    changed = {name for hypothesis in optimum.assumed for name in hypothesis.changes}
-    return all(decisions_of(kind) for kind in optimum.graph.measurements if kind.name in changed)
 
 
 def probabilities(optima: Sequence[Optimum], path: Index) -> Array:

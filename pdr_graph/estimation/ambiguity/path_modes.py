@@ -40,9 +40,20 @@ def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Op
     not determine the direction (one fix; two at the ends of a loop). without_walls: the walk without the plan, solved
     if missing.
     """
-    if graph.walled:
-        return pruned(_in_the_building(graph, without_walls or solve_robust(graph.without_plan())))
-    return pruned([solve_robust(start) for start in rotated(graph)])
+    if not graph.walled:
+        return pruned([solve_robust(start) for start in rotated(graph)])
+
+    # Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes
+    without_walls = without_walls or solve_robust(graph.without_plan())
+    robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
+    optima = pruned(_paths_of_fixes(robust, without_walls))
+    if not optima or optima[0].surprise >= expected + SEARCH.strained:
+        starts, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
+        for attempt in range(SEARCH.attempts):
+            optima += solutions_near(robust, path_starts(robust, attempt) + (starts if attempt == 0 else []))
+            if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
+                break
+    return pruned([replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima])
 
 
 def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = None) -> Optimum:
@@ -67,23 +78,6 @@ def rotated(graph: WalkGraph) -> list[WalkGraph]:
         return [graph]
     angles = np.arange(1, SEARCH.directions) * 2 * np.pi / SEARCH.directions
     return [graph, *(graph.rotated(angle) for angle in angles)]
-
-
-def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
-    """An optimum for each path that the plan admits, and near the walk aligned with the fixes.
-
-    Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes.
-    """
-    robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
-    optima = pruned(_paths_of_fixes(robust, without_walls))
-    if optima and optima[0].surprise < expected + SEARCH.strained:
-        return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
-    aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-    for attempt in range(SEARCH.attempts):
-        optima += solutions_near(robust, path_starts(robust, attempt) + (aligned if attempt == 0 else []))
-        if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
-            break
-    return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
 
 
 def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:

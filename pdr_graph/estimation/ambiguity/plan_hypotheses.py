@@ -32,7 +32,7 @@ from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array
 
 PLAN_KIND = "plan"  # the kind of hypotheses about it
 MOST_STORED = 10_000_000  # particles times keyframes of a run: half a gigabyte, if a walk fits everywhere
@@ -60,21 +60,28 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
         bank.add(others, SEARCH.dropped)
         return bank.members
     free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
-    between = list(_between_walls(graph, free))
-    by_walls = _measurements_by_walls(between[0])
-    if between[0].surprise > free[0].surprise + DOUBTS.unlikely and _single_position(graph):
-        between += _displaced(graph, free[0])
-    return pruned([*between, *(walk for other in free for walk in _without_walls(other, by_walls))])
-
-
-def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
-    """Walks between the walls: on each path for the best walk ``free`` without walls, then near each other one."""
     best, *others = free
+
+    # Between the walls: on each path for the best walk without walls, then near each other one
     first, *more = solutions(graph, best)
-    yield from (_assuming(walk, best) for walk in (first, *more))
+    between = [_assuming(walk, best) for walk in (first, *more)]
     for other in others:
         same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
-        yield _assuming(near_walk(graph, other, first.state if same_path else None), other)
+        between.append(_assuming(near_walk(graph, other, first.state if same_path else None), other))
+    by_walls = _measurements_by_walls(between[0])
+    placing = [kind for kind in graph.measurements if kind.determines_position]
+    single = placing == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
+    if single and between[0].surprise > best.surprise + DOUBTS.unlikely:
+        between += _displaced(graph, best)
+
+    # If the plan does not fit: in each direction if the other sources do not determine it
+    for other in free:
+        walks = different_directions(other)
+        for walk in walks:
+            price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
+            wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
+            between.append(_assuming(replace(walk, burden=0.0), other, wrong))
+    return pruned(between)
 
 
 def _assuming(walk: Optimum, free: Optimum, *hypotheses: Hypothesis) -> Optimum:
@@ -94,24 +101,6 @@ def _measurements_by_walls(optimum: Optimum) -> float:
         of_rows = [(symbol, rows[block.row_of]) for symbol, rows in block.variables]
         total += float(np.sum((J @ optimum.solution.joint(*of_rows)) * J))
     return total
-
-
-def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
-    """The walk if the plan does not fit; in each direction if the other sources do not determine it.
-
-    by_walls: the number of measurements that the walls amount to.
-    """
-    walks = different_directions(free)
-    for walk in walks:
-        price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
-        wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
-        yield _assuming(replace(walk, burden=0.0), free, wrong)
-
-
-def _single_position(graph: WalkGraph) -> bool:
-    """True if one fix is all that determines positions."""
-    kinds = [kind for kind in graph.measurements if kind.determines_position]
-    return kinds == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
 
 
 def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
@@ -173,19 +162,32 @@ def begun_on(graphs: Sequence[WalkGraph]) -> tuple[WalkGraph, Localization]:
 def localized(graph: WalkGraph) -> Localization:
     """The solutions of a walk on a plan without any position. graph: `unplaced`."""
     free = graph.without_plan()
-    runs, optima, paths = list[tuple[Paths, float]](), list[Optimum](), None
+    runs, optima = list[tuple[Paths, float]](), list[Optimum]()
+    state, weight = np.empty(0), np.empty(0)
     for attempt in range(SEARCH.attempts):
         runs += [particles_anywhere(free, ANYWHERE.runs * attempt + n, 2**attempt) for n in range(ANYWHERE.runs)]
-        paths = _pooled(runs)
-        optima = solutions_near(graph, mode_starts(graph, _drawn(paths)))
+
+        # The paths of all runs, weighted by their evidence; starts on the modes of some drawn from them
+        evidence = np.array([logarithm for _, logarithm in runs])
+        share = np.exp(evidence - np.logaddexp.reduce(evidence))
+        state = np.concatenate([paths.state for paths, _ in runs], axis=2)
+        weight = np.concatenate([s * paths.weight for s, (paths, _) in zip(share, runs, strict=True)])
+        count = min(ANYWHERE.drawn, len(weight))
+        drawn = np.random.default_rng(0).choice(len(weight), count, p=weight / weight.sum())
+        some = Paths(state[:, :, drawn], np.full(count, 1.0 / count))
+        optima = solutions_near(graph, mode_starts(graph, some))
         if not SEARCH.strained <= optima[0].surprise < SEARCH.dropped:
             break  # it fits, or no walk on this plan does
-    assert paths is not None, "there is an attempt"
-    covered = float(paths.weight[_near_any(paths, optima)].sum())
+
+    # The share of the paths near a solution
+    near = np.zeros(len(weight), dtype=bool)
+    for optimum in optima:
+        apart = state[:, :2] - optimum.state.poses[:, :2, None]
+        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SEARCH.same_path
     evidence = float(np.logaddexp.reduce([logarithm for _, logarithm in runs]) - np.log(len(runs)))
     anywhere = _floor(graph).random_places(ANYWHERE.places, np.random.default_rng(0))
     optima = [replace(optimum, unseen=PRICES.wrong_plan) for optimum in optima]
-    return Localization(optima, max(0.0, 1.0 - covered), evidence, anywhere)
+    return Localization(optima, max(0.0, 1.0 - float(weight[near].sum())), evidence, anywhere)
 
 
 def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Paths, float]:
@@ -209,29 +211,3 @@ def _floor(graph: WalkGraph) -> FloorPlan:
     sequence = graph.floor_sequence
     assert sequence is not None, "asked for with a plan"
     return sequence.building.floors[sequence.level[0]]
-
-
-def _pooled(runs: Sequence[tuple[Paths, float]]) -> Paths:
-    """The paths of several runs, weighted by their evidence."""
-    evidence = np.array([logarithm for _, logarithm in runs])
-    share = np.exp(evidence - np.logaddexp.reduce(evidence))
-    state = np.concatenate([paths.state for paths, _ in runs], axis=2)
-    return Paths(state, np.concatenate([s * paths.weight for s, (paths, _) in zip(share, runs, strict=True)]))
-
-
-def _drawn(paths: Paths) -> Paths:
-    """Some paths drawn by their weights, all with the same weight."""
-    random = np.random.default_rng(0)
-    drawn = random.choice(
-        len(paths.weight), min(ANYWHERE.drawn, len(paths.weight)), p=paths.weight / paths.weight.sum()
-    )
-    return Paths(paths.state[:, :, drawn], np.full(len(drawn), 1.0 / len(drawn)))
-
-
-def _near_any(paths: Paths, optima: Sequence[Optimum]) -> Mask:
-    """``(n,)`` True for paths that are near one of the solutions."""
-    near = np.zeros(len(paths.weight), dtype=bool)
-    for optimum in optima:
-        apart = paths.state[:, :2] - optimum.state.poses[:, :2, None]
-        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SEARCH.same_path
-    return near

@@ -12,7 +12,7 @@ with δ their local coordinates about the point at which they were linearised.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,19 +45,20 @@ class TrajectoryRows:
 
 @dataclass(frozen=True)
 class Excess:
-    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes."""
+    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes; 0 by default."""
 
-    time: Array
-    covariance: Array
-
-    @classmethod
-    def none(cls) -> Excess:
-        """Nothing to add."""
-        return cls(np.zeros(1), np.zeros((1, 3, 3)))
+    time: Array = field(default_factory=lambda: np.zeros(1))
+    covariance: Array = field(default_factory=lambda: np.zeros((1, 3, 3)))
 
     def at(self, time: Array) -> Array:
         """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
         return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
+
+
+def moved(pose: Array, before: Array, after: Array) -> Array:
+    """Move poses ``(n, 3)`` rigidly, as pose ``before (3,)`` moves to ``after (3,)``."""
+    turn = after[2] - before[2]
+    return np.column_stack([(pose[:, :2] - before[:2]) @ rotation(turn).T + after[:2], pose[:, 2] + turn])
 
 
 class FinalizedTrajectory:
@@ -93,9 +94,9 @@ class FinalizedTrajectory:
         neglects the errors of the few steps between them. start, after ``(3,)``: the poses of both; covariance
         ``(3, 3)``: of the keyframe.
         """
-        moved = np.eye(3)
-        moved[:2, 2] = rotation(np.pi / 2) @ (start[:2] - after[:2])
-        self.edge = self.edge[0], moved @ covariance @ moved.T
+        by = np.eye(3)
+        by[:2, 2] = rotation(np.pi / 2) @ (start[:2] - after[:2])
+        self.edge = self.edge[0], by @ covariance @ by.T
 
     def rows(self, time: float, covariance: Array) -> list[TrajectoryRows]:
         """All rows; covariances are interpolated between that of ``edge`` and that of the first keyframe in the window.
@@ -118,13 +119,10 @@ class FinalizedTrajectory:
     def move(self, after: Array) -> None:
         """Move all rows rigidly with the start of the window, which is now at pose ``after (3,)``."""
         before, self.hinge = self.hinge, after
-        turn = after[2] - before[2]
-        R = pose_rotation(np.array([turn]))[0]
+        R = pose_rotation(after[2:] - before[2])[0]
         for past in (self.final, self.left):
             for k, rows in enumerate(past):
-                moved = (rows.pose[:, :2] - before[:2]) @ R[:2, :2].T + after[:2]
-                pose = np.column_stack([moved, rows.pose[:, 2] + turn])
-                past[k] = replace(rows, pose=pose, covariance=R @ rows.covariance @ R.T)
+                past[k] = replace(rows, pose=moved(rows.pose, before, after), covariance=R @ rows.covariance @ R.T)
 
     def pop_finalized(self) -> list[TrajectoryRows]:
         """Return and remove the final rows; none until the position of the walk is certain."""
@@ -153,41 +151,39 @@ class MarginalFactor(Measurement):
 
     name: ClassVar[str] = "marginal"
 
+    @property
+    def names(self) -> list[tuple[str, int]]:
+        """Symbol and number of each variable."""
+        return list(zip(self.symbol, self.number.tolist(), strict=True))
+
     def among(self, state: State) -> MarginalFactor | None:
         """The marginal without the variables that a state does not have; None if none is left."""
-        names = zip(self.symbol, self.number.tolist(), strict=True)
-        there = np.array([symbol in state.arrays and number in state.number(symbol) for symbol, number in names])
-        if there.all():
-            return self
-        if not there.any():
-            return None
-        order = np.concatenate([np.flatnonzero(~there), np.flatnonzero(there)])
+        there = np.array([symbol in state.arrays and number in state.number(symbol) for symbol, number in self.names])
+        if there.all() or not there.any():
+            return self if there.all() else None
+        order, gone = np.argsort(there, kind="stable"), int(np.count_nonzero(~there))
         root = self.root.reshape(len(self.offset), -1, 3)[:, order].reshape(len(self.offset), -1)
-        root, offset = _schur_complement(root.T @ root, root.T @ self.offset, 3 * int(np.count_nonzero(~there)))
-        symbol = tuple(symbol for symbol, kept in zip(self.symbol, there.tolist(), strict=True) if kept)
+        root, offset = _schur_complement(root.T @ root, root.T @ self.offset, 3 * gone)
+        symbol = tuple(self.symbol[n] for n in order[gone:].tolist())
         return MarginalFactor(symbol, self.number[there], self.point[there], root, offset)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """The factor; poses are moved in the axes of their point."""
-        rows = [_row(at, symbol, number) for symbol, number in zip(self.symbol, self.number.tolist(), strict=True)]
+        rows = [int(np.flatnonzero(at.state.number(symbol) == number)[0]) for symbol, number in self.names]
         now = np.array([at.state[symbol][row] for symbol, row in zip(self.symbol, rows, strict=True)])
         pose = np.array([symbol == POSE for symbol in self.symbol])
-        moved, turn = now - self.point, np.where(pose, self.point[:, 2], 0.0)
-        moved[pose, 2] = wrap_angle(moved[pose, 2])
-        moved = np.einsum("vij,vj->vi", pose_rotation(-turn), moved)
+        apart, turn = now - self.point, np.where(pose, self.point[:, 2], 0.0)
+        apart[pose, 2] = wrap_angle(apart[pose, 2])
+        apart = np.einsum("vij,vj->vi", pose_rotation(-turn), apart)
 
         def jacobian() -> list[Array]:
             roots = self.root.reshape(len(self.offset), -1, 3).transpose(1, 0, 2)
             axes = pose_rotation(np.where(pose, now[:, 2] - turn, 0.0))
             return list((roots @ axes)[:, None])
 
-        residual = (self.root @ moved.ravel() + self.offset)[None]
+        residual = (self.root @ apart.ravel() + self.offset)[None]
         variables = [(symbol, np.array([row])) for symbol, row in zip(self.symbol, rows, strict=True)]
         return [FactorBlock.uniform(self.name, residual, variables, jacobian)]
-
-
-def _row(at: Evaluation, symbol: str, number: int) -> int:
-    return int(np.flatnonzero(at.state.number(symbol) == number)[0])
 
 
 def _schur_complement(information: Array, gradient: Array, a: int) -> tuple[Array, Array]:

@@ -16,37 +16,31 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.bank import Findings, paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.ambiguity.review import (
-    Findings,
-    History,
-    Places,
-    Review,
-    places_on_plan,
-)
 from pdr_graph.estimation.factors.base import Gated, decisions_of, poses_at
 from pdr_graph.estimation.factors.fixes import sourced
 from pdr_graph.estimation.factors.registry import kind_of_type, made_from
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
-from pdr_graph.estimation.kalman import GaussianMixture
+from pdr_graph.estimation.kalman import OF_POSITION, GaussianMixture, measured
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import (
     LiveOutput,
+    Modes,
     Position,
-    beyond_gate,
+    after_headings,
     in_any_direction,
     modes_at_end,
     predict,
 )
-from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Path
-from pdr_graph.estimation.particle_filter import KeyframeMeasurements, pose_costs
+from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
+from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Decisions, Interval, Path, numbered
+from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
-from pdr_graph.types import Array, Fixes, Headings, Index, Mask
+from pdr_graph.types import Array, Fixes, Headings, Index, take
 
 Result = TypeVar("Result")
 
@@ -108,24 +102,16 @@ class BatchSolution:
     """The most probable walk so far.
 
     path: at its start and the ends of its pieces; decisions: about measurements, by kind; sure: no other path is
-    likely, and the direction is certain; modes: all paths that remain, at the end; directed: each has a direction;
-    headings: numbers of those that it used.
+    likely, and the direction is certain; ways: all paths that remain, at the end, in all directions unless `directed`:
+    each has a direction; headings: numbers of those that it used.
     """
 
     path: Path
     decisions: Decisions
     sure: bool
-    modes: GaussianMixture
+    ways: GaussianMixture
     directed: bool
     headings: Index
-
-    @property
-    def ways(self) -> GaussianMixture:
-        """The paths that remain; in all directions at the end of the walk if they have none."""
-        if self.directed:
-            return self.modes
-        sigma = float(horizontal_sigma(self.modes.covariance[0]))
-        return in_any_direction(self.modes, Position(float(self.path.time[-1]), self.path.pose[-1, :2], sigma, 1.0))
 
 
 def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> BatchSolution:
@@ -138,57 +124,50 @@ def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> Ba
     best, path = optima[0], paths(optima)
     walled, at, chain = best.graph.walled, best.at, best.at.chain
     probability = probabilities(optima, path)
-    modes = modes_at_end(optima, probability)
-    variance = modes.covariance[:, 2, 2]
+    ways = modes_at_end(optima, probability)
+    variance = ways.covariance[:, 2, 2]
     certain = float(probability[path == 0].sum()) > REPORTS.sure
     long = graph.steps.end - graph.steps.start > SCHEDULE.least_duration
     determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
     narrow = variance[0] < (SCHEDULE.most_sigma_on_plan if walled else SCHEDULE.most_sigma) ** 2
     decided = {} if best.graph.positions.approximate else {k.name: decisions_of(k) for k in best.graph.measurements}
     time = np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1])
+    if not (directed := bool((variance < INITIAL.ambiguous**2).all())):
+        sigma = float(horizontal_sigma(ways.covariance[0]))
+        ways = in_any_direction(ways, Position(float(time[-1]), at.ends[-1, :2], sigma, 1.0))
     return BatchSolution(
         path=Path(time, np.vstack([at.pose_i[:1], at.ends]), chain.time[chain.segment_first], best.state.c),
         decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items() if rows},
         sure=bool(certain and determined and narrow),
-        modes=modes,
-        directed=bool((variance < INITIAL.ambiguous**2).all()),
+        ways=ways,
+        directed=directed,
         headings=numbers.get("headings", np.empty(0, dtype=np.intp)),
     )
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A compared alternative.
-
-    accepted: it clearly costs less than the path that was present; path: at its optimum; decisions: about
-    measurements, on it.
-    """
-
-    accepted: bool
-    path: Path
-    decisions: Decisions
-
-
-def try_path(graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> Trial:
-    """The alternative at its optimum, and whether it costs less than the present path.
+def try_path(
+    graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int
+) -> tuple[Path, Decisions] | None:
+    """The alternative at its optimum, and the decisions about measurements on it; None if it does not cost less.
 
     graph: a copy of the walk's, which is changed; alternative: returns the path, and decisions about measurements on
     it; rounds: most steps of the search.
     """
     path, decisions = alternative()
     if not len(path.within(graph.window.times)):
-        return Trial(False, path, {})  # it has left the window: the particles are behind
-    before = _optimized(graph, rounds)
+        return None  # it has left the window: the particles are behind
+    present = _optimized(graph, rounds)
     graph.decide(graph.decisions | decisions)
     graph.place_on(path)
-    return Trial(_optimized(graph, rounds) < before - LIVE_PATHS.least_gain, graph.window.path, decisions)
+    clearly_less = _optimized(graph, rounds) < present - LIVE_PATHS.least_gain
+    return (graph.window.path, decisions) if clearly_less else None
 
 
 def _optimized(graph: LiveGraph, rounds: int) -> float:
     """The cost of the path at its optimum, with the price of the regions that it leads through."""
     price = graph.associate_walls(UNLIMITED)
     graph.solve(rounds)
-    return graph.total_cost + price
+    return graph.at.cost + price
 
 
 class LiveAmbiguity:
@@ -203,7 +182,7 @@ class LiveAmbiguity:
 
     def __init__(self, graph: LiveGraph, output: LiveOutput, executor: Executor | None = None):
         self.graph, self.output = graph, output
-        self.batch, self.trial = Deferred[BatchSolution](executor), Deferred[Trial](executor)
+        self.batch, self.trial = Deferred[BatchSolution](executor), Deferred[tuple[Path, Decisions] | None](executor)
         self.sources, self.place = Deferred[Review](executor), Deferred[Places](executor)
         self.questions = self.batch, self.trial, self.sources, self.place
         self.next_batch = self.next_search = self.next_comparison = -np.inf
@@ -219,11 +198,6 @@ class LiveAmbiguity:
         for question in self.questions:
             question.work()
 
-    def cancel(self) -> None:
-        """Drop all questions but that about the sources."""
-        for question in (self.batch, self.trial, self.place):
-            question.cancel()
-
     # Start and direction: the batch of the window
 
     def solve_by_batch(self) -> bool:
@@ -235,24 +209,19 @@ class LiveAmbiguity:
         solution = self.batch.collect(now)
         if solution is not None:
             self.adopt_batch(solution)
-        sure = self.output.sure
-        if not sure and window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
+        if self.output.sure:
+            return solution is not None
+        if window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
             graph.restart(graph.lag)  # keyframes leave the window although the direction is open
-        if not sure and self.batch.idle and graph.has_position and self._batch_due(now):
+        numbers, kinds = graph.log.all_numbers(now), ("fixes", "headings")
+        unasked = any(not np.isin(numbers.get(kind, ()), self._asked.get(kind, ())).all() for kind in kinds)
+        if self.batch.idle and graph.has_position and (now >= self.next_batch or unasked):
             if not (self.solved or graph.finalized.anchored) and np.isfinite(graph.leaving_after):
                 graph.restart(np.inf)  # no keyframe leaves the window before the batch has placed the walk
             self.batch.ask(self.batch_question(), now + SCHEDULE.batch_time)
-            self._asked = graph.log.all_numbers(now)
-            self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
+            self._asked = numbers
+            self.next_batch = now + SCHEDULE.batch_delay(window.duration)
         return solution is not None
-
-    def _batch_due(self, now: float) -> bool:
-        """True if the batch has not solved the walk for a while, or not with the latest fix or heading."""
-        numbers = self.graph.log.all_numbers(now)
-        kinds = [kind for kind in ("fixes", "headings") if kind in numbers]
-        return now >= self.next_batch or any(
-            not np.isin(numbers[kind], self._asked.get(kind, ())).all() for kind in kinds
-        )
 
     def batch_question(self) -> Callable[[], BatchSolution]:
         """The question for the batch of the window."""
@@ -272,7 +241,7 @@ class LiveAmbiguity:
         if output.sure:
             output.modes.mixture = None
         elif solution.directed or output.modes.mixture is None:
-            output.modes.adopt(solution.ways, float(solution.path.time[-1]), solution.headings)
+            output.modes = Modes(solution.ways, float(solution.path.time[-1]), solution.headings)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
@@ -308,17 +277,17 @@ class LiveAmbiguity:
 
         The errors of a receiver's fixes are common: its jumps are a bias.
         """
-        window, fixes, numbers = self.graph.window, self.graph.log.rows(Fixes), self.graph.log.numbers("fixes")
-        if not self.output.sure or fixes is None or numbers is None:
+        window, (fixes, numbers) = self.graph.window, self.graph.log.rows_and_numbers(Fixes)
+        if not self.output.sure:
             return np.empty(0, dtype=np.intp)
-        new = (fixes.time > window.times[-1] + CLOSE) & (fixes.time <= window.steps.end) & ~sourced(fixes)
-        return numbers[[n for n in np.flatnonzero(new).tolist() if self._is_beyond_gate(fixes[n])]]
-
-    def _is_beyond_gate(self, fix: Fixes) -> bool:
-        """True if a fix after the last keyframe is beyond the gate of the position predicted from there."""
-        steps, begin = self.graph.window.steps, self.graph.window.times[-1]
-        way = predict(self.output.keyframe_belief(), steps.whole, steps.start, begin, float(fix.time[0]), ())
-        return beyond_gate(way, fix.position[0], float(fix.sigma[0]))
+        unexpected, steps, begin = list[int](), window.steps, window.times[-1]
+        for n in np.flatnonzero((fixes.time > begin + CLOSE) & (fixes.time <= steps.end) & ~sourced(fixes)).tolist():
+            belief = self.output.keyframe_belief()
+            there = predict(belief, steps.whole, steps.start, begin, float(fixes.time[n]), ())
+            sigma, apart = float(fixes.sigma[n]), fixes.position[n] - there.mean[:, :2]
+            if not measured(there, OF_POSITION, apart, sigma**2 * np.eye(2))[1].weight.any():
+                unexpected.append(n)
+        return numbers[unexpected]
 
     def contradicted(self, unexpected: Index) -> bool:
         """True if measurements contradict earlier decisions; stores the new decisions.
@@ -336,45 +305,40 @@ class LiveAmbiguity:
 
     def reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
-        graph = self.graph
-        at = graph.at
-        kinds = at.measurements
-        reclassified = [kind.reclassified(at) if isinstance(kind, Gated) else kind for kind in kinds]
-        if graph.store_decisions(reclassified):
+        graph, at = self.graph, self.graph.at
+        gated = [kind.reclassified(at) for kind in at.measurements if isinstance(kind, Gated)]
+        others = [kind for kind in at.measurements if not isinstance(kind, Gated)]
+        if graph.store_decisions([*gated, *others]):
             graph.log.version += 1
             graph.solve()
-        diverged = any(kind.diverged for kind in reclassified if isinstance(kind, Gated))
-        if diverged and graph.window.times[-1] >= self.next_batch:
+        if any(kind.diverged for kind in gated) and graph.window.times[-1] >= self.next_batch:
             self.restart()
 
     def doubt_new_fixes(self) -> None:
-        """Ask the batch for another path if a new fix is far from the present one, or behind a wall."""
-        graph, window = self.graph, self.graph.window
-        now, fixes, numbers = window.times[-1], graph.log.rows(Fixes), graph.log.numbers("fixes")
-        if not self.output.sure or fixes is None or numbers is None or not self.trial.idle or now < self.next_batch:
-            return
-        within = (fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE)
-        new = np.flatnonzero(within & ~np.isin(numbers, self._asked.get("fixes", ())))
-        self._asked = graph.log.all_numbers(now)
-        if len(new) and self._is_elsewhere(fixes[new]).any():
-            self.ask_batch_for_alternative()
-            self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
-
-    def _is_elsewhere(self, fixes: Fixes) -> Mask:
-        """``(f,)`` True for fixes that the present path passes at over some sigmas, or in an area beyond a wall.
+        """Ask the batch for another path if a new fix is some sigmas from the present one, or in an area behind a wall.
 
         A fix where nobody can walk counts as the nearest place where one can: in a corridor, most fixes are beyond its
         walls, and no other path leads there.
         """
-        window = self.graph.window
-        there = poses_at(fixes.time, np.array(window.times), window.pose)[:, :2]
-        sigmas = np.hypot(*(fixes.position - there).T) / fixes.sigma
-        elsewhere, plan = sigmas > SCHEDULE.doubted, window.located_plan
+        graph, window, (fixes, numbers) = self.graph, self.graph.window, self.graph.log.rows_and_numbers(Fixes)
+        now, plan = window.times[-1], window.located_plan
+        if not self.output.sure or not len(fixes) or not self.trial.idle or now < self.next_batch:
+            return
+        within = (fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE)
+        new = fixes[within & ~np.isin(numbers, self._asked.get("fixes", ()))]
+        self._asked = graph.log.all_numbers(now)
+        if not len(new):
+            return
+        there = poses_at(new.time, np.array(window.times), window.pose)[:, :2]
+        sigmas = np.hypot(*(new.position - there).T) / new.sigma
+        elsewhere = sigmas > SCHEDULE.doubted
         if plan is not None:
             floor = plan[window.floor]
-            begin, end = (np.array([floor.nearest_walkable(p) for p in places]) for places in (there, fixes.position))
+            begin, end = (np.array([floor.nearest_walkable(p) for p in places]) for places in (there, new.position))
             elsewhere |= (sigmas > SCHEDULE.doubted_behind_wall) & floor.crosses_wall(begin, end)
-        return elsewhere
+        if elsewhere.any():
+            self.ask_batch_for_alternative()
+            self.next_batch = now + SCHEDULE.batch_delay(window.duration)
 
     # Other paths: by particles between the walls, or by the batch once more
 
@@ -389,50 +353,39 @@ class LiveAmbiguity:
             output.particles = None
         if output.particles is not None:
             for interval in new:
-                output.particles.enqueue(interval, self._measurements_at(interval.j))
+                factors = self.graph.factors
+                row = int(np.flatnonzero(factors.chain.number == interval.j)[0])
+                output.particles.enqueue(interval, pose_costs(factors.measurements, row))
             output.particles.forget(window.times[0])
         elif plan is not None:
             begin, belief = window.times[-1], output.keyframe_belief()
             output.particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
 
-    def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
-        """The measurements at the keyframe with this number, for the particles."""
-        factors = self.graph.factors
-        return pose_costs(factors.measurements, int(np.flatnonzero(factors.chain.number == keyframe)[0]))
-
     def move_particles(self, busy: bool) -> None:
-        """Let the particles do a little; compare them with the path when they reach a keyframe."""
-        particles = self.output.particles
-        if particles is not None and particles.process(busy):
-            self._compare(particles)
+        """Let the particles do a little; when they reach a keyframe, compare them with the path.
 
-    def _compare(self, particles: ParallelParticleFilter) -> None:
-        """Try the path of most particles where it differs, once that of the batch; restart if the cost is too high."""
-        window = self.graph.window
+        The path of most particles is tried where it differs, and once that of the batch, before any of the walk leaves
+        the window. Else the walk restarts if its cost is too high for a correct path, and there are fixes to find
+        another.
+        """
+        graph, window, particles = self.graph, self.graph.window, self.output.particles
+        if particles is None or not particles.process(busy):
+            return
         at = int(np.searchsorted(window.times, particles.times[-1] - CLOSE))
         alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
+        fixes, open_to_batch = len(graph.log.position_times()), self.trial.idle and not self.batch_reviewed
         if alternative is not None and self.trial.idle:
             self._try(lambda: (alternative, {}), SCHEDULE.rounds)
-        elif self._review_due():
+        elif open_to_batch and graph.has_position and window.complete and window.duration > SCHEDULE.review_after:
             self.batch_reviewed = True
             self.ask_batch_for_alternative()
-        elif self._cost_check_due() and self._cost_too_high():
+        elif (
+            window.count % SCHEDULE.cost_interval == 0
+            and window.times[-1] >= self.next_batch
+            and fixes > 1
+            and graph.cost > SCHEDULE.cost_limit(len(window.keyframes), fixes)
+        ):
             self.restart(carried=False)
-
-    def _review_due(self) -> bool:
-        """True if the batch should solve the walk once more, before any of it leaves the window."""
-        window = self.graph.window
-        long = window.times[-1] - window.times[0] > SCHEDULE.review_after
-        return not self.batch_reviewed and self.trial.idle and self.graph.has_position and window.complete and long
-
-    def _cost_check_due(self) -> bool:
-        window = self.graph.window
-        return window.count % SCHEDULE.cost_interval == 0 and window.times[-1] >= self.next_batch
-
-    def _cost_too_high(self) -> bool:
-        """True if the cost is too high for a correct path, and there are fixes to find another."""
-        fixes = len(self.graph.log.position_times())
-        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
 
     def ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""
@@ -452,35 +405,41 @@ class LiveAmbiguity:
         self.trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
 
     def adopt_alternative(self) -> None:
-        """Move the window to an alternative that was accepted."""
+        """Move the window to an alternative that costs less."""
         graph = self.graph
-        trial = self.trial.collect(graph.window.times[-1])
-        if trial is not None and trial.accepted and len(trial.path.within(graph.window.times)):
-            graph.decide(graph.decisions | trial.decisions)
-            graph.move_to(trial.path)
+        found = self.trial.collect(graph.window.times[-1])
+        if found is not None and len(found[0].within(graph.window.times)):
+            graph.decide(graph.decisions | found[1])
+            graph.move_to(found[0])
 
     # The modes that remain, and the place on a plan
 
     def follow_modes(self) -> None:
-        """Advance the modes that remain while the direction is open; the first fix begins them."""
-        graph, modes = self.graph, self.output.modes
-        steps = graph.window.steps
-        if self.output.sure:
+        """Advance the modes that remain while the direction is open: the first fix begins them, in all directions.
+
+        Later fixes correct them, and each heading once.
+        """
+        graph, output, modes, steps = self.graph, self.output, self.output.modes, self.graph.window.steps
+        if output.sure:
             return
         if modes.mixture is None:
-            first = self.output.fixes_between(-np.inf, steps.end)
+            first = output.fixes_between(-np.inf, steps.end)
             if not first or graph.finalized.anchored:
                 return
-            modes.begin(self.output.keyframe_belief(), first[0], steps.start)
-        modes.advance(steps, self.output.fixes_between(modes.time, steps.end))
-        headings, numbers = graph.log.rows(Headings), graph.log.numbers("headings")
-        if headings is not None and numbers is not None:
-            modes.point(steps, headings, numbers)
+            modes.mixture = in_any_direction(output.keyframe_belief(), first[0])
+            modes.time = max(first[0].time, steps.start)
+        fixes, whole, start = output.fixes_between(modes.time, steps.end), steps.whole, steps.start
+        modes.mixture = predict(modes.mixture, whole, start, modes.time, steps.end, fixes)
+        modes.time = max(modes.time, steps.end)
+        headings, numbers = graph.log.rows_and_numbers(Headings)
+        new = ~np.isin(numbers, modes.used) & (headings.time <= modes.time)
+        modes.mixture = after_headings(modes.mixture, whole, start, modes.time, take(headings, new))
+        modes.used = np.append(modes.used, numbers[new])
 
     def search_plan(self) -> None:
         """Seek a walk without any position on the whole plan; a place that is certain becomes a fix."""
         graph, window, modes = self.graph, self.graph.window, self.output.modes
-        now, walked = window.times[-1], window.times[-1] - window.times[0]
+        now, walked = window.times[-1], window.duration
         if graph.has_position or graph.finalized.anchored or window.located_plan is None:
             self.place.cancel()
             return
@@ -509,31 +468,30 @@ class LiveAmbiguity:
         That is the most probable of what they get wrong; what else remains possible widens the stated covariance.
         before: assumptions that are kept unless others are clearly better; by default the present ones.
         """
-        now = self.graph.window.times[-1]
+        graph, window, now = self.graph, self.graph.window, self.graph.window.times[-1]
         if self.sources.idle and now >= self.next_comparison and self.history.has_position(now):
-            self.next_comparison = now + SCHEDULE.comparison_delay(now - self.graph.window.times[0])
-            walled = self.graph.window.located_plan is not None
-            known = self.findings if before is None else before
-            question = self.history.question(now, self.graph.prior, known, self.graph.decisions, walled)
-            self.sources.ask(question.answer, now + waiting)
+            self.next_comparison = now + SCHEDULE.comparison_delay(window.duration)
+            known, walled = self.findings if before is None else before, window.located_plan is not None
+            self.sources.ask(self.history.question(now, graph.prior, known, graph.decisions, walled), now + waiting)
         review = self.sources.collect(now)
         if review is not None:
-            self._adopt_review(review)
+            same, self.findings = review.findings.same_decisions(self.findings), review.findings
+            if not same:
+                self._adopt_decisions(review)
+            graph.excess = review.excess or graph.excess
 
-    def _adopt_review(self, review: Review) -> None:
-        """Adopt what sources get wrong, and the covariance of what remains possible."""
-        before, self.findings = self.findings, review.findings
-        if not self.findings.same_decisions(before):
-            self._assume(review)
-        self.graph.excess = review.excess or self.graph.excess
+    def _adopt_decisions(self, review: Review) -> None:
+        """Adopt the decisions of a review, and its walk where no plan holds ours and the decisions matter to it.
 
-    def _assume(self, review: Review) -> None:
-        """Adopt the decisions of a review, and its walk where no plan holds ours and the decisions matter to it."""
-        graph, window = self.graph, self.graph.window
-        before = graph.decisions
-        adopted = review.decisions
-        graph.decide(before | adopted)
-        if window.located_plan is not None or not self.output.sure or _were_rejected(before, adopted):
+        They do not matter if they are about fixes that had no weight before.
+        """
+        graph, window, fixes = self.graph, self.graph.window, kind_of_type(Fixes).name
+        old, new, matters = graph.decisions.get(fixes), review.decisions.get(fixes), True
+        if old is not None and new is not None and len(review.decisions) == 1:
+            rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
+            matters = not np.isin(new["number"][new["wrong"].astype(bool)], rejected).all()
+        graph.decide(graph.decisions | review.decisions)
+        if window.located_plan is not None or not self.output.sure or not matters:
             graph.solve()
             return
         self.trial.cancel()
@@ -543,13 +501,3 @@ class LiveAmbiguity:
             window.c[interval.segment] = review.path.calibration(interval.end)
         graph.restart(graph.lag)
         graph.solve(SCHEDULE.rounds)
-
-
-def _were_rejected(before: Decisions, adopted: Decisions) -> bool:
-    """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
-    name = kind_of_type(Fixes).name
-    if set(adopted) != {name} or name not in before:
-        return False
-    old, new = before[name], adopted[name]
-    rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
-    return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())

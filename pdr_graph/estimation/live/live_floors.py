@@ -6,10 +6,12 @@ without climbs, on the floor estimated for it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from pdr_graph.estimation.floors import FloorHeights, Floors, floors_along
-from pdr_graph.inertial.barometer import Climbs, goings_of
+from pdr_graph.estimation.floors import FloorHeights, floors_along
+from pdr_graph.inertial.barometer import goings_of
 from pdr_graph.priors import CLIMB, LIVE_FLOORS
 from pdr_graph.types import Array, Fixes, Signal, Steps
 
@@ -33,28 +35,32 @@ class LiveFloors:
         self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps in the window [s]
         self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
         self.open = np.empty((0, 2))  # samples of the cell that is not complete
-        self.fix_time, self.fix_label = np.empty(0), np.empty(0, dtype=object)
+        self.fixes = Fixes.none()  # with floor labels
         self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
         self.heard = False  # True if fixes with a floor came since the last estimate
         self.goings = np.empty((0, 3))
 
     def push(self, time: Array, values: Array) -> None:
-        """Append barometer samples at times ``(n,)`` [s], values ``(n, 1)`` [hPa]."""
+        """Append barometer samples at times ``(n,)`` [s], values ``(n, 1)`` [hPa]; complete cells become means."""
         rows = np.column_stack([time, values]).astype(float)
         rows = rows[np.isfinite(rows).all(axis=1) & (rows[:, 1] > LOWEST) & (rows[:, 1] < HIGHEST)]
         if np.isfinite(self.end):
             rows = rows[np.abs(rows[:, 0] - self.end) < LIVE_FLOORS.apart]
-        else:
-            self.pressure = self.pressure[-round(LIVE_FLOORS.longest / CLIMB.grid) :]
         for sample in rows:
-            self._sample(sample)
+            if sample[0] <= max(self.pressure[-1:, 0].max(initial=-np.inf), self.open[-1:, 0].max(initial=-np.inf)):
+                continue  # repeated sample, or clock reset
+            if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
+                self.pressure, self.open = np.vstack([self.pressure, self.open.mean(axis=0)]), self.open[:0]
+            if len(self.open) < MOST_IN_CELL:
+                self.open = np.vstack([self.open, sample])
+        longest = LIVE_FLOORS.longest * (LIVE_FLOORS.too_long if np.isfinite(self.end) else 1.0)
+        self.pressure = self.pressure[-round(longest / CLIMB.grid) :]
 
     def add_fixes(self, fixes: Fixes) -> None:
         """Append fixes; only those with a floor label are used."""
         labelled = np.array([bool(label) for label in fixes.floor], dtype=bool)
         if labelled.any():
-            self.fix_time = np.append(self.fix_time, fixes.time[labelled])[-STORED_FIXES:]
-            self.fix_label = np.append(self.fix_label, np.array(fixes.floor, dtype=object)[labelled])[-STORED_FIXES:]
+            self.fixes = Fixes.concatenate([self.fixes, fixes[labelled]])[-STORED_FIXES:]
             self.heard = True
 
     def add_steps(self, steps: Steps) -> None:
@@ -70,7 +76,7 @@ class LiveFloors:
         if not (now > self.begin and abs(now - self.looked) >= LIVE_FLOORS.interval):
             return False
         measured = self._is_measured(now)
-        named = self.building is None or bool(self.start) or len(self.fix_label) > 0
+        named = self.building is None or bool(self.start) or len(self.fixes) > 0
         if named and (measured or self.heard) and now > self.begin:
             self._estimate(now, tail, measured)
         elif now - self.begin > LIVE_FLOORS.longest:
@@ -93,66 +99,40 @@ class LiveFloors:
             return False
         if now - self.pressure[-1, 0] > LIVE_FLOORS.silent:
             self._cut(self.end)
-            self.pressure, self.open, self.climbing, self.goings = (
-                self.pressure[:0],
-                self.open[:0],
-                False,
-                self.goings[:0],
-            )
+            self.pressure, self.open, self.climbing, self.goings = *np.empty((2, 0, 2)), False, np.empty((0, 3))
             return False
         first = float(self.pressure[0, 0])
         if self.begin + LIVE_FLOORS.silent < first <= self.end:
             self._cut(first)
         return first <= self.begin + LIVE_FLOORS.silent
 
-    def _sample(self, sample: Array) -> None:
-        """Append one sample; complete cells become means."""
-        last = self.open[-1, 0] if len(self.open) else self.pressure[-1, 0] if len(self.pressure) else -np.inf
-        if sample[0] <= last:
-            return  # repeated sample, or clock reset
-        if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
-            self.pressure = np.concatenate([self.pressure, self.open.mean(axis=0)[None]])
-            self.pressure = self.pressure[-round(LIVE_FLOORS.too_long * LIVE_FLOORS.longest / CLIMB.grid) :]
-            self.open = self.open[:0]
-        if len(self.open) < MOST_IN_CELL:
-            self.open = np.concatenate([self.open, sample[None]])
-
     def _estimate(self, now: float, tail: Steps | None, measured: bool) -> None:
         """Estimate the floors of the window, and cut it if it is too long."""
-        fixes = Fixes(
-            self.fix_time, np.zeros((len(self.fix_time), 2)), np.ones(len(self.fix_time)), tuple(self.fix_label)
-        )
         barometer = Signal(self.pressure[:, 0], self.pressure[:, 1:]) if measured else None
-        steps = self._steps(tail)
-        floors = floors_along(steps, barometer, self.start, fixes, self.building)
-        self._remember(steps, floors, now)
+        time, duration, end = self.time, self.duration, self.end
+        if tail is not None and tail.end > end and (not len(tail) or tail.time[0] - tail.duration[0] >= end - 1e-6):
+            time, duration, end = np.append(time, tail.time), np.append(duration, tail.duration), tail.end
+        nothing, some = np.zeros(len(time)), np.ones(len(time))
+        steps = Steps(self.begin, end, time, duration, some, nothing, nothing, some, some)
+        floors = floors_along(steps, barometer, self.start, self.fixes, self.building)
+        before = (self.row_time < self.begin) & (self.row_time > now - LIVE_FLOORS.remembered)
+        self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
+        self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
+        self.label, self.heard = floors.labels[-1], False
         last = floors.climbs.end[-1:]
         self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
         self.goings = goings_of(steps, floors.climbs, floors.kinds)
         if self.climbing:
             self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + 2 * LIVE_FLOORS.interval
-        self.heard = False
         if now - self.begin > LIVE_FLOORS.longest or len(floors.climbs) > LIVE_FLOORS.most_climbs:
-            level = _level_before(now - LIVE_FLOORS.shortest, floors.climbs)
+            level = now - LIVE_FLOORS.shortest  # or the last time before, that is CLIMB.level away from any climb
+            for start, end in zip(floors.climbs.start[::-1].tolist(), floors.climbs.end[::-1].tolist(), strict=True):
+                if start - CLIMB.level < level < end + CLIMB.level:
+                    level = start - CLIMB.level
             if level > self.begin + CLIMB.level:
                 self._cut(level)
             elif now - self.begin > LIVE_FLOORS.too_long * LIVE_FLOORS.longest:
                 self._cut(now - LIVE_FLOORS.shortest)
-
-    def _steps(self, tail: Steps | None) -> Steps:
-        """The steps of the window with those of ``tail``: times and durations."""
-        time, duration, end = self.time, self.duration, self.end
-        if tail is not None and tail.end > end and (not len(tail) or tail.time[0] - tail.duration[0] >= end - 1e-6):
-            time, duration, end = np.append(time, tail.time), np.append(duration, tail.duration), tail.end
-        nothing, some = np.zeros(len(time)), np.ones(len(time))
-        return Steps(self.begin, end, time, duration, some, nothing, nothing, some, some)
-
-    def _remember(self, steps: Steps, floors: Floors, now: float) -> None:
-        """Store the labels of the window's rows."""
-        before = (self.row_time < self.begin) & (self.row_time > now - LIVE_FLOORS.remembered)
-        self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
-        self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
-        self.label = floors.labels[-1]
 
     def _cut(self, time: float) -> None:
         """Let the window start at ``time`` [s], or at the end of the certain steps if that is earlier."""
@@ -162,18 +142,7 @@ class LiveFloors:
         later = self.time - self.duration >= time
         self.time, self.duration = self.time[later], self.duration[later]
         self.pressure = self.pressure[self.pressure[:, 0] >= time]
-        order = np.argsort(self.fix_time, kind="stable")
-        self.fix_time, self.fix_label = self.fix_time[order], self.fix_label[order]
-        first = int(np.searchsorted(self.fix_time, time))
-        if first and self.fix_label[first - 1] == self.start:  # a climb leads from it to the next, on another floor
+        first = int(np.searchsorted(self.fixes.time, time))
+        if first and self.fixes.floor[first - 1] == self.start:  # a climb leads from it to the next, on another floor
             first -= 1
-            self.fix_time[first] = time
-        self.fix_time, self.fix_label = self.fix_time[first:], self.fix_label[first:]
-
-
-def _level_before(time: float, climbs: Climbs) -> float:
-    """The last time [s] before ``time`` that is at least CLIMB.level away from any climb."""
-    for start, end in zip(climbs.start[::-1].tolist(), climbs.end[::-1].tolist(), strict=True):
-        if start - CLIMB.level < time < end + CLIMB.level:
-            time = start - CLIMB.level
-    return time
+        self.fixes = replace(self.fixes, time=np.maximum(self.fixes.time, time))[first:]

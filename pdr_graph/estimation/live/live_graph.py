@@ -14,27 +14,30 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
-from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Priors
 from pdr_graph.estimation.factors.registry import corridors_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations, Solution
 from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
-from pdr_graph.estimation.live.measurement_log import (
+from pdr_graph.estimation.live.window import (
+    CLOSE,
+    UNLIMITED,
     WAITING,
     Collector,
     Decisions,
+    Interval,
     MeasurementLog,
+    Path,
+    Window,
     merged_decisions,
-    same_decisions,
 )
-from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Interval, Part, Path, Window
 from pdr_graph.estimation.optimizer import Descent
-from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Array, Index, Sightings, take
+from pdr_graph.types import Array, Index, take
 
 MOST_REASONS = 100  # reasons that are kept
 
@@ -84,14 +87,14 @@ class LiveGraph:
         self.leaving_after, self.marginals = lag, list[MarginalFactor]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self.too_late, self.excess, self.failures, self.iterations = 0, Excess.none(), list[str](), 0
+        self.too_late, self.excess, self.failures, self.iterations = 0, Excess(), list[str](), 0
         self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
         self._priors: Priors = frozenset()  # of these variables, those that hold
         self._factors: WindowFactors | None = None
         self._version = 0  # of the rows that `_factors` has
-        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
+        self._measurements, self._measured_at = list[Measurement](), (-1, False)  # not bound to a chain
         self._equations = list[NormalEquations]()
         self._search: Descent | None = None
         self._left: Evaluation | None = None  # with keyframes that have left, whose marginal is due
@@ -104,30 +107,24 @@ class LiveGraph:
         self.finalized.edge = self.window.times[0], self.finalized.edge[1]
         self.log.forget(self.window.times[0] - self.log.longest_overhang)
 
-    def append(self, data: Any, number: Index | None = None) -> None:
-        """Append measurements; those from before the window are dropped and counted as late."""
-        times = self.log.times(data)
+    def append(self, data: Any, number: Index | None = None) -> Array:
+        """Append measurements; those from before the window are dropped and counted as late.
+
+        Returns the times of the others [s].
+        """
+        times = np.round(np.asarray(data.time, dtype=np.float64), DECIMALS)
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
             self.too_late += int(early.sum())
-            data, times = self.log.select(data, ~early), times[~early]
-            number = None if number is None else number[~early]
+            kept = np.flatnonzero(~early if early.ndim == 1 else ~early.any(axis=1))
+            data, times, number = take(data, kept), times[kept], None if number is None else number[kept]
         if len(times):
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()
         if not self.window.times:
             self.log.keep_latest()
             del self._arrivals[:-WAITING]
-
-    def set_goings(self, goings: Array) -> None:
-        """Give the steps on stairs the length of the treads, see `StepBuffer`."""
-        if self.window.set_goings(goings):
-            self._factors = None
-            self.log.version += 1
-
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Pass receptions of a radio to all collectors; True if one of them uses any."""
-        return any([collector.collect(received, radio) for collector in self.collectors])
+        return times
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
         """Close the keyframes due after new steps and measurements; those older than the lag leave.
@@ -146,10 +143,8 @@ class LiveGraph:
             self._leave(int(np.searchsorted(window.times[:-2], ends[-1] - self.leaving_after)))
         new = window.cut(ends)
         for time in reached:
-            if window.times[0] <= time <= window.times[-1] and not window.has_keyframe(time):
-                window.split(time)
-        if reached:
-            self._arrivals = [time for time in self._arrivals if not (time <= covered + CLOSE or at_end)]
+            window.split(time)
+        self._arrivals = [] if at_end else [time for time in self._arrivals if time > covered + CLOSE]
         self._factors = None if new or reached else self._factors
         self.log.version += bool(reached)
         return new, bool(reached)
@@ -170,47 +165,39 @@ class LiveGraph:
         return self._factors
 
     def _built(self) -> WindowFactors:
-        part = self.window.part()
-        measurements = [steps_between_keyframes(), *self._measured(part), *self._priors_of(part), *self._on_plan(part)]
-        state = part.state(measurements, self._others)
+        window, chain = self.window, self.window.chain()
+        if self._measured_at != (measured_at := (self.log.version, window.finished)):
+            end = np.inf if window.finished else window.times[-1]
+            steps = window.steps.steps
+            self._measurements = self.log.measurements(steps, self.prior, window.times[0], end, self.decisions)
+            self._measured_at = measured_at
+        kinds = [steps_between_keyframes(), *(measurement.bind(chain) for measurement in self._measurements)]
+
+        # Priors of calibration and first pose, while these are in the window; walls and corridors, if the plan is used
+        begins = np.flatnonzero(chain.segment_number == self._begins).tolist()
+        kinds.append(calibration_prior(dict.fromkeys(begins, self.c_prior), self.prior.change))
+        if chain.number[0] == self._hold[0]:
+            kinds.append(self._hold[1])
+        if (walls := window.walls) is not None:
+            kinds.append(walls)
+        if window.intervals and self.prior.corridors and (floors := window.floors()) is not None:
+            at = chain.evaluate(window.state(chain))
+            kinds += [kind.associated(at) for kind in corridors_of(floors, self.prior)]
+
+        # The marginal of variables that have left
+        state = window.state(chain, kinds, self._others)
         if self._left is not None:
-            self._marginalize(self._left, state)
+            names, present = _names(self._left.state), set(_names(state))
+            marginal, absorbed = marginalized(self._left, np.array([name not in present for name in names]))
+            kept = [old for old in self.marginals if present.issuperset(old.names)]
+            self.marginals, self._priors, self._left = [*kept, *filter(None, [marginal])], self._priors - absorbed, None
         self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
-        of_kinds = tuple(measurements)
-        self._priors |= self._new_priors(part.chain, state, of_kinds)
-        walled = self.window.located_plan is not None
-        return WindowFactors(part.chain, (*of_kinds, *self.marginals), self._priors, walled, state, self._equations)
+        self._add_priors(chain, state, tuple(kinds))
+        measurements, walled = (*kinds, *self.marginals), window.located_plan is not None
+        return WindowFactors(chain, measurements, self._priors, walled, state, self._equations)
 
-    def _measured(self, part: Part) -> list[Measurement]:
-        window, chain = self.window, part.chain
-        state = self.log.version, chain.time[0] if part.first else -np.inf, window.finished
-        if self._measured_at != state:
-            end, measurements = np.inf if window.finished else window.times[-1], list[Measurement]()
-            if window.steps.chunks:
-                measurements = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
-            self._measured_at, self._measurements = state, measurements
-        return [measurement.bind(chain) for measurement in self._measurements]
-
-    def _priors_of(self, part: Part) -> list[Measurement]:
-        """Priors of calibration and first pose, while these are in the window."""
-        row = {number: n for n, number in enumerate(part.segments.tolist())}
-        begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
-        keyframe, hold = self._hold
-        held = [hold] if part.chain.number[0] == keyframe else []
-        return [calibration_prior(begins, self.prior.change), *held]
-
-    def _on_plan(self, part: Part) -> list[Measurement]:
-        """Factors of walls and corridors, if the plan is used."""
-        walls, plan = part.walls(), self.window.located_plan
-        evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and self.prior.corridors and part.intervals:
-            labels = [interval.label for interval in part.intervals for _ in interval.fields]
-            at = part.chain.evaluate(part.state())
-            evidence += [kind.associated(at) for kind in corridors_of(FloorSequence.of(plan, labels), self.prior)]
-        return evidence
-
-    def _new_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> Priors:
-        """The priors of variables that are new.
+    def _add_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> None:
+        """Let the priors of variables that are new hold.
 
         The first node of a receiver's error in a window has one too, but what it had before is in the marginal.
         """
@@ -219,29 +206,21 @@ class LiveGraph:
             for symbol in state.arrays
             if symbol not in (POSE, CALIBRATION)
         }
-        if not any(added.any() for added in new.values()):
-            return frozenset()
-        found = set[tuple[str, int]]()
-        for block in chain.evaluate(state, measurements).blocks:
-            if block.prior:
-                added = np.any([new[symbol][rows] for symbol, rows in block.variables], axis=0)
-                found |= {(block.name, number) for number in block.number[added].tolist()}
-        self._store(state)
-        return frozenset(found)
+        if any(added.any() for added in new.values()):
+            for block in chain.evaluate(state, measurements).blocks:
+                if block.prior:
+                    added = np.any([new[symbol][rows] for symbol, rows in block.variables], axis=0)
+                    self._priors |= {(block.name, number) for number in block.number[added].tolist()}
+            self._store(state)
 
     # The search
 
-    @property
     def search(self) -> Descent:
-        """The search for the optimum; measurements since it began are for the next `solve`."""
+        """The search for the optimum, begun if there is none; measurements since then are for the next `solve`."""
         search = self._search
         if search is None or len(search.at.state.poses) != len(self.window.keyframes):
             return self._begun()
         return search
-
-    def begin_search(self) -> None:
-        """Begin the search if it has none, so that a later question for the pose changes nothing."""
-        self.search  # noqa: B018
 
     def _begun(self) -> Descent:
         """Begin the search with the present factors, at the present estimate."""
@@ -255,7 +234,7 @@ class LiveGraph:
     def solve(self, steps: int = 1) -> bool:
         """Take so many steps of the search, with all measurements; False if it had reached the optimum before."""
         same = self._search is not None and self._search.graph is self.factors
-        search, moved = self.search if same else self._begun(), False
+        search, moved = self.search() if same else self._begun(), False
         for _ in range(steps):
             if search.converged:
                 break
@@ -263,7 +242,7 @@ class LiveGraph:
                 search.step()
             except (RuntimeError, np.linalg.LinAlgError) as error:
                 self._fail(error)
-                search = self.search
+                search = self.search()
             self.iterations, moved = self.iterations + 1, True
         if moved:
             self.window.read(search.at.state)
@@ -318,17 +297,12 @@ class LiveGraph:
     @property
     def at(self) -> Evaluation:
         """The window's factors at the estimate."""
-        return self.search.at
+        return self.search().at
 
     @property
     def solution(self) -> Solution:
         """The linear system of the window, solved."""
-        return self.search.system.solution
-
-    @property
-    def total_cost(self) -> float:
-        """Cost of the window and of the marginal, to compare estimates."""
-        return self.at.cost
+        return self.search().system.solution
 
     @property
     def cost(self) -> float:
@@ -349,16 +323,6 @@ class LiveGraph:
         """Covariances ``(s, 3, 3)`` of the calibrations in the window."""
         return self.solution.joint((CALIBRATION, np.arange(len(self.at.state.c))))
 
-    def end_covariance(self) -> Array:
-        """Covariance ``(6, 6)`` of the last pose, in its axes, and its calibration."""
-        state = self.at.state
-        last, c = np.array([len(state.poses) - 1]), np.array([len(state.c) - 1])
-        if self.window.intervals:
-            return self.solution.joint((POSE, last), (CALIBRATION, c))[0]
-        joint = np.zeros((6, 6))  # nothing binds the pose of a window without steps to a calibration
-        joint[:3, :3], joint[3:, 3:] = self.solution.joint((POSE, last))[0], self.solution.joint((CALIBRATION, c))[0]
-        return joint
-
     # Keyframes out
 
     def _leave(self, count: int) -> None:
@@ -371,39 +335,24 @@ class LiveGraph:
         at, start = self.at, window.pose[0].copy() if window.complete else None
         due = until > self.finalized.edge[0] + SCHEDULE.covariance_interval
         edge = self.covariance(count) if due or start is not None else np.eye(3)
-        self._report_until(until, at)
+        for measurement in at.measurements:
+            numbers, times = measurement.instances if isinstance(measurement, Itemized) else (np.empty(0), np.empty(0))
+            early = np.flatnonzero(times < until)
+            if len(early):
+                reports = zip(numbers[early].tolist(), measurement.reports(at, early), strict=True)
+                self.finalized.reports.setdefault(measurement.name, {}).update(reports)
         self.finalized.take(window.intervals[:count], at, start)
         window.forget(count)
         if start is not None and self.has_position:
             self.finalized.begin(start, window.pose[0], edge)
         if not self.finalized.anchored:
             self.finalized.hinge = window.pose[0].copy()
-        self.log.forget(until)
-        for collector in self.collectors:
-            collector.forget(until)
+        for store in (self.log, *self.collectors):
+            store.forget(until)
         self._arrivals = [time for time in self._arrivals if time >= until]
         if due:
             self.finalized.finalize(window.times[0], edge)
         self._left, self._factors, self._search = at, None, None
-
-    def _marginalize(self, at: Evaluation, state: State) -> None:
-        """Replace the factors of variables that ``state`` does not have any more by their marginal. at: with them."""
-        names = [(symbol, number) for symbol in at.state.arrays for number in at.state.number(symbol).tolist()]
-        present = {(symbol, number) for symbol in state.arrays for number in state.number(symbol).tolist()}
-        marginal, absorbed = marginalized(at, np.array([name not in present for name in names]))
-        self.marginals = [*(kept for kept in self.marginals if not _binds(kept, present)), *filter(None, [marginal])]
-        self._priors, self._left = self._priors - absorbed, None
-
-    def _report_until(self, until: float, at: Evaluation) -> None:
-        """Store the reports of instances from before ``until`` [s]."""
-        for measurement in at.measurements:
-            if not isinstance(measurement, Itemized):
-                continue
-            numbers, times = measurement.instances
-            early = np.flatnonzero(times < until)
-            if len(early):
-                reports = zip(numbers[early].tolist(), measurement.reports(at, early), strict=True)
-                self.finalized.reports.setdefault(measurement.name, {}).update(reports)
 
     # Decisions, and the batch of the window
 
@@ -414,7 +363,9 @@ class LiveGraph:
             if decided := decisions_of(measurement):
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
-                changed |= not same_decisions(stored, merged)
+                changed |= stored.keys() != merged.keys() or not all(
+                    np.array_equal(stored[name], rows, equal_nan=rows.dtype == float) for name, rows in merged.items()
+                )
                 self.decisions = self.decisions | {measurement.name: merged}
         return changed
 
@@ -451,6 +402,6 @@ class LiveGraph:
         return other
 
 
-def _binds(marginal: MarginalFactor, present: set[tuple[str, int]]) -> bool:
-    """True if a marginal has a variable that is not among ``present``."""
-    return not present.issuperset(zip(marginal.symbol, marginal.number.tolist(), strict=True))
+def _names(state: State) -> list[tuple[str, int]]:
+    """Symbol and number of each variable."""
+    return [(symbol, number) for symbol in state.arrays for number in state.number(symbol).tolist()]

@@ -10,12 +10,12 @@ detected, the position is that of the fixes alone (`FixesAlone`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import Itemized
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized
 from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
 from pdr_graph.estimation.factors.registry import made_from
 from pdr_graph.estimation.kalman import (
@@ -31,10 +31,9 @@ from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, StepBuffer
+from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import horizontal_sigma, pose_rotation
 from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
 from pdr_graph.types import Array, Calibration, Fixes, Headings, Index, Steps, take
@@ -88,22 +87,6 @@ def corrected(mixture: GaussianMixture, fix: Position) -> GaussianMixture:
     return thinned(measured(mixture, OF_POSITION, fix.position - mixture.mean[:, :2], R, fix.share)[0])
 
 
-def beyond_gate(mixture: GaussianMixture, position: Array, sigma: float) -> bool:
-    """True if a position ``(2,)`` [m] with this sigma [m] is beyond the gate of all ways."""
-    R = sigma**2 * np.eye(2)
-    return bool((measured(mixture, OF_POSITION, position - mixture.mean[:, :2], R)[1].weight == 0.0).all())
-
-
-def corrected_by_heading(mixture: GaussianMixture, turned: Array, heading: float, sigma: float) -> GaussianMixture:
-    """The mixture after a heading of a moment in the past [rad].
-
-    turned: ``(3,)`` since then, as a function of (R_s, R_d, b).
-    """
-    H = np.zeros((1, 6))
-    H[0, 2], H[0, 3:] = 1.0, -turned
-    return thinned(heading_corrected(mixture, H, heading, sigma**2))
-
-
 def predict(
     mixture: GaussianMixture, whole: Array, start: float, begin: float, end: float, fixes: Sequence[Position]
 ) -> GaussianMixture:
@@ -120,86 +103,46 @@ def predict(
     spread = increment_covariance(pieces, increments)
     waiting = list(fixes)
     for n, moment in enumerate(moments.tolist()):
-        last = pieces.last[n]
-        mixture = _moved(mixture, increments.delta[last], increments.by_c[last], spread[n], mean_c)
+        last, R = pieces.last[n], pose_rotation(mixture.mean[:, 2])
+        delta, by_c = increments.delta[last], increments.by_c[last]
+        mean, covariance = mixture.mean.copy(), mixture.covariance
+        mean[:, :3] += np.einsum("hij,hj->hi", R, delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T)
+        F = np.tile(np.eye(6), (len(mean), 1, 1))
+        F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ QUARTER_TURN.T
+        F[:, :3, 3:] = R @ by_c
+        covariance = F @ covariance @ F.transpose(0, 2, 1)
+        covariance[:, :3, :3] += R @ spread[n] @ R.transpose(0, 2, 1)
+        mixture = replace(mixture, mean=mean, covariance=covariance)
         while waiting and waiting[0].time <= moment:
             mixture = corrected(mixture, waiting.pop(0))
     return mixture
 
 
-def _moved(mixture: GaussianMixture, delta: Array, by_c: Array, spread: Array, mean_c: Array) -> GaussianMixture:
-    """The mixture after a displacement ``delta (3,)`` at calibration ``mean_c (3,)``, with covariance ``spread``."""
-    R = pose_rotation(mixture.mean[:, 2])
-    of_each = delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T
-    mean = mixture.mean.copy()
-    mean[:, :3] += np.einsum("hij,hj->hi", R, of_each)
-    F = np.tile(np.eye(6), (len(mean), 1, 1))
-    F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ QUARTER_TURN.T
-    F[:, :3, 3:] = R @ by_c
-    covariance = F @ mixture.covariance @ F.transpose(0, 2, 1)
-    covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
-    return replace(mixture, mean=mean, covariance=covariance)
-
-
+@dataclass
 class Modes:
     """Gaussians over (x, y, θ, R_s, R_d, b) with weights, at ``time`` [s]; none before the first fix.
 
     used: numbers of the headings that corrected them.
     """
 
-    def __init__(self) -> None:
-        self.mixture: GaussianMixture | None = None
-        self.time = np.nan
-        self.used = np.empty(0, dtype=np.intp)
-
-    def begin(self, calibration: GaussianMixture, fix: Position, start: float) -> None:
-        """Begin in all directions at a first fix; the walk starts at ``start`` [s]."""
-        self.mixture, self.time = in_any_direction(calibration, fix), max(fix.time, start)
-
-    def adopt(self, ways: GaussianMixture, time: float, used: Index) -> None:
-        """Replace the ways by those of the batch at ``time`` [s]. used: numbers of the headings that it used."""
-        self.mixture, self.time, self.used = ways, time, used
-
-    def advance(self, steps: StepBuffer, fixes: list[Position]) -> None:
-        """Follow the certain steps, with the fixes since the last update."""
-        if self.mixture is None or steps.end < self.time + TIME_ROUNDING:
-            return
-        self.mixture = predict(self.mixture, steps.whole, steps.start, self.time, steps.end, fixes)
-        self.time = steps.end
-
-    def point(self, steps: StepBuffer, headings: Headings, number: Index) -> None:
-        """Correct the ways with the headings up to now that have not been used yet; number: ``(h,)`` theirs."""
-        new = ~np.isin(number, self.used) & (headings.time <= self.time)
-        if self.mixture is not None and new.any():
-            self.mixture = after_headings(
-                self.mixture, steps.whole, steps.start, self.time, take(headings, np.flatnonzero(new))
-            )
-            self.used = np.append(self.used, number[new])
+    mixture: GaussianMixture | None = None
+    time: float = np.nan
+    used: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
 def after_headings(
     mixture: GaussianMixture, whole: Array, start: float, now: float, headings: Headings
 ) -> GaussianMixture:
     """The mixture at ``now`` [s] after headings of earlier moments. whole, start: of the steps, see `intervals`."""
-    rows = zip(headings.time.tolist(), headings.heading.tolist(), headings.sigma.tolist(), strict=True)
-    for time, heading, sigma in rows:
-        if time > now - TIME_ROUNDING:
-            mixture = corrected_by_heading(mixture, np.zeros(3), heading, sigma)
-            continue
-        pieces = intervals(whole, start, max(time, start), np.array([now]))
-        turned = np.append(0.0, pieces.to_end[:, -1])
-        mixture = corrected_by_heading(mixture, turned, heading, float(np.sqrt(sigma**2 + pieces.variance[:, 2].sum())))
+    H = np.zeros((1, 6))
+    for time, heading, sigma in zip(headings.time.tolist(), headings.heading, headings.sigma, strict=True):
+        turned, variance = np.zeros(3), sigma**2  # since then, as a function of (R_s, R_d, b)
+        if time <= now - TIME_ROUNDING:
+            pieces = intervals(whole, start, max(time, start), np.array([now]))
+            turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 2].sum()
+        H[0, 2], H[0, 3:] = 1.0, -turned
+        mixture = thinned(heading_corrected(mixture, H, heading, variance))
     return mixture
-
-
-def in_walkable_area(mixture: GaussianMixture, field: DistanceField) -> GaussianMixture:
-    """The mixture with lower weights of ways that are inside walls, by their depth there [σ]."""
-    if len(mixture) == 1:
-        return mixture
-    depth = np.maximum(0.0, -field.exact(mixture.mean[:, :2]))
-    sigma = horizontal_sigma(mixture.covariance)
-    price = np.minimum(0.5 * np.square(depth / sigma), LIVE_PATHS.wall_price)
-    return replace(mixture, log_weight=mixture.log_weight - price).take(np.arange(len(mixture)))
 
 
 def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
@@ -228,32 +171,25 @@ class FixesAlone:
     covariance: Array
     beyond: int = 0
 
-    @classmethod
-    def begin(cls, time: float, position: Array, sigma: float) -> FixesAlone:
-        """Begin at the first fix [s, m]."""
-        return cls(time, position.copy(), sigma**2 * np.eye(2))
-
-    def at(self, time: float) -> Array:
-        """Covariance ``(2, 2)`` at a time [s]."""
-        return self.covariance + FIXES_ALONE.wander**2 * max(time - self.time, 0.0) * np.eye(2)
-
-    def after(self, time: float, position: Array, sigma: float) -> FixesAlone:
-        """The state after another fix; one beyond the gate is not used, but for the third in a row."""
-        if self.beyond + 1 >= FIXES_ALONE.given_up:
-            return FixesAlone.begin(time, position, sigma)
-        covariance = np.zeros((6, 6))
-        covariance[:2, :2] = self.at(time)
-        mixture = single_mode(np.append(self.mean, np.zeros(4)), covariance)
-        mixture, surprise = measured(mixture, OF_POSITION, (position - self.mean)[None], sigma**2 * np.eye(2))
-        if surprise.weight[0] == 0.0:
-            return replace(self, beyond=self.beyond + 1)
-        return FixesAlone(max(time, self.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])
-
 
 def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
-    """The state after some fixes; begins at the first."""
+    """The state after some fixes; begins at the first.
+
+    A fix beyond the gate is not used; at the third of them in a row, the state begins anew.
+    """
     for time, position, sigma in zip(fixes.time.tolist(), fixes.position, fixes.sigma.tolist(), strict=True):
-        state = FixesAlone.begin(time, position, sigma) if state is None else state.after(time, position, sigma)
+        R = sigma**2 * np.eye(2)
+        if state is None or state.beyond + 1 >= FIXES_ALONE.given_up:
+            state = FixesAlone(time, position.copy(), R)
+            continue
+        covariance = np.zeros((6, 6))
+        covariance[:2, :2] = state.covariance + FIXES_ALONE.wander**2 * max(time - state.time, 0.0) * np.eye(2)
+        mixture = single_mode(np.append(state.mean, np.zeros(4)), covariance)
+        mixture, surprise = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
+        if surprise.weight[0] == 0.0:
+            state = replace(state, beyond=state.beyond + 1)
+        else:
+            state = FixesAlone(max(time, state.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])
     return state
 
 
@@ -290,11 +226,18 @@ class LiveOutput:
         fixes = self.fixes_between(at, end)
         if fixes and modes.mixture is None and not self.graph.has_position:
             base, at, fixes = in_any_direction(base, fixes[0]), fixes[0].time, fixes[1:]
-        ways = predict(base, whole, window.steps.start, at, end, fixes)
+        ways, plan = predict(base, whole, window.steps.start, at, end, fixes), window.located_plan
         if self.sure:
             ways = self._with_others(ways, whole, end)
         elif len(ways) > 1:
-            ways = self._weighted(ways, whole, end)
+            headings, numbers = self.graph.log.rows_and_numbers(Headings)
+            new = ~np.isin(numbers, modes.used) & (headings.time <= end)  # that no batch has used
+            ways = after_headings(ways, whole, window.steps.start, end, take(headings, new))
+            if plan is not None and len(ways) > 1:  # ways inside walls count less, by their depth there [σ]
+                depth = np.maximum(0.0, -plan[window.floor].distance.exact(ways.mean[:, :2]))
+                sigmas = depth / horizontal_sigma(ways.covariance)
+                weight = ways.log_weight - np.minimum(0.5 * np.square(sigmas), LIVE_PATHS.wall_price)
+                ways = replace(ways, log_weight=weight).take(np.arange(len(ways)))
         stated = ways.covariance.copy()
         stated[:, :3, :3] += self.graph.excess.at(np.array([end]))[0]
         return replace(ways, covariance=stated)
@@ -309,23 +252,10 @@ class LiveOutput:
             return ways
         others = predict(particles.elsewhere, whole, start, begin, end, [])
         own = max(1.0 - float(np.exp(others.log_weight).sum()), LIVE_PATHS.least_probability)
-        every = np.arange(len(ways) + len(others))
-        return GaussianMixture(
-            np.concatenate([ways.mean, others.mean]),
-            np.concatenate([ways.covariance, others.covariance]),
-            np.concatenate([ways.log_weight + np.log(own), others.log_weight]),
-            every,
-        ).take(every)
-
-    def _weighted(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
-        """The ways at ``end`` [s], weighted by headings that no batch has used, and by walls."""
-        log, window = self.graph.log, self.graph.window
-        headings, numbers = log.rows(Headings), log.numbers("headings")
-        if headings is not None and numbers is not None:
-            new = ~np.isin(numbers, self.modes.used) & (headings.time <= end)
-            ways = after_headings(ways, whole, window.steps.start, end, take(headings, np.flatnonzero(new)))
-        plan = window.located_plan
-        return ways if plan is None else in_walkable_area(ways, plan[window.floor].distance)
+        weight = np.append(np.log(own) + ways.log_weight, others.log_weight)
+        every, mean = np.arange(len(weight)), np.concatenate([ways.mean, others.mean])
+        covariance = np.concatenate([ways.covariance, others.covariance])
+        return GaussianMixture(mean, covariance, weight, every).take(every)
 
     def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
         """Expectation over the ways that remain, see `mixture`, in the walkable area."""
@@ -348,29 +278,26 @@ class LiveOutput:
         """State of the last keyframe and its calibration, on the most probable way."""
         graph, window = self.graph, self.graph.window
         if self._last is None or self._last[0] is not graph.at:
-            pose = window.pose[-1]
-            covariance = in_output_axes(graph.end_covariance(), float(pose[2]))
-            self._last = graph.at, single_mode(np.append(pose, window.c[window.segment]), covariance)
+            joint, solution = np.zeros((6, 6)), graph.solution
+            last, c = (POSE, np.array([len(window.pose) - 1])), (CALIBRATION, np.array([len(graph.at.state.c) - 1]))
+            if window.intervals:
+                joint = solution.joint(last, c)[0]
+            else:  # nothing binds the pose of a window without steps to a calibration
+                joint[:3, :3], joint[3:, 3:] = solution.joint(last)[0], solution.joint(c)[0]
+            mean = np.append(window.pose[-1], window.c[window.segment])
+            self._last = graph.at, single_mode(mean, in_output_axes(joint, float(mean[2])))
         return self._last[1]
 
     def fixes_between(self, begin: float, end: float) -> list[Position]:
         """The fixes after ``begin`` until ``end`` [s], which have no keyframe yet."""
-        rows = self.graph.log.rows(Fixes)
-        if rows is None or not ((rows.time > begin + CLOSE) & (rows.time <= end)).any():
-            return []
-        factor = made_from(Fixes, self.graph.at.measurements)
-        positions = []
-        for n in np.flatnonzero((rows.time > begin + CLOSE) & (rows.time <= end)).tolist():
-            share = 1.0
-            if factor is not None and rows.source[n]:
-                same_source = [k for k, source in enumerate(factor.fixes.source) if source == rows.source[n]]
-                share = (
-                    float((factor.sigma[same_source[-1]] / factor.independent_sigma[same_source[-1]]) ** 2)
-                    if same_source
-                    else 1.0
-                )
-            positions.append(Position(float(rows.time[n]), rows.position[n], float(rows.sigma[n]), share))
-        return positions
+        fixes, _ = self.graph.log.rows_and_numbers(Fixes)
+        new = take(fixes, (fixes.time > begin + CLOSE) & (fixes.time <= end))
+        factor, share = made_from(Fixes, self.graph.at.measurements) if len(new) else None, dict[str, float]()
+        if factor is not None:  # of the last fix of each source
+            independent = (factor.sigma / factor.independent_sigma) ** 2
+            share = {source: float(of) for source, of in zip(factor.fixes.source, independent, strict=True) if source}
+        rows = zip(new.time.tolist(), new.position, new.sigma.tolist(), new.source, strict=True)
+        return [Position(time, position, sigma, share.get(source, 1.0)) for time, position, sigma, source in rows]
 
     def pending_rows(self) -> list[TrajectoryRows]:
         """Finalised rows that `pop_finalized` has not returned yet."""
@@ -409,19 +336,13 @@ class LiveOutput:
 
     def reports(self) -> dict[str, tuple[Any, ...]]:
         """Reports by kind: of the window, and of finalised measurements since `pop_finalized` was last called."""
-        at, past = self.graph.at, self.graph.finalized.reports
-        result = {
-            name: tuple(reports.values()) for name, reports in past.items()
-        }  # of kinds that left the window whole
-        for measurement in at.measurements:
-            reports = measurement.reports(at)
+        result = {name: tuple(reports.values()) for name, reports in self.graph.finalized.reports.items()}
+        for measurement in self.graph.at.measurements:
+            reports = measurement.reports(self.graph.at)
             if isinstance(measurement, Itemized):
-                reports = tuple(
-                    {
-                        **past.get(measurement.name, {}),
-                        **dict(zip(measurement.instances[0].tolist(), reports, strict=True)),
-                    }.values()
-                )
+                numbers = measurement.instances[0].tolist()
+                past = self.graph.finalized.reports.get(measurement.name, {})
+                reports = tuple({**past, **dict(zip(numbers, reports, strict=True))}.values())
             if reports:
                 result[measurement.name] = reports
         return result
@@ -431,13 +352,6 @@ class LiveOutput:
         window, segments = self.graph.window, self.graph.window.segments
         if not window.intervals:
             return None
-        value = np.array([window.c[segment] for segment in segments])
         covariance = self.graph.calibration_covariance()
-        start = np.array(
-            [min(interval.begin for interval in window.intervals if interval.segment == s) for s in segments]
-        )
-        return Calibration(start, value, covariance, prior_sigma(self.graph.prior, np.array(segments)))
-
-    def pop_finalized(self) -> list[TrajectoryRows]:
-        """Return and remove the finalised rows."""
-        return self.graph.finalized.pop_finalized()
+        path = window.path
+        return Calibration(path.begin, path.c, covariance, prior_sigma(self.graph.prior, np.array(segments)))

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.review import SOURCE, Findings
+from pdr_graph.estimation.ambiguity.bank import Findings
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.live_ambiguity import LiveAmbiguity
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
+from pdr_graph.estimation.live.review import SOURCE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.priors import SCHEDULE
@@ -62,28 +63,35 @@ class LiveSmoother:
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
-        busy = self._close() or self._refine()
+        busy = self._close()
+        if not busy and (self._walls_due or self._rounds_due):  # the work is spread over the steps between keyframes
+            busy = True
+            if not self._walls_due:
+                self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
+            elif self.ambiguity.solved:  # there are no walls before the batch has solved the walk
+                self.graph.associate_walls(SCHEDULE.wall_pieces)
+            self._walls_due = False
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
-        self.graph.begin_search()
+        self.graph.search()
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
         self.ambiguity.history.set_goings(goings)
-        self.graph.set_goings(goings)
+        if self.graph.window.set_goings(goings):
+            self.graph.log.version += 1
 
     def append(self, data: Any) -> None:
         """Append measurements of any type in `KINDS`; those from before the window are dropped and counted as late."""
-        self.graph.append(data)
-        window = self.graph.window
-        if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
+        times, window = self.graph.append(data), self.graph.window
+        if window.keyframes and (times <= window.steps.end).any():
             self._close()
             self.ambiguity.follow_modes()
-            self.graph.begin_search()
+            self.graph.search()
 
     def collect(self, received: Sightings, radio: str) -> bool:
         """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""
-        return self.graph.collect(received, radio)
+        return any([collector.collect(received, radio) for collector in self.graph.collectors])
 
     def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
         """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""
@@ -102,13 +110,13 @@ class LiveSmoother:
         if not graph.window.keyframes:
             return
         self._close(at_end=True)
-        ambiguity.cancel()
+        for question in ambiguity.questions:
+            question.cancel()
         if not self.sure and graph.has_position:
             ambiguity.adopt_batch(ambiguity.batch_question()())
         if graph.window.complete:
             self.final = smooth(graph.batch_graph(decided=False, but=SOURCE)())
             return
-        ambiguity.sources.cancel()
         ambiguity.next_comparison = -np.inf
         ambiguity.compare_sources(0.0, Findings())
         graph.solve(SCHEDULE.final_rounds)
@@ -138,17 +146,3 @@ class LiveSmoother:
         ambiguity.follow(new)
         self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True
-
-    def _refine(self) -> bool:
-        """Associate walls, or take a step of the search: the work is spread over the steps between keyframes.
-
-        Returns True if anything was due. There are no walls before the batch has solved the walk.
-        """
-        due = bool(self._rounds_due) or self._walls_due
-        if self._walls_due:
-            self._walls_due = False
-            if self.ambiguity.solved:
-                self.graph.associate_walls(SCHEDULE.wall_pieces)
-        elif self._rounds_due:
-            self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
-        return due

@@ -7,8 +7,8 @@ are elsewhere than the graph, their path is an alternative for it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -18,28 +18,12 @@ from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.window import Interval, Path
 from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasurements, ParticleFilter, Paths
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import differences
 from pdr_graph.priors import LIVE_PATHS, SEARCH
 from pdr_graph.types import Array
 
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
 SEED = 0
-
-
-@dataclass(frozen=True)
-class _Piece:
-    length: float
-    turn: float
-    time: float
-    variance: Array
-    label: str
-
-
-@dataclass(frozen=True)
-class _Keyframe:
-    time: float
-    measurements: KeyframeMeasurements
 
 
 class ParallelParticleFilter:
@@ -51,35 +35,43 @@ class ParallelParticleFilter:
 
     def __init__(self, plan: Building, prior: Prior, belief: GaussianMixture, time: float, label: str):
         self.plan, self.label, self.times = plan, label, [time]
-        self._jobs: deque[_Piece | _Keyframe] = deque()
+        self._jobs = deque[Callable[[], bool]]()  # each returns True if it closes a keyframe
         self.elsewhere: GaussianMixture | None = None
         self._filter = ParticleFilter(prior, SEED, fewest=LIVE_PATHS.fewest, most=LIVE_PATHS.most, at_once=1)
-        self._filter.begin_at(_drawn(belief, self._filter.random))
+        wider = LIVE_PATHS.spread**2 * belief.covariance[0]
+        # To the last digit
+        state = self._filter.random.multivariate_normal(belief.mean[0], wider, LIVE_PATHS.most, check_valid="ignore").T
+        state[3] = np.maximum(state[3], LEAST_STRIDE)
+        self._filter.begin_at(state)
 
     def enqueue(self, interval: Interval, measurements: KeyframeMeasurements) -> None:
         """Queue the next interval and the measurements at its end."""
-        pieces = interval.pieces
+        pieces, floor = interval.pieces, self.plan[interval.label]
         turn, time = (2 * (pieces.to_end - pieces.to_middle)).tolist()
-        for m, length in enumerate(pieces.length.tolist()):
-            self._jobs.append(_Piece(length, turn[m], time[m], pieces.variance[m], interval.label))
-        self._jobs.append(_Keyframe(interval.end, measurements))
+
+        def step(m: int, changed: set[int]) -> bool:
+            """Move by piece m, through stairs or lifts if the floor has ``changed`` before it."""
+            if changed:
+                ways = [way.field for way in self.plan.connections if changed <= set(way.floors)]
+                self._filter.change_floor(ways)
+            self._filter.step(float(pieces.length[m]), turn[m], time[m], pieces.variance[m], floor.distance)
+            return False
+
+        def close() -> bool:
+            self._filter.close(measurements)
+            self.times.append(interval.end)
+            return True
+
+        floors = {self.plan.index(self.label), self.plan.index(interval.label)}
+        self._jobs += [partial(step, m, floors if m == 0 and len(floors) > 1 else set()) for m in range(len(turn))]
+        self._jobs.append(close)
+        self.label = interval.label
 
     def process(self, busy: bool) -> bool:
         """Do up to JOBS queued jobs, none if the graph is ``busy`` and few wait; True if a keyframe was closed."""
         if busy and len(self._jobs) < BACKLOG:
             return False
-        for _ in range(min(JOBS, len(self._jobs))):
-            job = self._jobs.popleft()
-            if isinstance(job, _Keyframe):
-                self._filter.close(job.measurements)
-                self.times.append(job.time)
-                return True
-            if job.label != self.label:
-                self._filter.change_floor(self._between(self.label, job.label))
-                self.label = job.label
-            floor = self.plan.floors[self.plan.index(job.label)]
-            self._filter.step(job.length, job.turn, job.time, job.variance, floor.distance)
-        return False
+        return any(self._jobs.popleft()() for _ in range(min(JOBS, len(self._jobs))))
 
     def alternative_path(self, position: Array) -> Path | None:
         """The heaviest path if most particles are apart from the graph, which is at ``position (2,)`` [m]."""
@@ -89,11 +81,8 @@ class ParallelParticleFilter:
         share, which = modes[0]
         path = paths.state[:, :, which]
         gone = 0.0 if self.elsewhere is None else float(np.exp(self.elsewhere.log_weight).sum())
-        apart = (
-            max(share / LIVE_PATHS.dominant, gone / LIVE_PATHS.mostly) > 1
-            and np.hypot(*(path[-1, :2] - position)) > SEARCH.same_path
-        )
-        if not apart:
+        most = share > LIVE_PATHS.dominant or gone > LIVE_PATHS.mostly
+        if not most or np.hypot(*(path[-1, :2] - position)) <= SEARCH.same_path:
             return None
         time = np.array(self.times)
         return Path(time, path[:, :3], time, path[:, 3:]).uniform
@@ -103,11 +92,6 @@ class ParallelParticleFilter:
         count = min(int(np.searchsorted(self.times, before)), len(self.times) - 1)
         self._filter.forget(count)
         del self.times[:count]
-
-    def _between(self, label: str, other: str) -> list[DistanceField]:
-        """Distance fields of the stairs and lifts between two floors."""
-        floors = {self.plan.index(label), self.plan.index(other)}
-        return [way.field for way in self.plan.connections if floors <= set(way.floors)]
 
 
 def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> GaussianMixture | None:
@@ -130,12 +114,3 @@ def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> Gau
         return None
     mean, covariance, log_share = map(np.array, zip(*ways, strict=True))
     return GaussianMixture(mean, covariance, log_share, np.arange(len(ways)))
-
-
-def _drawn(belief: GaussianMixture, random: np.random.Generator) -> Array:
-    """Particles ``(6, LIVE_PATHS.most)`` of a belief, whose sigmas are LIVE_PATHS.spread times as large."""
-    wider = LIVE_PATHS.spread**2 * belief.covariance[0]
-    # To the last digit
-    state = random.multivariate_normal(belief.mean[0], wider, LIVE_PATHS.most, check_valid="ignore").T
-    state[3] = np.maximum(state[3], LEAST_STRIDE)
-    return state

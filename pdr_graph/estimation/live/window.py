@@ -1,14 +1,15 @@
-"""The window of a walk under way: its steps, keyframes, the intervals between them, their walls, and the estimate."""
+"""The window of a walk under way: its measurements, its steps, keyframes, the intervals between them, the estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State, poses_at
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, AnyArray, Measurement, State, poses_at
 from pdr_graph.estimation.factors.chain import (
     DECIMALS,
     Bridge,
@@ -19,6 +20,7 @@ from pdr_graph.estimation.factors.chain import (
     preintegrate,
     whole_pieces,
 )
+from pdr_graph.estimation.factors.registry import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_on_plan
 from pdr_graph.floor.building import Building, FloorSequence
@@ -27,8 +29,24 @@ from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import FIXES, MOTION
-from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Index, Steps
+from pdr_graph.types import (
+    INSTANT,
+    STEP_COLUMNS,
+    Array,
+    Fixes,
+    Headings,
+    Index,
+    Mask,
+    Sightings,
+    Steps,
+    appended,
+    last_time,
+    take,
+)
 
+Rows = TypeVar("Rows", Fixes, Headings)
+WAITING = 1000  # measurements of a type that are kept for the first steps
+Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
 END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
 
@@ -37,12 +55,11 @@ END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
 class Interval:
     """The steps between two keyframes.
 
-    i, j: numbers of the keyframes; segment: number of the calibration; pieces, bridge: of its steps; delta: ``(3,)``
+    j: number of the last keyframe; segment: number of the calibration; pieces, bridge: of its steps; delta: ``(3,)``
     displacement with the prior mean of the calibration; row_time [s], row_piece: of the trajectory rows that end in it;
     fields: distance to the walls of each piece, None without; label: of its floor.
     """
 
-    i: int
     j: int
     segment: int
     pieces: Pieces
@@ -119,7 +136,7 @@ class StepBuffer:
         """Append the next steps."""
         if not self.chunks:
             self.start = round(steps.start, DECIMALS)
-        self.chunks.append(steps)
+        self.chunks = [*self.chunks, steps]
         self.whole = self.with_tail(steps)
 
     def set_goings(self, goings: Array) -> float:
@@ -127,22 +144,22 @@ class StepBuffer:
 
         goings: ``(k, 3)``, see `goings_of`.
         """
-        first, whole, chunks = np.inf, self.whole.copy(), list[Steps]()
-        for steps in self.chunks:
-            chunks.append(with_goings(steps, goings))
-            changed = np.flatnonzero(chunks[-1].length != steps.length)
-            ends = np.round(steps.time[changed], DECIMALS)
-            row = np.minimum(np.searchsorted(whole[:, END], ends - CLOSE), len(whole) - 1)
-            stored = np.abs(whole[row, END] - ends) < CLOSE
-            row, changed = row[stored], changed[stored]
-            whole[row, LENGTH], whole[row, VARIANCE] = chunks[-1].length[changed], chunks[-1].sigma_length[changed] ** 2
-            first = min(first, float(whole[row, END].min(initial=np.inf)))
-        self.chunks, self.whole = chunks, whole
-        return first
+        if not self.chunks:
+            return np.inf
+        before, self.chunks, self.whole = self.steps, [with_goings(self.steps, goings)], self.whole.copy()
+        row = np.flatnonzero(self.whole[:, IS_ROW])  # of the last steps: those before them have no piece any more
+        changed = (self.steps.length != before.length)[len(before) - len(row) :]
+        self.whole[row, LENGTH] = self.steps.length[len(before) - len(row) :]
+        self.whole[row, VARIANCE] = self.steps.sigma_length[len(before) - len(row) :] ** 2
+        return float(self.whole[row[changed], END].min(initial=np.inf))
 
     def with_tail(self, tail: Steps | None) -> Array:
         """The whole pieces, followed by those of provisional steps."""
-        return self.whole if tail is None else np.concatenate([self.whole, _rows(tail)])
+        if tail is None:
+            return self.whole
+        whole, gaps = whole_pieces(tail), tail.time[tail.is_gap]
+        row, gap = (np.isin(whole[:, END], np.round(ends, DECIMALS)).astype(float) for ends in (tail.time, gaps))
+        return np.concatenate([self.whole, np.column_stack([whole, row, gap])])
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
@@ -156,10 +173,8 @@ class StepBuffer:
         return self.whole[(self.whole[:, IS_ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
 
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
-        """Times [s] of the next keyframes after ``last``: at ``marks``, gaps and each PIECES_PER_KEYFRAME pieces."""
+        """Times [s] of the next keyframes after ``last``: at ``marks``, gaps, and after MOTION.steps_per_keyframe."""
         after = self.whole[:, END] > last + CLOSE
-        if np.count_nonzero(after) < MOTION.steps_per_keyframe and not marks and not self.whole[after, IS_GAP].any():
-            return []
         gaps = np.flatnonzero(after & (self.whole[:, IS_GAP] > 0))
         begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
         required = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *self.whole[gaps, END]])
@@ -172,19 +187,6 @@ class StepBuffer:
         rest = pieces[pieces > last + CLOSE]
         return ends + rest[MOTION.steps_per_keyframe - 1 :: MOTION.steps_per_keyframe].tolist()
 
-    def interval(self, i: int, j: int, begin: float, end: float, segment: int, c: Array, label: str) -> Interval:
-        """The interval from keyframe i to j, from ``begin`` to ``end`` [s]; c: prior mean of the calibration."""
-        pieces = intervals(self.whole, self.start, begin, np.array([end]))
-        ends, rows = begin + pieces.to_end[1], self.rows(begin, end)[:, END]
-        which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
-        increments = preintegrate(pieces, c[None])
-        bridges, delta = bridge(pieces, increments), increments.delta[-1]
-        return Interval(i, j, segment, pieces, bridges, delta, rows, which, [None] * len(ends), label)
-
-    def gap_within(self, begin: float, end: float) -> bool:
-        """True if the recording has a gap between ``begin`` and ``end`` [s]."""
-        return bool(self.rows(begin, end)[:, IS_GAP].any())
-
     def forget(self, before: float) -> None:
         """Drop steps that ended before the first keyframe of the window, ``before`` [s]."""
         count = int(np.searchsorted(self.whole[:, END], before + CLOSE))
@@ -192,12 +194,6 @@ class StepBuffer:
             start = float(self.whole[count - 1, END])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
         self.chunks = [later_steps(self.steps, before)]
-
-    def copy(self) -> StepBuffer:
-        """An independent buffer of the same steps."""
-        other = copy(self)
-        other.chunks = list(self.chunks)
-        return other
 
 
 def later_steps(steps: Steps, before: float) -> Steps:
@@ -207,14 +203,6 @@ def later_steps(steps: Steps, before: float) -> Steps:
         return steps
     later = {name: getattr(steps, name)[count:] for name in STEP_COLUMNS}
     return Steps(start=float(steps.time[count - 1]), end=steps.end, final_turn=steps.final_turn, **later)
-
-
-def _rows(steps: Steps) -> Array:
-    """Whole pieces ``(m, 8)`` of some steps, see `StepBuffer`."""
-    whole = whole_pieces(steps)
-    row = np.isin(whole[:, END], np.round(steps.time, DECIMALS)).astype(float)
-    gap = np.isin(whole[:, END], np.round(steps.time[steps.is_gap], DECIMALS)).astype(float)
-    return np.column_stack([whole, row, gap])
 
 
 UNLIMITED = 10**9  # more pieces or intervals than any window has
@@ -256,12 +244,20 @@ class Window:
         return self.times[-1] - self.times[0]
 
     def cut(self, ends: Iterable[float]) -> list[Interval]:
-        """Close the intervals since the last keyframe that end at these times [s], and return them."""
+        """Close the intervals since the last keyframe that end at these times [s], and return them.
+
+        After so many steps and after a gap, a new calibration begins.
+        """
         new: list[Interval] = []
         for end in ends:
-            segment = self._segment_until(end)
-            new.append(self._interval(self.keyframes[-1], self._number(), self.times[-1], end, segment, self.floor))
-            ahead = self._pose_after(self.pose[-1], new[-1], self.c[segment])
+            rows = self.steps.rows(self.times[-1], end)
+            due = self.in_segment >= MOTION.steps_per_segment or rows[:, IS_GAP].any()
+            if due and self.intervals:  # an empty window has no link from the segment before
+                self.segment, self.in_segment = self.segment + 1, 0
+                self.c[self.segment] = self.c[self.segment - 1]
+            self.in_segment += len(rows)
+            new.append(self._interval(self._number(), self.times[-1], end, self.segment, self.floor))
+            ahead = self._pose_after(self.pose[-1], new[-1], self.c[self.segment])
             self.pose = np.concatenate([self.pose, ahead[None]])
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
@@ -270,17 +266,15 @@ class Window:
             self._chain = _extended(self._chain, new)
         return new
 
-    def has_keyframe(self, time: float) -> bool:
-        """True if there is a keyframe at this time [s]."""
-        return bool(np.abs(np.array(self.times) - time).min() <= CLOSE)
-
     def split(self, time: float) -> None:
-        """Insert a keyframe at ``time`` [s] into a closed interval; its pose is interpolated."""
+        """Insert a keyframe at ``time`` [s] into a closed interval, if it has none; its pose is interpolated."""
+        if not self.times[0] <= time <= self.times[-1] or np.abs(np.array(self.times) - time).min() <= CLOSE:
+            return
         at = int(np.searchsorted(self.times, time))
         old, number = self.intervals[at - 1], self._number()
         halves = [
-            self._interval(old.i, number, old.begin, time, old.segment, old.label),
-            self._interval(number, old.j, time, old.end, old.segment, old.label),
+            self._interval(number, old.begin, time, old.segment, old.label),
+            self._interval(old.j, time, old.end, old.segment, old.label),
         ]
         ends = old.begin + old.pieces.to_end[1]
         for half in halves:
@@ -300,40 +294,70 @@ class Window:
         first = self.steps.set_goings(goings)
         for n, old in enumerate(self.intervals):
             if old.end > first - CLOSE:
-                new = self._interval(old.i, old.j, old.begin, old.end, old.segment, old.label)
+                new = self._interval(old.j, old.begin, old.end, old.segment, old.label)
                 self.intervals[n] = replace(new, fields=old.fields)
                 self._chain = None
         return first < np.inf
 
-    def part(self, last: int = UNLIMITED) -> Part:
-        """The last ``last`` intervals, as a chain for the factors."""
-        first = max(0, len(self.intervals) - last)
+    def chain(self, first: int = 0) -> Chain:
+        """The intervals from the ``first`` on, as a chain for the factors."""
         if self._chain is None:
             at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
             self._chain = _extended(at, self.intervals)
-        return Part(self, self.intervals[first:], self._chain.after(first))
+        return replace(self._chain.after(first), begins=first == 0, ends=self.finished)
+
+    def state(self, chain: Chain, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
+        """The estimate of the last keyframes, those of ``chain``, and of the variables that measurements add.
+
+        others: present estimates of these; without one, a variable is at its initial value.
+        """
+        c = np.array([self.c[segment] for segment in chain.segment_number.tolist()])
+        arrays: dict[str, Array] = {POSE: self.pose[-len(chain.number) :], CALIBRATION: c}
+        numbers: dict[str, Index] = {POSE: chain.number, CALIBRATION: chain.segment_number}
+        for measurement in measurements:
+            for new in measurement.variables(arrays[POSE]):
+                values = (others or {}).get(new.symbol, {})
+                rows = zip(new.number.tolist(), new.initial, strict=True)
+                arrays[new.symbol] = np.array([values.get(n, initial) for n, initial in rows]).reshape(-1, 3)
+                numbers[new.symbol] = new.number
+        return State(arrays, numbers)
 
     @property
     def located_plan(self) -> Building | None:
         """The plan if it has the present floor, else None."""
         return self.plan if self.plan is not None and self.floor in self.plan.labels else None
 
+    def floors(self, first: int = 0) -> FloorSequence | None:
+        """The floor of each piece from interval ``first`` on; None if the plan does not have the present floor."""
+        labels = [interval.label for interval in self.intervals[first:] for _ in interval.fields]
+        return None if self.located_plan is None else FloorSequence.of(self.located_plan, labels)
+
+    @property
+    def walls(self) -> Measurement | None:
+        """The walls that the pieces are associated with; None without a plan."""
+        if self.plan is None:
+            return None
+        fields = [field for interval in self.intervals for field in interval.fields]
+        number = {field: n for n, field in enumerate(dict.fromkeys(field for field in fields if field is not None))}
+        field_of = np.array([-1 if field is None else number[field] for field in fields], dtype=np.intp)
+        return walls_of_fields(list(number), field_of, self.prior)
+
     def associate_walls(self, pieces: int) -> tuple[float, bool]:
         """Associate the last ``pieces`` with the walls along the estimate.
 
         Returns the price of their regions, and True if any piece has other walls than before.
         """
-        if self.located_plan is None or not self.intervals:
+        if not self.intervals:
             return 0.0, False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
-        last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
-        labels = [interval.label for interval in last.intervals for _ in interval.fields]
-        walls = walls_on_plan(FloorSequence.of(self.located_plan, labels), self.prior)
-        walls = walls.associated(last.chain.evaluate(last.state()))
+        first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces, count[-1]))))
+        if (floors := self.floors(first)) is None:
+            return 0.0, False
+        chain, last, changed = self.chain(first), self.intervals[first:], False
+        walls = walls_on_plan(floors, self.prior).associated(chain.evaluate(self.state(chain)))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
-        changed = False
-        for interval, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
-            before, interval.fields = interval.fields, named[first : first + len(interval.fields)]
+        for interval, at in zip(last, chain.pieces.first.tolist(), strict=True):
+            before, interval.fields = interval.fields, named[at : at + len(interval.fields)]
             changed |= any(a is not b for a, b in zip(before, interval.fields, strict=True))
         return walls.price, changed
 
@@ -386,12 +410,18 @@ class Window:
     def copy(self) -> Window:
         """An independent window in the same state."""
         other = copy(self)
-        other.keyframes, other.times, other.pose = list(self.keyframes), list(self.times), self.pose.copy()
-        other.intervals, other.c, other.steps = [copy(each) for each in self.intervals], dict(self.c), self.steps.copy()
+        other.keyframes, other.times, other.c = list(self.keyframes), list(self.times), dict(self.c)
+        other.intervals, other.steps = [copy(each) for each in self.intervals], copy(self.steps)
         return other
 
-    def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
-        return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
+    def _interval(self, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
+        """The interval to keyframe j, from ``begin`` to ``end`` [s]."""
+        pieces = intervals(self.steps.whole, self.steps.start, begin, np.array([end]))
+        ends, rows = begin + pieces.to_end[1], self.steps.rows(begin, end)[:, END]
+        which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
+        increments = preintegrate(pieces, np.array([self.prior.mean]))
+        bridges, delta = bridge(pieces, increments), increments.delta[-1]
+        return Interval(j, segment, pieces, bridges, delta, rows, which, [None] * len(ends), label)
 
     def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
         """The pose ``(3,)`` after the steps of an interval."""
@@ -401,15 +431,6 @@ class Window:
     def _number(self) -> int:
         self.count += 1
         return self.count - 1
-
-    def _segment_until(self, end: float) -> int:
-        """The segment of the interval up to ``end`` [s]; a new one after so many steps and after a gap."""
-        due = self.in_segment >= MOTION.steps_per_segment or self.steps.gap_within(self.times[-1], end)
-        if due and self.intervals:  # an empty window has no link from the segment before
-            self.segment, self.in_segment = self.segment + 1, 0
-            self.c[self.segment] = self.c[self.segment - 1]
-        self.in_segment += len(self.steps.rows(self.times[-1], end))
-        return self.segment
 
 
 def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
@@ -428,43 +449,167 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
     )
 
 
-class Part:
-    """The last intervals of a window as a chain of keyframes; valid until the window changes."""
+class Collector(Protocol):
+    """Makes measurements from receptions that arrive piecemeal (advertisements, scans)."""
 
-    def __init__(self, window: Window, intervals: list[Interval], chain: Chain):
-        self.window, self.intervals = window, intervals
-        self.first = len(window.keyframes) - len(intervals) - 1
-        self.chain = replace(chain, begins=self.first == 0, ends=window.finished)
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Store receptions of a radio, "bluetooth" or "wifi"; True if any of them is usable."""
+        ...
+
+    def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Any]:
+        """Return, once, the measurements that are complete until ``until`` [s].
+
+        walked: times [s] to the distance walked by then [m].
+        """
+        ...
+
+    def complete(self, steps: Steps) -> Iterable[Any]:
+        """All measurements of the stored data, as the batch makes them."""
+        ...
+
+    def forget(self, before: float) -> None:
+        """Drop raw data from before a moment [s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of one type of data. number: ``(n,)`` permanent row numbers; count: number of all rows so far."""
+
+    data: Any
+    number: Index
+    count: int
+
+
+class MeasurementLog:
+    """The measurements of a window, by type of data, in order of time."""
+
+    def __init__(self) -> None:
+        self._tables: dict[type, Table] = {}
+        self.version = 0  # increases when `measurements` would return others
+        self.longer: MeasurementLog | None = None  # another log that gets the same rows, and keeps them longer
+
+    def append(self, data: Any, number: Index | None = None) -> None:
+        """Append rows. number: ``(n,)``, the next numbers by default; stored rows with these numbers are replaced."""
+        kind_of(data)
+        table = self._tables.get(type(data))
+        count = 0 if table is None else table.count
+        number = count + np.arange(len(data)) if number is None else number
+        self.version += 1
+        if self.longer is not None:
+            self.longer.append(data, number)
+        if table is not None:
+            kept = np.flatnonzero(~np.isin(table.number, number))
+            number = np.concatenate([table.number[kept], number])
+            data = appended(take(table.data, kept), data)
+        order = np.argsort(last_time(data), kind="stable")
+        count = max(count, int(number.max(initial=-1)) + 1)
+        self._tables[type(data)] = Table(take(data, order), number[order], count)
 
     @property
-    def segments(self) -> Index:
-        """Numbers ``(s,)`` of the calibration segments."""
-        return self.chain.segment_number
+    def longest_overhang(self) -> float:
+        """Time [s] by which stored measurements may lie outside the steps."""
+        return max((self.overhang(table.data) for table in self._tables.values()), default=0.0)
 
-    def state(self, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
-        """Poses and calibrations of the window, and the variables that measurements add.
+    @staticmethod
+    def overhang(data: Any) -> float:
+        """Time [s] by which measurements of the type of ``data`` may lie outside the steps."""
+        return kind_of(data).overhang + INSTANT
 
-        others: present estimates of these; without one, a variable is at its initial value.
-        """
-        c = np.array([self.window.c[segment] for segment in self.segments.tolist()])
-        arrays, numbers = {POSE: self.window.pose[self.first :], CALIBRATION: c}, dict[str, Index]()
-        numbers |= {POSE: self.chain.number, CALIBRATION: self.segments}
-        others = others or {}
-        for measurement in measurements:
-            for new in measurement.variables(arrays[POSE]):
-                values = others.get(new.symbol, {})
-                rows = zip(new.number.tolist(), new.initial, strict=True)
-                arrays[new.symbol] = np.array([values.get(n, initial) for n, initial in rows]).reshape(-1, 3)
-                numbers[new.symbol] = new.number
-        return State(arrays, numbers)
+    def rows_and_numbers(self, kind: type[Rows]) -> tuple[Rows, Index]:
+        """All rows of one type, in order of time, and their numbers."""
+        table = self._tables.get(kind)
+        return (kind.none(), np.empty(0, dtype=np.intp)) if table is None else (table.data, table.number)
 
-    def walls(self) -> Measurement | None:
-        """The walls that its pieces are associated with; None without a plan."""
-        if self.window.plan is None:
-            return None
-        number: dict[DistanceField | None, int] = {None: -1}
-        field_of = [
-            number.setdefault(field, len(number) - 1) for interval in self.intervals for field in interval.fields
-        ]
-        fields = [field for field in number if field is not None]
-        return walls_of_fields(fields, np.array(field_of, dtype=np.intp), self.window.prior)
+    def all_numbers(self, until: float) -> dict[str, Index]:
+        """Row numbers of each kind up to ``until`` [s], in order of time."""
+        tables = self._tables.values()
+        return {kind_of(t.data).name: t.number[last_time(t.data) <= until + INSTANT] for t in tables}
+
+    def renumbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
+        """Decisions about one kind, by row of all data instead of permanent number; without rows that are gone."""
+        numbers = self.all_numbers(np.inf).get(name)
+        if "number" not in decisions or numbers is None:
+            return decisions
+        row, old = np.nonzero(numbers[:, None] == decisions["number"])
+        return {**{column: values[old] for column, values in decisions.items()}, "number": row}
+
+    def position_times(self) -> Array:
+        """Times ``(n,)`` [s] of the rows that determine positions."""
+        times = [last_time(table.data) for table in self._tables.values() if kind_of(table.data).determines_position]
+        return np.concatenate([np.empty(0), *times])
+
+    def until(self, end: float) -> list[Any]:
+        """The rows of all types up to ``end`` [s]."""
+        tables = [table.data for table in self._tables.values()]
+        return [take(rows, np.flatnonzero(last_time(rows) <= end + INSTANT)) for rows in tables]
+
+    def remove(self, kind: type, number: int) -> None:
+        """Remove the row with this number, if there is one."""
+        if self.longer is not None:
+            self.longer.remove(kind, number)
+        if kind in self._tables:
+            self._keep(kind, self._tables[kind].number != number)
+
+    def rows(self, kind: type) -> Any | None:
+        """All rows of one type; None if none was ever appended."""
+        table = self._tables.get(kind)
+        return None if table is None else table.data
+
+    def measurements(
+        self, steps: Steps, prior: Prior, begin: float, end: float, decisions: Mapping[str, Mapping[str, AnyArray]]
+    ) -> list[Measurement]:
+        """All measurement kinds of the rows between ``begin`` and ``end`` [s], with decisions; not bound to a chain."""
+        measurements = list[Measurement]()
+        for kind in KINDS:
+            table = self._tables.get(kind)
+            if table is None:
+                continue
+            time, slack = last_time(table.data), self.overhang(table.data)
+            which = np.flatnonzero((time >= begin - slack) & (time <= end + INSTANT))
+            if len(which):
+                rows, number = take(table.data, which), table.number[which]
+                measurements += measurements_of(rows, steps, prior, number, decisions)
+        return measurements
+
+    def forget(self, before: float) -> None:
+        """Drop the rows from before ``before`` [s]."""
+        for kind, table in self._tables.items():
+            time = table.data.time
+            self._keep(kind, (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT)
+
+    def keep_latest(self, count: int = WAITING) -> None:
+        """Drop all rows but the ``count`` of each type that arrived last; of the longer log too."""
+        for kind, table in self._tables.items():
+            self._keep(kind, np.isin(table.number, np.sort(table.number)[-count:]))
+        if self.longer is not None:
+            self.longer.keep_latest(count)
+
+    def copy(self) -> MeasurementLog:
+        """An independent log of the same rows."""
+        other = MeasurementLog()
+        other._tables, other.version = dict(self._tables), self.version
+        return other
+
+    def _keep(self, kind: type, kept: Mask) -> None:
+        """Drop the rows of one type that are not ``kept (n,)``."""
+        if not kept.all():
+            table, self.version = self._tables[kind], self.version + 1
+            self._tables[kind] = Table(take(table.data, kept), table.number[kept], table.count)
+
+
+def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str, AnyArray]:
+    """Decisions about rows 0, 1, … as those about the rows with permanent ``numbers``; without rows as they are."""
+    if "number" not in decisions or numbers is None:
+        return decisions
+    return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
+
+
+def merged_decisions(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
+    """The new decisions, and the old ones about instances that have no new one."""
+    if "number" not in new or not old:
+        return new
+    kept = ~np.isin(old["number"], new["number"])
+    joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}
+    order = np.argsort(joined["number"])
+    return {name: column[order] for name, column in joined.items()}

@@ -11,21 +11,20 @@ is certain, its solutions are the ways that remain; then that place is a fix and
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, paths, probabilities
-from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, localized
+from pdr_graph.estimation.ambiguity.bank import Findings, HypothesisBank, contradictions, paths, probabilities
+from pdr_graph.estimation.ambiguity.plan_hypotheses import localized
 from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.finalization import Excess
+from pdr_graph.estimation.live.finalization import Excess, moved
 from pdr_graph.estimation.live.live_output import modes_at_end
-from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, numbered
-from pdr_graph.estimation.live.window import Path, later_steps
+from pdr_graph.estimation.live.window import Decisions, MeasurementLog, Path, later_steps, numbered
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import (
@@ -34,32 +33,13 @@ from pdr_graph.geometry import (
     horizontal_sigma,
     nearest,
     pose_rotation,
-    rotation,
 )
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import DOUBTS, REPORTS
-from pdr_graph.types import Array, Contradiction, Fixes, Headings, Index, Steps
+from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
 LEAST = 1e-9  # probability of the solutions together
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What a review found. memory: for the next one; contradictions: what sources probably get wrong."""
-
-    memory: Memory = field(default_factory=Memory)
-    contradictions: tuple[Contradiction, ...] = ()
-
-    @property
-    def changes(self) -> frozenset[str]:
-        """The names of the measurement kinds that the adopted hypotheses change."""
-        return frozenset(name for claim in self.memory.adopted for name in claim.changes)
-
-    def same_decisions(self, other: Findings) -> bool:
-        """True if both adopt the same hypotheses, of the same size."""
-        mine, theirs = ({(c, c.parameter) for c in found.memory.adopted} for found in (self, other))
-        return mine == theirs
 
 
 @dataclass(frozen=True)
@@ -84,46 +64,41 @@ class Review:
         path, there = self.path, self.path.poses(time)
         for beyond, edge in ((time < path.time[0], 0), (time > path.time[-1], -1)):
             if beyond.any():
-                (old,), new = poses_at(path.time[[edge]], time, pose), path.pose[edge]
-                turn = new[2] - old[2]
-                there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
-                there[beyond, 2] = pose[beyond, 2] + turn
+                (old,) = poses_at(path.time[[edge]], time, pose)
+                there[beyond] = moved(pose[beyond], old, path.pose[edge])
         return there
 
 
-@dataclass(frozen=True)
-class Question:
-    """A review that is due.
+def compare_sources(
+    graph: Callable[[], WalkGraph],
+    before: Findings,
+    decisions: Decisions,
+    walled: bool,
+    numbers: dict[str, Index] | None = None,
+) -> Review:
+    """What the bank says of the recent past of a walk.
 
     graph: builds that of the recent past, without its plan; before: what the last review found; decisions: about the
     kinds that this changed, by row of the graph's data; walled: the walk has a plan, for which no other walk is added;
     numbers: permanent numbers of the rows, by kind: some may be dropped before the answer is used.
     """
-
-    graph: Callable[[], WalkGraph]
-    before: Findings
-    decisions: Decisions
-    walled: bool
-    numbers: dict[str, Index] = field(default_factory=dict)
-
-    def answer(self) -> Review:
-        """The review."""
-        bank = HypothesisBank(solve_robust(self.graph()), self.numbers).explain()
-        bank.remember(self.before.memory, self.decisions)
-        best, optima = bank.members[0], bank.members
-        probability = probabilities(optima, paths(optima))
-        found = Findings(bank.memory, contradictions(optima, probability))
-        excess = Excess.none() if self.walled else _excess(optima, probability / probability.sum())
-        if best is bank.recalled:  # no source says more about it than before
-            found, excess = self.before, excess if self.walled else None
-        changed, chain = self.before.changes | found.changes, best.at.chain
-        decisions = {kind.name: decisions_of(kind) for kind in best.graph.measurements if kind.name in changed}
-        return Review(
-            findings=found,
-            decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
-            path=Path(chain.time, best.state.poses, chain.time[chain.segment_first], best.state.c),
-            excess=excess,
-        )
+    numbers = numbers or {}
+    bank = HypothesisBank(solve_robust(graph()), numbers).explain()
+    bank.remember(before, decisions)
+    best, optima = bank.members[0], bank.members
+    probability = probabilities(optima, paths(optima))
+    found = replace(bank.findings, contradictions=contradictions(optima, probability))
+    excess = Excess() if walled else _excess(optima, probability / probability.sum())
+    if best is bank.recalled:  # no source says more about it than before
+        found, excess = before, excess if walled else None
+    changed, chain = before.changes | found.changes, best.at.chain
+    decided = {kind.name: decisions_of(kind) for kind in best.graph.measurements if kind.name in changed}
+    return Review(
+        findings=found,
+        decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items()},
+        path=Path(chain.time, best.state.poses, chain.time[chain.segment_first], best.state.c),
+        excess=excess,
+    )
 
 
 def _excess(optima: list[Optimum], weight: Array) -> Excess:
@@ -171,12 +146,14 @@ class History:
         times = self.log.position_times()
         return bool(((times > now - DOUBTS.span) & (times <= now)).any())
 
-    def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
-        """The review of the recent past before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
+    def question(
+        self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool
+    ) -> Callable[[], Review]:
+        """The review of the recent past before ``now`` [s], see `compare_sources`; older data are dropped."""
         steps = self._forget(now - DOUBTS.span)
         graph = partial(WalkGraph.of, steps, self.log.until(steps.end), prior=prior)
         kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.changes}
-        return Question(graph, before, kept, walled, self.log.all_numbers(steps.end))
+        return partial(compare_sources, graph, before, kept, walled, self.log.all_numbers(steps.end))
 
     def _forget(self, before: float) -> Steps:
         """Drop what is from before a moment [s]; returns the steps that are left."""
@@ -208,25 +185,22 @@ class Places:
 
 
 def places_on_plan(build: Callable[[], WalkGraph]) -> Places:
-    """The places where a walk can be now. build: makes the graph of the walk so far."""
+    """The places where a walk can be now, and with the remaining probability anywhere on the plan, in any direction.
+
+    build: makes the graph of the walk so far.
+    """
     graph = build()
     found = localized(graph)
     path = paths(found.optima)
     share = probabilities(found.optima, path)
     there = 1.0 - found.elsewhere
-    ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
+    ways, elsewhere = modes_at_end(found.optima, share), 1.0 - there * float(share.sum())
+    if elsewhere >= DOUBTS.nowhere_else:
+        mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
+        mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
+        covariance[:3], covariance[:, :3] = 0.0, 0.0
+        covariance[:2, :2], covariance[2, 2] = np.cov(found.anywhere.T), ANY_HEADING**2
+        weight = np.append(ways.log_weight + np.log(max(1.0 - elsewhere, LEAST)), np.log(elsewhere))
+        both: tuple[Array, Array] = np.vstack([ways.mean, mean]), np.concatenate([ways.covariance, covariance[None]])
+        ways = GaussianMixture(*both, weight, np.arange(len(weight)))
     return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
-
-
-def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:
-    """The ways, and anywhere on the plan in any direction with a probability."""
-    if probability < DOUBTS.nowhere_else:
-        return ways
-    mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
-    mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
-    covariance[:3], covariance[:, :3] = 0.0, 0.0
-    covariance[:2, :2], covariance[2, 2] = np.cov(found.anywhere.T), ANY_HEADING**2
-    remaining = np.log(max(1.0 - probability, LEAST))
-    weight = np.append(ways.log_weight + remaining, np.log(probability))
-    both: tuple[Array, Array] = np.vstack([ways.mean, mean]), np.concatenate([ways.covariance, covariance[None]])
-    return GaussianMixture(*both, weight, np.arange(len(weight)))
