@@ -10,14 +10,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from starlette.exceptions import HTTPException
+
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.intake import SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import LOG
 from pdr_graph.apps.serve.message_log import read_body, read_entries
 from pdr_graph.apps.serve.mqtt import Broker, subscribe
 from pdr_graph.apps.serve.phyphox_polling import PLATFORM, PhyphoxPhone, Stored, follow, stored_of
-from pdr_graph.apps.serve.reception import Reception, RefusalError, id_of
+from pdr_graph.apps.serve.reception import Reception, id_of
 from pdr_graph.apps.serve.study import StudyReports
+from pdr_graph.errors import InputError
 
 REFUSED_FOR_NOW = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
 REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given again
@@ -64,7 +67,7 @@ async def _reported(work: Coroutine[Any, Any, None], say: Say) -> None:
 
 def stored(reception: Reception, run: str) -> Stored | None:
     """What is stored of a run of phyphox; None of a new one."""
-    log = reception.root / id_of(SENSOR_LOGGER, OWNER, run, "0") / LOG
+    log = reception.root / id_of(run) / LOG
     entries = list(read_entries(log)) if log.exists() else []
     if not entries:
         return None
@@ -78,13 +81,15 @@ async def receive_patiently(reception: Reception, say: Say, body: bytes, name: s
         try:
             reception.receive(SENSOR_LOGGER, OWNER, body, PLATFORM, name)
             return
-        except RefusalError as refused:
-            if refused.status not in REFUSED_FOR_NOW:
-                return say(f"{name}: {refused.text}")
+        except InputError as refused:
+            return say(f"{name}: {refused}")
+        except HTTPException as refused:
+            if refused.status_code not in REFUSED_FOR_NOW:
+                return say(f"{name}: {refused.detail}")
         await asyncio.sleep(REFUSAL_PAUSE)
 
 
 def receive_once(reception: Reception, body: bytes) -> None:
     """Store a message of a broker; one that is refused is lost, as by MQTT it may be."""
-    with contextlib.suppress(RefusalError):
+    with contextlib.suppress(HTTPException, InputError):
         reception.receive(SENSOR_LOGGER, OWNER, body)
