@@ -230,9 +230,8 @@ def write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-WAL_LIMIT = 16 << 20  # [bytes] size of the write-ahead log that is kept for reuse
 LOCK_TIMEOUT = 1.0  # [s] to wait for another process to close the file
-OWNER_ONLY = 0o600  # positions are private; SQLite gives its -wal the mode of the file itself
+OWNER_ONLY = 0o600  # positions are private; SQLite gives its journal the mode of the file itself
 SQLITE_ERRORS = {
     sqlite3.SQLITE_FULL: errno.ENOSPC,
     sqlite3.SQLITE_READONLY: errno.EROFS,
@@ -261,7 +260,7 @@ class Kind:
 def create_or_open(
     path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
 ) -> sqlite3.Connection:
-    """Open or create a database with exclusive access and a write-ahead log, and upgrade it to this version.
+    """Open or create a database with exclusive access, and upgrade it to this version.
 
     schema: statements that create the tables of a new file; rows: its first rows, by the statement that inserts them.
 
@@ -281,8 +280,7 @@ def create_or_open(
             else:
                 _make(database, kind, schema, rows)
             database.execute("COMMIT")
-            database.execute("PRAGMA journal_mode = WAL")
-            database.execute(f"PRAGMA journal_size_limit = {WAL_LIMIT}")
+            database.execute("PRAGMA journal_mode = DELETE")  # of a file of an older version too
         return database
     except BaseException:
         database.close()

@@ -138,8 +138,7 @@ def replay(
     from pdr_graph.apps.replay import replay_recording
     from pdr_graph.walk import LIVE
 
-    of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
-    folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
+    folder = output.folder(recording, "-replayed", [*walk.files, *([journal] if journal else [])])
     options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
     print_summary(folder, replay_recording(recording, folder, options, report=output.report), output.json)
 

@@ -15,11 +15,11 @@ from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.intake import SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import LOG, RECORDINGS, Session, read_session
-from pdr_graph.apps.serve.message_log import read_body, read_entries
 from pdr_graph.errors import InputError, count
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
+from pdr_graph.online.journal import read_body, read_entries
 
 TABLE_FILES = {  # name in a message: table of an export, and its columns
     "accelerometer": ("Accelerometer", "z,y,x"),

@@ -15,12 +15,12 @@ from starlette.exceptions import HTTPException
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.intake import SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import LOG
-from pdr_graph.apps.serve.message_log import read_body, read_entries
 from pdr_graph.apps.serve.mqtt import Broker, subscribe
 from pdr_graph.apps.serve.phyphox_polling import PLATFORM, PhyphoxPhone, Stored, follow, stored_of
 from pdr_graph.apps.serve.reception import Reception, id_of
 from pdr_graph.apps.serve.study import StudyReports
 from pdr_graph.errors import InputError
+from pdr_graph.online.journal import read_body, read_entries
 
 REFUSED_FOR_NOW = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
 REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given again

@@ -24,8 +24,16 @@ from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.hub import Hub
 from pdr_graph.apps.serve.intake import PLATFORMS, SENSOR_LOGGER
-from pdr_graph.apps.serve.live_walk import LOG, PUBLISHED, RECORDINGS, SESSION, Session, read_session, write_session
-from pdr_graph.apps.serve.message_log import MessageLog
+from pdr_graph.apps.serve.live_walk import (
+    LOG,
+    PUBLISHED,
+    RECORDINGS,
+    SESSION,
+    MessageLog,
+    Session,
+    read_session,
+    write_session,
+)
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.storage import decode_json, encode_json
 
@@ -155,7 +163,7 @@ class Reception:
         self._charge(state, len(body))
         now = time.time()
         try:
-            if self._log(state.session.id).append(identity, now, body):
+            if self._log(state.session.id).add(identity, now, body):
                 state.last_received = now
                 self._announce(state)
         except OSError as error:
