@@ -453,8 +453,8 @@ def of_session(walk):
 
 def published_target(folder):
     """What is known of a finished session, and shown of it."""
-    from pdr_graph.apps.serve.hub import Hub
     from pdr_graph.apps.serve.live_walk import PUBLISHED, SESSION, Session, write_session
+    from pdr_graph.apps.serve.publishing import Hub
     from pdr_graph.apps.serve.reception import Reception, blank_pose
 
     session = Session("id", "key", "phone", "ann", "sensorlogger", "android", EPOCH)

@@ -8,6 +8,7 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ from pdr_graph.estimation.factors import kind_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
@@ -29,18 +32,36 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import LiveCompass
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
-from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, EventChecks
-from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows
-from pdr_graph.online.live_warnings import contradictions_of, warnings_of
-from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
-from pdr_graph.online.step_log import StepLog
-from pdr_graph.priors import INITIAL
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory, last_time, take
+from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
+from pdr_graph.online.status import (
+    Status,
+    contradictions_of,
+    issues_of,
+    issues_of_times,
+    missing_inputs,
+    state_of,
+    warnings_of,
+)
+from pdr_graph.priors import FIXES, INITIAL, REPORTS
+from pdr_graph.types import (
+    LONLAT,
+    Array,
+    Beacons,
+    Estimate,
+    Fixes,
+    FixReport,
+    Headings,
+    Steps,
+    Trajectory,
+    last_time,
+    take,
+)
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -204,7 +225,11 @@ class Navigator:
             state=state_of(walking, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
-            issues=tuple(issues_of(self._gait.health, located and not walking)) + self._unused(),
+            issues=(
+                *issues_of(self._gait.health, located and not walking),
+                *self._checks.issues(),
+                *issues_of_times(self._early, graph.graph.too_late),
+            ),
             unknown=self.unknown,
             sensors=self._gait.health,
             keyframes=len(self._window.keyframes),
@@ -215,10 +240,6 @@ class Navigator:
             rebuilds=tuple(graph.graph.failures),
             judge=lambda: verdict(self._estimate()),
         )
-
-    def _unused(self) -> tuple[str, ...]:
-        """What was not used of the events, a line each."""
-        return (*self._checks.issues(), *issues_of_times(self._early, self._graph.graph.too_late))
 
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
@@ -368,3 +389,73 @@ class Navigator:
         self._accepted += len(fixes)
         for n in range(len(fixes)):
             self._floors.add_fixes(fixes[n])
+
+
+FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
+
+
+def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
+    """The ways of a mixture with their probabilities, the most probable first."""
+    modes = []
+    for n in np.argsort(-ways.log_weight, kind="stable").tolist():
+        probability, (x, y, heading) = float(np.exp(ways.log_weight[n])), ways.mean[n, :3].tolist()
+        if probability >= REPORTS.least_reported or not modes:
+            modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
+    return tuple(modes)
+
+
+class Display:
+    """A position that moves with the walker and catches up jumps of the pose evenly, within FOLLOWED seconds."""
+
+    def __init__(self) -> None:
+        self._time, self._walked, self._position, self._speed = np.nan, 0.0, np.zeros(2), 0.0
+
+    def at(self, time: float, position: Array, heading: float, walked: float) -> tuple[float, float]:
+        """The position x, y [m] at a time [s], for a pose at ``position (2,)`` [m] after ``walked`` [m]."""
+        if np.isnan(self._time):
+            self._position = position.copy()
+        else:
+            ahead = (walked - self._walked) * np.array([np.cos(heading), np.sin(heading)])
+            behind = self._position + ahead - position
+            distance, seconds = float(np.hypot(*behind)), max(time - self._time, 0.0)
+            self._speed = max(self._speed, distance / FOLLOWED)
+            if distance <= self._speed * seconds:
+                self._position, self._speed = position.copy(), 0.0
+            else:
+                self._position = position + (1.0 - self._speed * seconds / distance) * behind
+        self._time, self._walked = time, walked
+        x, y = self._position.tolist()
+        return x, y
+
+
+class StepLog:
+    """The steps since `forget` was last called."""
+
+    def __init__(self) -> None:
+        self._chunks = list[Steps]()
+
+    def append(self, steps: Steps) -> None:
+        """Append the next steps."""
+        self._chunks.append(steps)
+
+    def forget(self) -> None:
+        """Drop all but the last steps."""
+        self._chunks = self._chunks[-1:]
+
+    def set_goings(self, goings: Array) -> None:
+        """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, at least one, see `goings_of`."""
+        for n in range(len(self._chunks) - 1, -1, -1):
+            if self._chunks[n].end < goings[0, 0]:
+                return
+            self._chunks[n] = with_goings(self._chunks[n], goings)
+
+    def dead_reckoning(self, reports: Sequence[FixReport]) -> Trajectory:
+        """Dead reckoning, rigidly aligned with those of the fixes that were used."""
+        if not self._chunks:
+            return trajectory_of_rows([])
+        steps = concatenate_steps(self._chunks)
+        begin = steps.start - FIXES.longest_overhang
+        used = [fix for fix in reports if fix.weight > 0 and fix.time >= begin]
+        place = np.array([(fix.x, fix.y) for fix in used]).reshape(-1, 2)
+        time, sigma = np.array([fix.time for fix in used]), np.array([fix.sigma for fix in used])
+        return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(used)))

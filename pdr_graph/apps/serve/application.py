@@ -37,10 +37,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import pdr_graph
 from pdr_graph.apps.serve import publishing
 from pdr_graph.apps.serve.access import COOKIE, Access, is_foreign, is_local, token_of
-from pdr_graph.apps.serve.hub import Hub, Published, Subscriber
-from pdr_graph.apps.serve.intake import SENSOR_LOGGER
-from pdr_graph.apps.serve.plan_layers import plan_layers
+from pdr_graph.apps.serve.publishing import Hub, Published, Subscriber, plan_layers
 from pdr_graph.apps.serve.reception import Reception
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
 from pdr_graph.apps.serve.study import StudyReports, upload_of
 from pdr_graph.errors import InputError
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.intake import SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import LOG, RECORDINGS, Session, read_session
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
 from pdr_graph.errors import InputError, count
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68

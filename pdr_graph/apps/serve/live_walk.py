@@ -18,8 +18,8 @@ import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.apps.lifelog.cache import write
-from pdr_graph.apps.serve.intake import SENSOR_LOGGER, Intake
 from pdr_graph.apps.serve.publishing import path_columns, pose_json
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER, Intake
 from pdr_graph.errors import InputError, count
 from pdr_graph.online.interface import Event
 from pdr_graph.online.journal import MESSAGES, Entry, RecordLog, read_body, read_entries

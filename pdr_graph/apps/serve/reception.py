@@ -22,8 +22,6 @@ from starlette.exceptions import HTTPException
 from pdr_graph.apps.lifelog.cache import write
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.estimators import Estimators
-from pdr_graph.apps.serve.hub import Hub
-from pdr_graph.apps.serve.intake import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import (
     LOG,
     PUBLISHED,
@@ -34,6 +32,8 @@ from pdr_graph.apps.serve.live_walk import (
     read_session,
     write_session,
 )
+from pdr_graph.apps.serve.publishing import Hub
+from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.storage import decode_json, encode_json
 

@@ -24,9 +24,8 @@ from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
 from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.hub import Hub
 from pdr_graph.apps.serve.live_walk import Session
-from pdr_graph.apps.serve.plan_layers import plan_layers
+from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.reception import Limits, Reception
 from pdr_graph.errors import InputError, Interrupted
