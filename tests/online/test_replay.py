@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from pdr_graph import InputError
 from pdr_graph.apps import replay
 from pdr_graph.apps.cli import app
-from pdr_graph.apps.cli.summary_text import live_lines
+from pdr_graph.apps.cli.terminal import live_lines
 from pdr_graph.apps.replay import Latency, replay_recording
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.io.tables import read_trajectory

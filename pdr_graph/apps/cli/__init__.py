@@ -35,11 +35,9 @@ from pdr_graph.apps.cli.options import (
     path_named_after,
     with_groups,
 )
-from pdr_graph.apps.cli.plain_help import App
 from pdr_graph.apps.cli.plans import maps
 from pdr_graph.apps.cli.serve import serve
-from pdr_graph.apps.cli.summary_text import print_summary
-from pdr_graph.apps.cli.terminal import echo, echo_result
+from pdr_graph.apps.cli.terminal import App, echo, echo_result, print_summary
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
 

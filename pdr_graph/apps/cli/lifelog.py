@@ -14,9 +14,8 @@ import typer
 from pdr_graph.apps.cli.lifelog_corrections import correct
 from pdr_graph.apps.cli.lifelog_show import show
 from pdr_graph.apps.cli.options import BeaconsPath, FixesPath, Quiet, RangesPath, WalkerPath
-from pdr_graph.apps.cli.plain_help import App
 from pdr_graph.apps.cli.serve import serve_lifelog
-from pdr_graph.apps.cli.terminal import echo
+from pdr_graph.apps.cli.terminal import App, echo
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count, shows_progress
 
 lifelog = App(

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pdr_graph.apps.cli.plain_help import App
-from pdr_graph.apps.cli.terminal import echo
+from pdr_graph.apps.cli.terminal import App, echo
 from pdr_graph.errors import InputError
 
 correct = App(
