@@ -117,7 +117,7 @@ class Navigator:
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
         self._start_heading = start_heading, start_heading_sigma
-        self._steps = StepLog()  # since `finalized` was last called
+        self._chunks = list[Steps]()  # since `finalized` was last called, with the last before
         self._beacons = beacons
         self._tail: Steps | None = None
         self._pose: Pose | None = None  # the current pose, if it was asked for since the last event
@@ -243,7 +243,7 @@ class Navigator:
 
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
-        self._steps.forget()
+        self._chunks = self._chunks[-1:]
         return trajectory_of_rows(self._graph.output.pop_finalized())
 
     def finish(self) -> Estimate:
@@ -257,7 +257,7 @@ class Navigator:
             return self._graph.final
         estimate = self._estimate()
         warnings = warnings_of(self._graph, self.building, estimate)
-        return replace(estimate, dead_reckoning=self._steps.dead_reckoning(estimate.fixes), warnings=warnings)
+        return replace(estimate, dead_reckoning=dead_reckoning_of(self._chunks, estimate.fixes), warnings=warnings)
 
     def _estimate(self) -> Estimate:
         """The walk smoothed so far, without dead reckoning and warnings."""
@@ -329,9 +329,9 @@ class Navigator:
         anew, goings = self._floors.advance(self._tail), self._floors.goings
         if anew and len(goings):
             self._graph.set_goings(goings)
-            self._steps.set_goings(goings)
+            self._chunks = [with_goings(part, goings) if part.end >= goings[0, 0] else part for part in self._chunks]
         steps = with_goings(steps, goings)
-        self._steps.append(steps)
+        self._chunks.append(steps)
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property
@@ -374,7 +374,8 @@ class Navigator:
     def _scan(self, scan: Scan) -> None:
         """Pass the usable signals of a scan to the collectors."""
         received = self._checks.heard(scan.heard)
-        self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
+        if received is not None:
+            self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
 
     def _until_soon(self, data: Any) -> Any:
         """The rows that are not later than AHEAD from now, once there are steps."""
@@ -428,34 +429,13 @@ class Display:
         return x, y
 
 
-class StepLog:
-    """The steps since `forget` was last called."""
-
-    def __init__(self) -> None:
-        self._chunks = list[Steps]()
-
-    def append(self, steps: Steps) -> None:
-        """Append the next steps."""
-        self._chunks.append(steps)
-
-    def forget(self) -> None:
-        """Drop all but the last steps."""
-        self._chunks = self._chunks[-1:]
-
-    def set_goings(self, goings: Array) -> None:
-        """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, at least one, see `goings_of`."""
-        for n in range(len(self._chunks) - 1, -1, -1):
-            if self._chunks[n].end < goings[0, 0]:
-                return
-            self._chunks[n] = with_goings(self._chunks[n], goings)
-
-    def dead_reckoning(self, reports: Sequence[FixReport]) -> Trajectory:
-        """Dead reckoning, rigidly aligned with those of the fixes that were used."""
-        if not self._chunks:
-            return trajectory_of_rows([])
-        steps = concatenate_steps(self._chunks)
-        begin = steps.start - FIXES.longest_overhang
-        used = [fix for fix in reports if fix.weight > 0 and fix.time >= begin]
-        place = np.array([(fix.x, fix.y) for fix in used]).reshape(-1, 2)
-        time, sigma = np.array([fix.time for fix in used]), np.array([fix.sigma for fix in used])
-        return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(used)))
+def dead_reckoning_of(chunks: Sequence[Steps], reports: Sequence[FixReport]) -> Trajectory:
+    """Dead reckoning of consecutive steps, rigidly aligned with those of the fixes that were used."""
+    if not chunks:
+        return trajectory_of_rows([])
+    steps = concatenate_steps(chunks)
+    begin = steps.start - FIXES.longest_overhang
+    used = [fix for fix in reports if fix.weight > 0 and fix.time >= begin]
+    place = np.array([(fix.x, fix.y) for fix in used]).reshape(-1, 2)
+    time, sigma = np.array([fix.time for fix in used]), np.array([fix.sigma for fix in used])
+    return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(used)))

@@ -221,7 +221,7 @@ class Estimating:
             self._guarded(id_, lambda task: task.walker.look())
             self._send("looked", {"id": id_})
         elif action == "finish":
-            self._guarded(id_, _finish_later)
+            self._guarded(id_, self._finish_later)
         elif action == PING:
             self._send(PING, {})
 
@@ -245,8 +245,9 @@ class Estimating:
         for id_ in list(self._tasks):
             busy |= self._guarded(id_, self._use_message)
         if not busy:
-            for id_ in list(self._tasks):
-                self._guarded(id_, self._idle)
+            for id_, task in list(self._tasks.items()):
+                if task.path_is_due and time.monotonic() >= task.last_path + PATH_INTERVAL:
+                    self._guarded(id_, self._publish_path)
 
     def close(self) -> None:
         """End the thread."""
@@ -281,7 +282,12 @@ class Estimating:
             self._failed.pop(walker.session.id, None)
             task.posed, task.path_is_due = False, True
         elif task.finishing:
-            self._finish(task)
+            pose, path = walker.finish()
+            del self._tasks[walker.session.id]
+            self._send("pose", pose)
+            if path is not None:
+                self._send("path", path)
+            self._send("finished", {"id": walker.session.id})
             return True
         if walker.catching_up and walker.due <= time.time():
             return used  # its pose is one of long ago
@@ -294,30 +300,17 @@ class Estimating:
             self._publish_path(task)
         return used
 
-    def _idle(self, task: Task) -> None:
-        if task.path_is_due and time.monotonic() >= task.last_path + PATH_INTERVAL:
-            self._publish_path(task)
-
     def _publish_path(self, task: Task) -> None:
         path = task.walker.path(whole=task.last_path == -np.inf)
         if path is not None:
             self._send("path", path)
         task.path_is_due, task.last_path = False, time.monotonic()
 
-    def _finish(self, task: Task) -> None:
-        id_ = task.walker.session.id
-        pose, path = task.walker.finish()
-        self._tasks.pop(id_, None)
-        self._send("pose", pose)
-        if path is not None:
-            self._send("path", path)
-        self._send("finished", {"id": id_})
-
-
-def _finish_later(task: Task) -> None:
-    """End a walk with the messages that wait; after a restart these are all of it."""
-    task.walker.look()
-    task.finishing = True
+    @staticmethod
+    def _finish_later(task: Task) -> None:
+        """End a walk with the messages that wait; after a restart these are all of it."""
+        task.walker.look()
+        task.finishing = True
 
 
 def run(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:

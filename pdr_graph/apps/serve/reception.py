@@ -187,8 +187,9 @@ class Reception:
             earlier = [s for s in self._states.values() if (s.session.protocol, s.session.user, s.session.key) == names]
             last = max(earlier, key=lambda state: state.last_received, default=None)
             device = hashlib.sha256("\0".join(names).encode()).hexdigest()[:12]
-            known = last is not None and not last.session.finished
-            id_ = last.session.id if known else f"{protocol}-{device}-{time.time():.0f}"
+            id_ = f"{protocol}-{device}-{time.time():.0f}"
+            if last is not None and not last.session.finished:
+                id_ = last.session.id
         state = self._states.get(id_)
         if state is None:
             unfinished = sum(s.session.user == user and not s.session.finished for s in self._states.values())
