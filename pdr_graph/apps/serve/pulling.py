@@ -150,28 +150,23 @@ def broker_of(url: str, topic: str = TOPIC) -> Broker:
     )
 
 
-def bounded_queue() -> type[asyncio.Queue[Any]]:
-    """A class of queues that are full with WAITING_BYTES of payload: a single message may have 256 MB."""
+class BoundedQueue(asyncio.Queue[Any]):
+    """A queue that is full with WAITING_BYTES of payload: a single message may have 256 MB."""
 
-    class Bounded(asyncio.Queue[Any]):
-        size = 0  # [bytes]
+    size = 0  # [bytes]
 
-        def put_nowait(self, item: Any) -> None:
-            if self.size + _size(item) > WAITING_BYTES:
-                raise asyncio.QueueFull
-            super().put_nowait(item)
-            self.size += _size(item)
+    def put_nowait(self, item: Any) -> None:
+        """Append a message. Raises asyncio.QueueFull."""
+        if self.size + len(item.payload) > WAITING_BYTES:
+            raise asyncio.QueueFull
+        super().put_nowait(item)
+        self.size += len(item.payload)
 
-        def get_nowait(self) -> Any:
-            item = super().get_nowait()
-            self.size -= _size(item)
-            return item
-
-    return Bounded
-
-
-def _size(message: Any) -> int:
-    return len(message.payload) if isinstance(message.payload, bytes | bytearray) else 0
+    def get_nowait(self) -> Any:
+        """Remove and return the next message."""
+        item = super().get_nowait()
+        self.size -= len(item.payload)
+        return item
 
 
 async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Callable[[str], None]) -> None:
@@ -195,15 +190,14 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 transport="websockets" if broker.websocket else "tcp",
                 websocket_path=broker.path if broker.websocket else None,
                 max_queued_incoming_messages=WAITING_MESSAGES,
-                queue_type=bounded_queue(),
+                queue_type=BoundedQueue,
                 timeout=10.0,  # timeout [s] for the broker to answer
             ) as client:
                 await client.subscribe(broker.topic)
                 say(f"mqtt: subscribed to {broker.address}")
                 wait = FIRST_RECONNECT
                 async for message in client.messages:
-                    if isinstance(message.payload, bytes | bytearray):
-                        receive(bytes(message.payload))
+                    receive(bytes(message.payload))
         except (aiomqtt.MqttError, OSError, ValueError) as error:
             say(f"mqtt: {broker.address}: {one_line(str(error))}; again in {wait:.0f} s")
         await asyncio.sleep(wait)
