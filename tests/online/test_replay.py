@@ -11,7 +11,6 @@ from standin import Metronome
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.apps import replay
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.cli.terminal import live_lines
 from pdr_graph.apps.replay import Latency, replay_recording
@@ -153,7 +152,7 @@ def test_a_journal_resumes_where_it_was_interrupted(folder, result, tmp_path):
 
 
 def invoked(monkeypatch, *arguments, kind=Metronome):
-    monkeypatch.setattr(replay, "_navigator", lambda: kind)
+    monkeypatch.setattr("pdr_graph.online.navigator.Navigator", kind)
     return CliRunner().invoke(app, ["replay", *map(str, arguments)])
 
 
