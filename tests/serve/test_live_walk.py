@@ -284,7 +284,7 @@ def test_a_finished_walk_is_a_day_of_the_lifelog(bodies, tmp_path):
     session = Session("s", "s", "phone", "ann", "sensorlogger", "android", EPOCH, True)
     (folder / SESSION).write_bytes(msgspec.json.encode(session))
     for _ in range(2):  # a walk that was resumed is finished again
-        assert finish(str(folder), str(tmp_path / "days.db"), None) == ""
+        assert finish(folder, tmp_path / "days.db", None) == ""
     with Store(tmp_path / "days.db") as log:
         ((person, date),) = log.days()
     assert (person, date) == ("ann", "2023-11-14")

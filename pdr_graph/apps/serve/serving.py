@@ -78,12 +78,7 @@ def build(settings: Settings) -> Starlette:
     pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=20)
 
     async def finishing(session: Session) -> str:
-        folder, store = reception.root / session.id, settings.store
-        arguments = (
-            str(folder),
-            None if store is None else str(store),
-            None if options.plan is None else str(options.plan),
-        )
+        arguments = (reception.root / session.id, settings.store, options.plan)
         try:
             return await asyncio.get_running_loop().run_in_executor(pool, finish, *arguments)
         except (RuntimeError, OSError) as error:  # the pool was shut down, or its process was killed
