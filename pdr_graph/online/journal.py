@@ -32,9 +32,7 @@ from pdr_graph.whole_files import lock
 WALK, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
 RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
-EXPECTED_LOG = {
-    WALK: "a journal of this version: finish the walk with the pdr_graph that began it, or start a new --journal"
-}
+REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
 SECONDS = {"process": float("inf"), "minute": 60.0, "power": 0.0}  # [s] between two waits for the disk
 Navigator = TypeVar("Navigator", bound=LiveEstimator)
 
@@ -105,7 +103,8 @@ def read_entries(path: Path, offset: int = 0, kind: bytes = MESSAGES) -> Iterato
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if file.read(len(kind)) != kind and _found_after(file, 0, size) is None:
-            raise InputError(path, "", "another kind of file", EXPECTED_LOG.get(kind, "a log of pdr-graph serve"))
+            expected = f"a journal of this version: {REMEDY}" if kind == WALK else "a log of pdr-graph serve"
+            raise InputError(path, "", "another kind of file", expected)
         offset = max(offset, len(kind))
         while (entry := _entry_at(file, offset, size) or _found_after(file, offset, size)) is not None:
             yield entry
