@@ -5,9 +5,8 @@ One format serves the events of a journal and the blobs of a lifelog:
     CRC-32 of what follows (4 bytes) · format (1) · msgpack: [name of the type, fields by name in alphabetical order]
 
 A numeric array is an extension of msgpack: its dtype, its shape, its bytes. `decode` checks every field against its
-type hint, and that encoding the result gives the same bytes, so additional or missing fields are errors. Only the
-fields that a type lists in its class variable ``added`` may be missing, in bytes of older versions; they get their
-defaults.
+type hint, and that encoding the result gives the same bytes, so additional fields are errors. Fields with a default may
+be missing, as in bytes of older versions.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
@@ -87,50 +86,10 @@ def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
     if name not in kinds:
         raise ValueError(f"found a {name[:40]!r}")
     value = _decoder(kinds[name]).decode(raw)
-    _check_complete(value)
     again = _ENCODER.encode([name, value])
     if again != bytes(payload):  # of a memoryview every byte would be compared by itself
-        raise ValueError(_difference(msgspec.msgpack.decode(payload), msgspec.msgpack.decode(again)))
+        raise ValueError("found a field or an encoding that this version does not have")
     return value
-
-
-def _check_complete(value: Any, path: str = "$") -> None:
-    """Raise ValueError if a field was not in the bytes; msgspec does not set such a field."""
-    if is_dataclass(value):
-        present = vars(value)
-        for name, needed in _fields(type(value)):
-            if name in present:
-                inner = present[name]
-                if not isinstance(inner, SIMPLE):
-                    _check_complete(inner, f"{path}.{name}")
-            elif needed:
-                raise ValueError(f"missing field `{name}` - at `{path}`")
-    elif isinstance(value, (list, tuple, dict)):
-        for element in value.values() if isinstance(value, dict) else value:
-            if isinstance(element, SIMPLE):
-                return  # elements are of one type
-            _check_complete(element, f"{path}[...]")
-
-
-@cache
-def _fields(kind: type) -> tuple[tuple[str, bool], ...]:
-    """The name of each field of a dataclass, and whether it must be in the bytes."""
-    added = getattr(kind, "added", ())
-    return tuple((each.name, each.name not in added) for each in fields(kind))
-
-
-def _difference(found: Any, expected: Any, path: str = "$") -> str:
-    """Describe the first field in which two decoded values differ."""
-    if isinstance(found, dict) and isinstance(expected, dict):
-        for name in found:
-            if name not in expected:
-                return f"unknown field `{name!s:.40}` - at `{path}`"
-        pairs: Any = ((name, found[name], expected[name]) for name in found)
-    elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
-        pairs = ((n, left, right) for n, (left, right) in enumerate(zip(found, expected, strict=True)))
-    else:
-        return f"found another encoding than that of this version - at `{path}`"
-    return next((_difference(a, b, f"{path}.{name}") for name, a, b in pairs if a != b), "its fields are not in order")
 
 
 def _on_one_line(error: Exception) -> str:
@@ -230,9 +189,8 @@ def write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-WAL_LIMIT = 16 << 20  # [bytes] size of the write-ahead log that is kept for reuse
 LOCK_TIMEOUT = 1.0  # [s] to wait for another process to close the file
-OWNER_ONLY = 0o600  # positions are private; SQLite gives its -wal the mode of the file itself
+OWNER_ONLY = 0o600  # positions are private; SQLite gives its journal the mode of the file itself
 SQLITE_ERRORS = {
     sqlite3.SQLITE_FULL: errno.ENOSPC,
     sqlite3.SQLITE_READONLY: errno.EROFS,
@@ -261,7 +219,7 @@ class Kind:
 def create_or_open(
     path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
 ) -> sqlite3.Connection:
-    """Open or create a database with exclusive access and a write-ahead log, and upgrade it to this version.
+    """Open or create a database with exclusive access, and upgrade it to this version.
 
     schema: statements that create the tables of a new file; rows: its first rows, by the statement that inserts them.
 
@@ -281,8 +239,7 @@ def create_or_open(
             else:
                 _make(database, kind, schema, rows)
             database.execute("COMMIT")
-            database.execute("PRAGMA journal_mode = WAL")
-            database.execute(f"PRAGMA journal_size_limit = {WAL_LIMIT}")
+            database.execute("PRAGMA journal_mode = DELETE")  # of a file of an older version too
         return database
     except BaseException:
         database.close()

@@ -305,7 +305,6 @@ class Headings(Rows, row="heading"):
     sigma: Array
     source: tuple[str, ...] = ()
 
-    added: ClassVar = ("source",)  # bytes of earlier versions have none
     limits: ClassVar[Limits] = {"heading": (-LARGEST_HEADING, LARGEST_HEADING), "sigma": (FINEST, 1e3)}
     most: ClassVar[int] = 1
 

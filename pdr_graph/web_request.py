@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
-from typing import Any, BinaryIO
-from urllib.parse import urlsplit
+from typing import Any, BinaryIO, Literal
 
 REDIRECTS, MOST_REDIRECTS = (301, 302, 303, 307, 308), 5
-Follow = Callable[[str], bool]  # whether to follow a redirect to an address
 
 
 class TooLongError(OSError):
@@ -34,27 +32,17 @@ class Answer:
     location: str
 
 
-def nowhere(address: str) -> bool:
-    """Follow no redirect."""
-    return False
+def ask(*arguments: Any, **options: Any) -> Answer:
+    """The answer of `request`, outside of an event loop."""
+    return asyncio.run(request(*arguments, **options))
 
 
-def anywhere(address: str) -> bool:
-    """Follow all redirects."""
-    return True
-
-
-def same_host(url: str) -> Follow:
-    """Follow redirects to the host of an address only."""
-    return lambda address: urlsplit(address).hostname == urlsplit(url).hostname
-
-
-def ask(
+async def request(
     address: str,
     silence: float,
     whole: float,
     most: int,
-    follow: Follow = nowhere,
+    follow: Literal["", "same host", "anywhere"] = "",
     *,
     method: str = "GET",
     body: bytes | None = None,
@@ -64,29 +52,34 @@ def ask(
 ) -> Answer:
     """Send a request and return the answer.
 
-    silence: longest time without a byte, whole: until the end of the body [s]; most: bytes of the body; follow: whether
-    to follow a redirect of a GET to another http or https address, which gets no Authorization if its host differs;
-    proxies: use those of the environment; out: takes the body instead of the answer.
+    silence: longest time without a byte, whole: until the end of the body [s]; most: bytes of the body; follow: where
+    redirects of a GET to another http or https address are followed; another host gets no Authorization; proxies: use
+    those of the environment; out: takes the body instead of the answer.
     Raises OSError, of them TimeoutError after `whole` and TooLongError for a longer body.
     """
     import httpx
 
-    async def answer() -> Answer:
-        options = {"timeout": silence, "trust_env": proxies, "verify": _trusted(), "http2": False}
-        fixed = {"Accept-Encoding": "identity", "Connection": "close"}
-        async with asyncio.timeout(whole), httpx.AsyncClient(**options, headers=fixed) as client:
-            request = client.build_request(method, address, content=body, headers=headers)
-            for _ in range(MOST_REDIRECTS):
-                answer = await client.send(request, stream=True)
-                following = answer.next_request if body is None else None
-                if following is None or following.url.scheme not in ("http", "https") or not follow(str(following.url)):
-                    return await _read(answer, most, out)
-                await answer.aclose()
-                request = following
-        raise OSError(f"more than {MOST_REDIRECTS} redirects")
-
+    options = {"timeout": silence, "trust_env": proxies, "verify": _certificates(), "http2": False}
+    fixed = {"Accept-Encoding": "identity", "Connection": "close"}
     try:
-        return asyncio.run(answer())
+        async with asyncio.timeout(whole), httpx.AsyncClient(**options, headers=fixed) as client:
+            sent = client.build_request(method, address, content=body, headers=headers)
+            for _ in range(MOST_REDIRECTS):
+                answer = await client.send(sent, stream=True)
+                next_ = answer.next_request if body is None else None
+                allowed = follow == "anywhere" or (follow and next_ and next_.url.host == sent.url.host)
+                if next_ is None or next_.url.scheme not in ("http", "https") or not allowed:
+                    content, size = out or BytesIO(), 0
+                    async for piece in answer.aiter_raw():
+                        size += len(piece)
+                        if size > most:
+                            raise TooLongError(f"an answer of more than {most} bytes")
+                        content.write(piece)
+                    whole_body = content.getvalue() if isinstance(content, BytesIO) else b""
+                    return Answer(answer.status_code, whole_body, answer.headers.get("Location", ""))
+                await answer.aclose()
+                sent = next_
+        raise OSError(f"more than {MOST_REDIRECTS} redirects")
     except TimeoutError:
         raise TimeoutError(f"no complete answer within {whole:.0f} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:  # the last of names that no host has
@@ -97,19 +90,7 @@ def ask(
         raise OSError(text or type(error).__name__) from None
 
 
-async def _read(answer: Any, most: int, out: BinaryIO | None) -> Answer:
-    """The answer with its body, which is written to `out` if there is one. Raises TooLongError."""
-    content, size = out or BytesIO(), 0
-    async for piece in answer.aiter_raw():
-        size += len(piece)
-        if size > most:
-            raise TooLongError(f"an answer of more than {most} bytes")
-        content.write(piece)
-    body = content.getvalue() if isinstance(content, BytesIO) else b""
-    return Answer(answer.status_code, body, answer.headers.get("Location", ""))
-
-
 @cache
-def _trusted() -> ssl.SSLContext:
+def _certificates() -> ssl.SSLContext:
     """The certificates that the system trusts; loading them takes a while."""
     return ssl.create_default_context()

@@ -30,7 +30,11 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
     Otherwise `out` stays as it was. private: for its owner alone; without: names of files that are removed when the new
     ones take their places. Raises InputError if another process writes to `out`; OSError of the disk.
     """
-    made = _make(out, PRIVATE_FOLDER if private else 0o777)
+    made = [path for path in (out, *out.parents) if not path.exists()]
+    for path in reversed(made):
+        path.mkdir(PRIVATE_FOLDER if private else 0o777, exist_ok=True)
+    if not out.is_dir():
+        raise NotADirectoryError(20, "not a folder", str(out))
     try:
         handle = os.open(out, os.O_RDONLY)
         try:
@@ -40,7 +44,17 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
             try:
                 staged.mkdir(PRIVATE_FOLDER if private else 0o777)
                 yield staged
-                _publish(staged, out, without)
+                files = [path for path in staged.rglob("*") if path.is_file()]
+                for file in files:
+                    _to_disk(file)
+                with uninterrupted():
+                    for name in without:
+                        (out / name).unlink(missing_ok=True)
+                    for file in sorted(files, key=lambda file: file.name == LAST):
+                        target = out / file.relative_to(staged)
+                        target.parent.mkdir(parents=True, exist_ok=True)
+                        file.replace(target)
+                _to_disk(out)
             finally:
                 with uninterrupted():
                     shutil.rmtree(staged, ignore_errors=True)
@@ -73,31 +87,6 @@ def check_replaceable(out: Path, mark: str = LAST, force: bool = False, inputs: 
         found = f"a folder with {count(len(names), 'other file')} ({', '.join(names[:3])[:80]})"
         expected = "a new or empty folder, or an earlier result (--force writes there anyway)"
         raise InputError(out, "--out", found, expected)
-
-
-def _make(folder: Path, mode: int) -> list[Path]:
-    """Create a folder and its parents; returns those that did not exist, innermost first."""
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    for path in reversed(made):
-        path.mkdir(mode, exist_ok=True)
-    if not folder.is_dir():
-        raise NotADirectoryError(20, "not a folder", str(folder))
-    return made
-
-
-def _publish(staged: Path, out: Path, without: Collection[str]) -> None:
-    """Move all files to their places, the summary last, after they are on the disk; remove the files ``without``."""
-    files = [path for path in staged.rglob("*") if path.is_file()]
-    for file in files:
-        _to_disk(file)
-    with uninterrupted():
-        for name in without:
-            (out / name).unlink(missing_ok=True)
-        for file in sorted(files, key=lambda file: file.name == LAST):
-            target = out / file.relative_to(staged)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(target)
-    _to_disk(out)
 
 
 def write_file(path: str | Path, content: str | bytes, private: bool = False, durable: bool = True) -> None:

@@ -28,12 +28,12 @@ GOOD_ANSWERS = 3  # requests for rows before the attack on them
 STUDY = """
 import asyncio, sys; from pathlib import Path; from pdr_graph.apps.serve.study import *
 upload = Upload("study", "upload", "code")
-try: fetch(sys.argv[1], upload, Path("recording.zip"))
+try: asyncio.run(fetch(sys.argv[1], upload, Path("recording.zip")))
 except CloudError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 PHONE = """
-import sys; from pdr_graph.apps.serve.phyphox_polling import *
-try: list(messages_of(PhyphoxPhone(sys.argv[1]).poll(), 0))
+import asyncio, sys; from pdr_graph.apps.serve.phyphox_polling import *
+try: list(messages_of(asyncio.run(PhyphoxPhone(sys.argv[1]).poll()), 0))
 except PhoneError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 TILES = """

@@ -447,7 +447,7 @@ def _status(url: str, body: bytes) -> int:
 
 
 def _check_log(folder: Path, acknowledged: int) -> None:
-    from pdr_graph.apps.serve.message_log import read_body, read_entries
+    from pdr_graph.online.journal import read_body, read_entries
 
     log = folder / "sessions" / "walk0001" / "messages.log"
     entries = list(read_entries(log)) if log.exists() else []

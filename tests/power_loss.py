@@ -214,7 +214,7 @@ def journal_target(folder):
                 return FAILED, "another walk when it is opened again"
         return verdict(resumed == EVENTS and not loss, loss, f"{resumed} of {EVENTS} events")
 
-    return Target(ages, ("walk", "walk-wal"), reopen)
+    return Target(ages, ("walk",), reopen)
 
 
 def verdict(whole, said, found):
@@ -287,7 +287,7 @@ def shown(store):
 
 
 def store_target(folder, killed=True):
-    """The database of a lifelog. killed: while a build had it open, so that it has a write-ahead log."""
+    """The database of a lifelog. killed: while a build had it open."""
     ages = [{name: content for name, content in age.items()} for age in lifelog_ages(folder)]
     ages = ages[:-1] if killed else ages
     states = [content_of(age, folder / "scratch") for age in ages]
@@ -318,7 +318,7 @@ def store_target(folder, killed=True):
     known["setting", "zone"].add("")  # if it is lost, which is said
     for name, value in final.items():
         known.setdefault(name, set()).add(value)
-    return Target(ages, ("log", "log-wal"), reopen)
+    return Target(ages, ("log", "log-journal"), reopen)
 
 
 def content_of(age, folder, build_it=False):
@@ -406,14 +406,14 @@ def walker(folder):
 
 def session_target(folder):
     """A live walk whose server ended without closing its files."""
-    from pdr_graph.apps.serve.live_walk import LOG
-    from pdr_graph.apps.serve.message_log import MessageLog, read_entries
+    from pdr_graph.apps.serve.live_walk import LOG, MessageLog
+    from pdr_graph.online.journal import read_entries
 
     bodies, ages, store = messages(), [], folder / "store"
     store.mkdir()
     for n, body in enumerate(bodies[:MESSAGES]):
         log = MessageLog(store / LOG)
-        log.append(n, EPOCH + n, body)
+        log.add(n, EPOCH + n, body)
         log.close()
         ages.append(taken(store))
     final = walk_of_session(store)
@@ -431,7 +431,7 @@ def session_target(folder):
         if found not in (final, walk_of_session(fresh)):
             return FAILED, "neither the whole walk nor that of the messages that remain"
         log = MessageLog(damaged / LOG)
-        log.append(MESSAGES, EPOCH + MESSAGES, bodies[MESSAGES])
+        log.add(MESSAGES, EPOCH + MESSAGES, bodies[MESSAGES])
         log.close()
         if len(list(read_entries(damaged / LOG))) != len(remaining) + 1:
             return FAILED, "the log does not take another message"
@@ -453,8 +453,8 @@ def of_session(walk):
 
 def published_target(folder):
     """What is known of a finished session, and shown of it."""
-    from pdr_graph.apps.serve.hub import Hub
     from pdr_graph.apps.serve.live_walk import PUBLISHED, SESSION, Session, write_session
+    from pdr_graph.apps.serve.publishing import Hub
     from pdr_graph.apps.serve.reception import Reception, blank_pose
 
     session = Session("id", "key", "phone", "ann", "sensorlogger", "android", EPOCH)

@@ -12,7 +12,7 @@ from test_cli import ARCADE, ROUTE
 from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app
-from pdr_graph.apps.serve.plan_layers import plan_layers
+from pdr_graph.apps.serve.publishing import plan_layers
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import own_format
 from pdr_graph.floor.plan_files import Building

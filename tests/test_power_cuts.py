@@ -4,10 +4,9 @@
 """
 
 import pytest
-from power_loss import CHANGED, DAMAGES, FAILED, TARGETS, UNNOTICED, count, put
+from power_loss import CHANGED, DAMAGES, FAILED, TARGETS, UNNOTICED, count
 
 import pdr_graph.apps.cli
-from pdr_graph import recovery
 from pdr_graph.recovery import DataLossWarning
 
 
@@ -26,17 +25,6 @@ def test_damaged_files_come_back_with_a_line_or_are_refused_unchanged(target, da
     assert not outcomes[FAILED], failures
     assert damage == "old" or not outcomes[UNNOTICED]
     assert damage == "flip" or not outcomes[CHANGED]
-
-
-def test_what_a_log_of_sqlite_lost_is_counted(tmp_path):
-    """The log of a journal whose process was killed, with a byte changed in its middle."""
-    files = TARGETS["journal"](tmp_path).ages[-1]
-    put(tmp_path, files)
-    assert recovery.lost_changes(tmp_path / "walk") == ""
-    log = bytearray(files["walk-wal"])
-    log[5000] ^= 1
-    (tmp_path / "walk-wal").write_bytes(log)
-    assert "after that lost" in recovery.lost_changes(tmp_path / "walk")
 
 
 def test_the_commands_say_a_loss_in_one_line(capsys):

@@ -270,8 +270,7 @@ def test_the_order_of_fields_decides_nothing():
 @pytest.mark.parametrize(
     ("fields", "match"),
     [
-        ([("parts", list[Part])], r"unknown field `by_name` - at `\$"),
-        ([*[("parts", list[Part]), ("by_name", dict)], ("more", int, 7)], r"missing field `more` - at `\$"),
+        ([("parts", list[Part])], "found a field or an encoding that this version does not have"),
         ([*[("parts", list[Part]), ("by_name", dict)], ("more", int)], "missing required field `more`"),
         ([("parts", list[Sightings]), ("by_name", dict)], "missing required field"),
         ([("parts", list[Part]), ("by_name", list)], "Expected `array`, got `object`"),

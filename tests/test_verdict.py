@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, fixes_at, square_walk
 
 import pdr_graph as pdr
-from pdr_graph.apps.cli import app
-from pdr_graph.apps.cli.learning import learn_radio_map
+from pdr_graph.apps.cli import app, learn_radio_map
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.estimation.results import stride_determined, teaches_profile

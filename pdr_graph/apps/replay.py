@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import gc
-import os
-import sys
+import resource
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -45,8 +44,7 @@ class Latency:
     def __init__(self) -> None:
         self.pushing, self.posing = list[float](), list[float]()
         self.memory = list[tuple[float, float]]()  # time of the walk [s], resident [MB]
-        self._since = 0.0
-        self._every = MEMORY_INTERVAL
+        self._since, self._every = 0.0, MEMORY_INTERVAL
 
     def push(self, push: Callable[[Any], None], event: Any) -> None:
         """Call ``push`` with an event; its time counts for the next step."""
@@ -65,10 +63,9 @@ class Latency:
 
     def measure_memory(self, now: float) -> None:
         """Measure the memory if it is due. now: time of the walk [s]."""
-        if self.memory and now < self.memory[-1][0] + self._every:
-            return
-        if (resident := _resident()) is not None:
-            self.memory.append((round(now, 1), round(resident, 2)))
+        if not self.memory or now >= self.memory[-1][0] + self._every:
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            self.memory.append((round(now, 1), round(pages * resource.getpagesize() / MEGABYTE, 2)))
         if len(self.memory) > MOST_MEASUREMENTS:
             self.memory, self._every = self.memory[::2], 2 * self._every
 
@@ -78,7 +75,7 @@ class Latency:
             "steps": len(self.pushing),
             "push": _spread(self.pushing),
             "pose": _spread(self.posing),
-            "peak_memory": _peak(),
+            "peak_memory": round(1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE, 2),
             "memory": [{"time": now, "resident": resident} for now, resident in self.memory],
             "units": {"push": "ms per step", "pose": "ms per step", "memory": "MB", "time": "s"},
         }
@@ -89,25 +86,6 @@ def _spread(seconds: list[float]) -> dict[str, float] | None:
         return None
     values = np.percentile(1000 * np.array(seconds), list(PERCENTILES.values()))
     return {name: round(value, 4) for name, value in zip(PERCENTILES, values.tolist(), strict=True)}
-
-
-def _resident() -> float | None:
-    """Present memory of this process [MB]; None if the system does not provide it."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return None
-    return pages * os.sysconf("SC_PAGE_SIZE") / MEGABYTE
-
-
-def _peak() -> float | None:
-    """Peak memory of this process [MB]; None if the system does not provide it."""
-    try:
-        import resource  # not on Windows
-    except ImportError:
-        return None
-    unit = 1.0 if sys.platform == "darwin" else 1024.0  # [bytes]
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / MEGABYTE, 2)
 
 
 def replay_recording(
@@ -132,7 +110,13 @@ def replay_recording(
         with nav if isinstance(nav, Journal) else nullcontext():
             done = nav.count if isinstance(nav, Journal) else 0
             began = time.perf_counter()
-            causal = walked(nav, _shown(events[done:]), latency)
+            shown: Iterable[Event] = events[done:]
+            if shows_progress():
+                from rich.console import Console
+                from rich.progress import track
+
+                shown = track(events[done:], "replay", console=Console(stderr=True))
+            causal = walked(nav, shown, latency)
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
                 result = _finished(nav, evidence, evidence.other_fixes[outside])
@@ -168,7 +152,11 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
             check_beacons_on_plan(options.beacons, beacons, building)
         known = {"floor": building, "walker": options.person(), "beacons": beacons}
         known["radio_map"] = read_radio_map(options, building)
-    return partial(kind or _navigator(), **known, lag=options.lag, start_floor=options.floor)
+    if kind is None:
+        from pdr_graph.online.navigator import Navigator
+
+        kind = Navigator
+    return partial(kind, **known, lag=options.lag, start_floor=options.floor)
 
 
 def _opened(evidence: Evidence, events: int, kind: Any) -> Any:
@@ -220,12 +208,6 @@ def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Tra
     return trajectory_of(poses)
 
 
-def _navigator() -> Any:
-    from pdr_graph.online.navigator import Navigator
-
-    return Navigator
-
-
 def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
     """The smoothed walk with what could not be estimated; the smoothed fixes alone if there are no steps.
 
@@ -251,13 +233,3 @@ def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
     estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
     missing = (*status.unknown, *missing_of(estimate, len(evidence.fixes)))
     return Result(evidence, estimate, missing, step_count=steps, issues=issues)
-
-
-def _shown(events: Sequence[Event]) -> Iterable[Event]:
-    """The events, with a progress bar on a terminal."""
-    if not shows_progress():
-        return events
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(events, "replay", console=Console(stderr=True))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -37,7 +38,7 @@ def recognizes(source: Source) -> bool:
 def read(source: Source) -> Recording:
     """Read one experiment. Raises InputError if a table is damaged."""
     notes: list[str] = []
-    begins, offset, unix = _clock(source)
+    clock = _clock(source)
     tables: dict[str, Array] = {}
     fixes: Fixes | None = None
     for name in _tables_named(source):
@@ -49,13 +50,13 @@ def read(source: Source) -> Recording:
             accuracy = _accuracy(table) if sensor == "location" else []
             values = table.rows.floats([*chosen, *accuracy])
             values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns end in empty cells
-            values[:, 0] += offset[np.maximum(np.searchsorted(begins, values[:, 0], side="right") - 1, 0)]
+            values[:, 0] = clock(values[:, 0])
             if sensor == "location":
                 unknown = np.full((len(values), 1 - len(accuracy)), np.nan)
                 fixes = receiver_fixes(np.column_stack([values, unknown]), notes)
             else:
                 tables[sensor] = values
-    return build_recording(str(source.path), source.path.stem, tables, 0.0 if unix else None, fixes, notes=notes)
+    return build_recording(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
 
 
 def _tables_named(source: Source) -> Iterator[str]:
@@ -68,14 +69,28 @@ def _tables_named(source: Source) -> Iterator[str]:
                 yield name
 
 
-def _clock(source: Source) -> tuple[Array, Array, bool]:
-    """Parts of the experiment's time, which stops in pauses: begin [s], and the recorder's clock minus it [s] ``(n,)``.
+@dataclass(frozen=True)
+class ExperimentClock:
+    """Converts experiment time, which stops in pauses, to the recorder's clock.
 
-    True if that clock is Unix time, of ``meta/time.csv``; without that file it is the experiment's time.
+    begins: ``(n,)`` experiment time at which each part begins [s]; offset: ``(n,)`` clock minus experiment time [s].
+    unix: True if the clock is Unix time.
     """
+
+    begins: Array
+    offset: Array
+    unix: bool
+
+    def __call__(self, time: Array) -> Array:
+        """Times [s] on the recorder's clock."""
+        return time + self.offset[np.maximum(np.searchsorted(self.begins, time, side="right") - 1, 0)]
+
+
+def _clock(source: Source) -> ExperimentClock:
+    """The clock of ``meta/time.csv``; without that file, the experiment time itself."""
     name = source.named("time.csv")
     if name is None:
-        return np.zeros(1), np.zeros(1), False
+        return ExperimentClock(np.zeros(1), np.zeros(1), unix=False)
     events = delimited.table(source.where(name), source.utf8(name))
     table = events.rows.floats((1, 2))
     words = events.rows.words(0)[: len(table)]
@@ -84,7 +99,7 @@ def _clock(source: Source) -> tuple[Array, Array, bool]:
     if not len(starts):
         raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
     unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # unix milliseconds from: a larger system time is in milliseconds
-    return starts[:, 0], starts[:, 1] / unit - starts[:, 0], True
+    return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
 
 
 def _sensors(name: str, table: Table) -> dict[str, list[int]]:

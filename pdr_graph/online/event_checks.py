@@ -114,14 +114,22 @@ class EventChecks:
         place += np.searchsorted(earlier, (span + 1) * SPAN) - np.searchsorted(earlier, span * SPAN)
         within = place < most
         if most > MOST_MOMENTS:
-            within &= _at_few_moments(last_time(data), earlier)
+            moments = dict[float, set[float]]()
+            for n, (moment, part) in enumerate(zip(last_time(data).tolist(), span.tolist(), strict=True)):
+                if part not in moments:
+                    first, last = np.searchsorted(earlier, [part * SPAN, (part + 1) * SPAN])
+                    moments[part] = set(earlier[first:last].tolist())
+                if moment in moments[part] or len(moments[part]) < MOST_MOMENTS:
+                    moments[part].add(moment)
+                else:
+                    within[n] = False
         return self._counted(name, data, within, TOO_OFTEN.format(most))
 
-    def heard(self, received: Sightings) -> Sightings:
-        """The receptions whose times and levels are possible."""
+    def heard(self, received: Sightings) -> Sightings | None:
+        """The receptions whose times and levels are possible; None without any."""
         least, most = Levels.limits["rssi"]
         within = (np.abs(received.time) < SENSOR_VALIDATION.latest) & (received.rssi >= least) & (received.rssi <= most)
-        return received if within.all() else take(received, self._note("scans", within, UNUSABLE))
+        return self._counted("scans", received, within, UNUSABLE)
 
     def in_order(self, steps: Steps, end: float) -> Steps | None:
         """The steps after ``end`` [s], NaN before the first, with a gap up to the first of them; None without any.
@@ -133,7 +141,11 @@ class EventChecks:
             return None
         possible = _within(steps, STEP_LIMITS) | (steps.is_gap & (np.abs(steps.turn) <= STEP_LIMITS["turn"][1]))
         if not possible.all() or abs(steps.final_turn) > STEP_LIMITS["turn"][1]:
-            steps = _as_gaps(steps, ~possible)
+            unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": MOTION.gap_turn}
+            unknown |= {"sigma_length": MOTION.gap_speed * steps.duration}
+            columns = {name: np.where(possible, getattr(steps, name), value) for name, value in unknown.items()}
+            final_turn = steps.final_turn if abs(steps.final_turn) <= STEP_LIMITS["turn"][1] else 0.0
+            steps = replace(steps, final_turn=final_turn, **columns)
             self.unused["steps", UNUSABLE] += max(1, int((~possible).sum()))
         if not steps.start < end - INSTANT:
             return concatenate_steps([gap(end, steps.start), steps]) if steps.start > end + INSTANT else steps
@@ -152,12 +164,8 @@ class EventChecks:
         """The rows within; None without any."""
         if within.all():
             return data
-        self._note(name, within, reason)
-        return take(data, within) if within.any() else None
-
-    def _note(self, name: str, within: Mask, reason: str) -> Mask:
         self.unused[name, reason] += int((~within).sum())
-        return within
+        return take(data, within) if within.any() else None
 
 
 def _within(data: Any, limits: Limits) -> Mask:
@@ -167,29 +175,3 @@ def _within(data: Any, limits: Limits) -> Mask:
         column: Array = getattr(data, name)
         within &= ((column >= least) & (column <= most)).all(axis=tuple(range(1, column.ndim)))
     return within
-
-
-def _as_gaps(steps: Steps, which: Mask) -> Steps:
-    """The steps, with some rows as gaps."""
-    unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": MOTION.gap_turn}
-    columns = {name: np.where(which, value, getattr(steps, name)) for name, value in unknown.items()}
-    sigma_length = np.where(which, MOTION.gap_speed * steps.duration, steps.sigma_length)
-    final_turn = steps.final_turn if abs(steps.final_turn) <= STEP_LIMITS["turn"][1] else 0.0
-    return replace(steps, sigma_length=sigma_length, final_turn=final_turn, **columns)
-
-
-def _at_few_moments(time: Array, used: Array) -> Mask:
-    """True ``(n,)`` for rows at one of the first MOST_MOMENTS moments of their SPAN.
-
-    time: ``(n,)`` [s]; used: times of the rows so far, in order [s].
-    """
-    moments = dict[float, set[float]]()
-    few = np.ones(len(time), dtype=bool)
-    for n, (moment, span) in enumerate(zip(time.tolist(), np.floor(time / SPAN).tolist(), strict=True)):
-        if span not in moments:
-            first, last = np.searchsorted(used, [span * SPAN, (span + 1) * SPAN])
-            moments[span] = set(used[first:last].tolist())
-        few[n] = moment in moments[span] or len(moments[span]) < MOST_MOMENTS
-        if few[n]:
-            moments[span].add(moment)
-    return few

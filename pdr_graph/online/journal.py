@@ -1,47 +1,150 @@
 """The journal of a live walk: acknowledged events survive kill -9, and the walk resumes by replaying them.
 
-One SQLite file with the settings of the walk and its events. ``push`` writes the event, commits, and only then passes
-it to the navigator. A navigator is a function of its events, so that a resumed one continues exactly as one that was
-never interrupted; it receives the decoded event, with the memory layout of a replayed one. Replaying takes 3 to 9 % of
-the time of the walk.
+A `RecordLog` is a file that is only ever appended to: eight bytes that name its kind, then for each record a header
+(checksum, length, identity, time of arrival) and its bytes, compressed. What was appended survives the end of the
+process. Bytes that are no whole record are passed over, so damage costs the records that it hits and no others.
 
-A killed process loses no acknowledged event; for power cuts see ``durable``.
+The journal is such a log of the walk's settings and its events. ``push`` appends the event, and only then passes it to
+the navigator. A navigator is a function of its events, so that a resumed one continues exactly as one that was never
+interrupted; it receives the decoded event, with the memory layout of a replayed one. Replaying takes 3 to 9 % of the
+time of the walk.
 """
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Callable, Collection, Mapping
-from contextlib import AbstractContextManager
+import mmap
+import os
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, BinaryIO, Generic, Literal, TypeVar
 
-from pdr_graph import storage
-from pdr_graph.errors import InputError, count, expect
+from pdr_graph.errors import InputError, check_not_special, count, expect
 from pdr_graph.online.interface import Event, LiveEstimator, Pose, Status, event_types
-from pdr_graph.recovery import Row, Rows, checked, is_whole
-from pdr_graph.storage import Kind, decode, encode, encode_and_decode
+from pdr_graph.recovery import keep_aside
+from pdr_graph.storage import CHECKSUM, decode, decode_json, encode_and_decode, encode_json
 from pdr_graph.types import Estimate, Trajectory
+from pdr_graph.whole_files import lock
 
-JOURNAL_REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
-JOURNAL = Kind("journal", 0x50445247, 4, JOURNAL_REMEDY)  # "PDRG", and of this form of file
-JOURNAL_SCHEMA = (
-    "CREATE TABLE setting (name TEXT PRIMARY KEY, bytes BLOB NOT NULL)",
-    "CREATE TABLE event (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",
-)
-PUT = {table: f"INSERT OR REPLACE INTO {table} VALUES (?, ?)" for table in ("setting", "event")}
-SYNCHRONOUS = {"process": "OFF", "minute": "NORMAL", "power": "FULL"}
-LOG_PAGES = 2000  # of the write-ahead log until SQLite waits for the disk: a minute of a phone's sensors
+WALK, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
+RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
+ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
+REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
+SECONDS = {"process": float("inf"), "minute": 60.0, "power": 0.0}  # [s] between two waits for the disk
 Navigator = TypeVar("Navigator", bound=LiveEstimator)
 
 
 @dataclass(frozen=True)
-class Setting:
-    """An option of the navigator: texts, numbers, None, lists and dictionaries of these."""
+class Entry:
+    """A record in a log. identity: its number; received: Unix time [s]; offset: of its header [bytes]; skipped: number
+    of damaged bytes before it.
+    """
 
-    value: Any
+    identity: int
+    received: float
+    offset: int
+    end: int
+    skipped: int = 0
+
+
+class RecordLog:
+    """A log of records, open for appending; ``file``: its descriptor, ``end``: its length [bytes].
+
+    kind: its first bytes; sync: seconds between two waits for the disk.
+    Raises OSError of the disk. What follows the last whole record was not written completely: it stays, and further
+    records come after it.
+    """
+
+    def __init__(self, path: Path, kind: bytes, sync: float = SECONDS["process"]):
+        self._path, self._sync, self._synced = path, sync, time.monotonic()
+        self.file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)  # owner only
+        begin = os.pread(self.file, len(kind), 0)
+        self.end = os.lseek(self.file, 0, os.SEEK_END)
+        if self.end < len(kind) and kind.startswith(begin):  # the process was killed before it wrote all of it
+            self._write(kind[self.end :])
+
+    def append(self, identity: int, received: float, body: bytes) -> None:
+        """Append a record. Raises OSError if the disk fails; the log is then unchanged."""
+        packed = zlib.compress(body, 1)  # level of zlib: the next ones take twice the time for little
+        rest = RECORD_HEADER.pack(0, len(packed), identity, received)[CHECKSUM:] + packed
+        self._write(struct.pack("<I", zlib.crc32(rest)) + rest)
+
+    def truncate(self, end: int) -> None:
+        """Delete what follows the first ``end`` bytes."""
+        os.ftruncate(self.file, end)
+        self.end = os.lseek(self.file, end, os.SEEK_SET)
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self.file)
+
+    def _write(self, data: bytes) -> None:
+        view = memoryview(data)
+        try:
+            while view:  # a disk that becomes full writes a part without an error
+                view = view[os.write(self.file, view) :]
+            if time.monotonic() - self._synced >= self._sync:
+                os.fsync(self.file)
+                self._synced = time.monotonic()
+        except OSError as error:
+            self.truncate(self.end)
+            raise OSError(error.errno, error.strerror or str(error), str(self._path)) from None
+        self.end += len(data)
+
+
+def read_entries(path: Path, offset: int = 0, kind: bytes = MESSAGES) -> Iterator[Entry]:
+    """Yield the whole records of a log from an offset [bytes]; stops before one that is still being written.
+
+    Raises InputError for other files.
+    """
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if file.read(len(kind)) != kind and _found_after(file, 0, size) is None:
+            expected = f"a journal of this version: {REMEDY}" if kind == WALK else "a log of pdr-graph serve"
+            raise InputError(path, "", "another kind of file", expected)
+        offset = max(offset, len(kind))
+        while (entry := _entry_at(file, offset, size) or _found_after(file, offset, size)) is not None:
+            yield entry
+            offset = entry.end
+
+
+def _entry_at(file: BinaryIO, offset: int, size: int) -> Entry | None:
+    """The record at an offset of a file of a size [bytes]; None if there is no whole one."""
+    file.seek(offset)
+    header = file.read(RECORD_HEADER.size)
+    if len(header) < RECORD_HEADER.size:
+        return None
+    checksum, length, identity, received = RECORD_HEADER.unpack(header)
+    end = offset + RECORD_HEADER.size + length
+    if end > size or zlib.crc32(file.read(length), zlib.crc32(header[CHECKSUM:])) != checksum:
+        return None
+    return Entry(identity, received, offset, end)
+
+
+def _found_after(file: BinaryIO, offset: int, size: int) -> Entry | None:
+    """The first whole record after an offset where there is none; None if there is none to the end."""
+    if offset + RECORD_HEADER.size >= size:
+        return None
+    with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
+        body = offset + RECORD_HEADER.size
+        while (body := content.find(ZLIB_START, body + 1)) >= 0:
+            entry = _entry_at(file, body - RECORD_HEADER.size, size)
+            if entry is not None:
+                return replace(entry, skipped=entry.offset - offset)
+    return None
+
+
+def read_body(path: Path, entry: Entry) -> bytes:
+    """The bytes of a record. Raises InputError if they are damaged."""
+    with path.open("rb") as file:
+        file.seek(entry.offset)
+        record = file.read(entry.end - entry.offset)
+    if zlib.crc32(record[CHECKSUM:]) != struct.unpack_from("<I", record)[0]:
+        raise InputError(path, f"byte {entry.offset}", "a damaged record", "a log that is whole")
+    return zlib.decompress(record[RECORD_HEADER.size :])
 
 
 class Journal(Generic[Navigator]):
@@ -51,10 +154,15 @@ class Journal(Generic[Navigator]):
     issue of the status.
     """
 
-    def __init__(self, path: Path, database: sqlite3.Connection, make: Callable[[], Navigator], loss: str = ""):
-        self._path, self._database, self._make = path, database, make
-        self._navigator = self._replayed()
-        self.loss = loss and f"{loss}: the walk goes on after event {self.count}"
+    def __init__(self, path: Path, log: RecordLog, make: Callable[[], Navigator]):
+        self._path, self._log, self._make = path, log, make
+        self._navigator: Navigator | None = self._replayed()
+        self.loss = ""
+        if (end := self._end) < log.end:
+            aside = keep_aside(path)
+            log.truncate(end)
+            text = f"damaged at byte {end}, all events after that are lost; the damaged file is {aside.name}"
+            self.loss = f"{path}: {text}: the walk goes on after event {self.count}"
 
     @classmethod
     def open(
@@ -69,29 +177,34 @@ class Journal(Generic[Navigator]):
 
         make: returns a navigator at the start of a walk.
         settings: options of the navigator, of JSON types; they must be the same when the walk continues.
-        durable: every event survives the end of the process. "minute": a power cut costs the last minute of a phone's
-            events; "power": it costs nothing, and each event waits for the disk; "process": it may damage the file,
-            and nothing waits.
+        durable: every event survives the end of the process. "minute": a power cut costs the last minute of events;
+            "power": it costs nothing, and each event waits for the disk; "process": nothing waits.
 
         A damaged journal comes back to its last whole event, and ``loss`` says so; the damaged file is kept beside it.
 
         Raises InputError if the file is no journal, of another version or other settings, in use, or so damaged that
         no walk comes back; OSError if it cannot be written.
         """
-        path, requested = Path(path), settings or {}
-        first = {PUT["setting"]: [(name, encode(Setting(value))) for name, value in requested.items()]}
-        whole = partial(_whole_rows, path, requested.keys())
-        database, loss = checked(path, JOURNAL, JOURNAL_SCHEMA, first, _damaged_rows, whole, pages=True)
+        path, requested = Path(path), encode_json(dict(settings or {})).encode()
+        if path.exists():
+            check_not_special(path, "a journal, or a name that is not taken")
+        log = RecordLog(path, WALK, SECONDS[durable])
         try:
-            with _explained(path):
-                database.execute(f"PRAGMA wal_autocheckpoint = {LOG_PAGES}")
-                database.execute(f"PRAGMA synchronous = {SYNCHRONOUS[durable]}")
-                stored = dict(database.execute("SELECT name, bytes FROM setting").fetchall())
-            settings_of_file = {name: _read(path, f"setting {name}", blob, Setting) for name, blob in stored.items()}
-            _compare(path, {name: setting.value for name, setting in settings_of_file.items()}, requested)
-            return cls(path, database, make, loss)
+            lock(log.file, path)
+            first = next(read_entries(path, kind=WALK), None)
+            if first is None and log.end == len(WALK):
+                log.append(0, time.time(), requested)
+            elif first is None or first.identity or first.skipped:
+                raise InputError(path, "settings", "a damaged journal", "a whole one: start the walk with another file")
+            else:
+                stored, wanted = (decode_json(text.decode(), dict) for text in (read_body(path, first), requested))
+                for name in sorted(stored.keys() | wanted.keys()):
+                    if stored.get(name) != wanted.get(name):
+                        expected = f"{wanted.get(name)}, or that with which the walk began"
+                        raise InputError(path, name, f"{stored.get(name)}", expected)
+            return cls(path, log, make)
         except BaseException:
-            database.close()
+            log.close()
             raise
 
     def __repr__(self) -> str:
@@ -106,12 +219,13 @@ class Journal(Generic[Navigator]):
         expect("Journal.push, event", event, *event_types(), instead="events_of(recording)")
         navigator = self.navigator
         blob, event = encode_and_decode(event)
-        self._execute(PUT["event"], self.count + 1, blob)
+        end = self._log.end
+        self._log.append(self.count + 1, time.time(), blob)
         try:
             navigator.push(event)
         except BaseException:  # also Ctrl-C: the navigator may have used half of the event
             self._navigator = None
-            self._forget_later()
+            self._log.truncate(end)
             raise
         self.count += 1
 
@@ -153,7 +267,7 @@ class Journal(Generic[Navigator]):
 
     def close(self) -> None:
         """Close the file, so that another process can continue the walk."""
-        self._database.close()
+        self._log.close()
 
     def __enter__(self) -> Journal[Navigator]:
         return self
@@ -162,75 +276,22 @@ class Journal(Generic[Navigator]):
         self.close()
 
     def _replayed(self) -> Navigator:
-        """A new navigator after all events of the file."""
-        self.count, navigator = 0, self._make()
-        while (blob := self._event(self.count + 1)) is not None:
-            event = _read(self._path, f"event {self.count + 1}", blob, *event_types())
-            try:
-                navigator.push(event)
-            except Exception:  # the process ended before `push` could delete this event, which was not acknowledged
-                if self._event(self.count + 2) is not None:
-                    raise
-                self._forget_later()
-                return self._replayed()
-            self.count += 1
+        """A new navigator after all events of the file before the first damaged byte, at ``_end``."""
+        navigator, self.count = self._make(), 0
+        for number, entry in enumerate(read_entries(self._path, kind=WALK)):
+            if entry.skipped or entry.identity != number:
+                break
+            if number:
+                try:
+                    event = decode(read_body(self._path, entry), *event_types())
+                except ValueError as error:
+                    raise InputError(self._path, f"event {number}", str(error), "a journal that is whole") from None
+                try:
+                    navigator.push(event)
+                except Exception:  # the process ended before `push` could delete this event, which was not acknowledged
+                    if entry.end < self._log.end:
+                        raise
+                    self._log.truncate(entry.offset)
+                    return self._replayed()
+            self.count, self._end = number, entry.end
         return navigator
-
-    def _event(self, number: int) -> bytes | None:
-        row = self._execute("SELECT bytes FROM event WHERE number = ?", number).fetchone()
-        return row and row[0]
-
-    def _forget_later(self) -> None:
-        """Delete an event that is not acknowledged."""
-        self._execute("DELETE FROM event WHERE number > ?", self.count)
-
-    def _execute(self, statement: str, *values: int | bytes) -> sqlite3.Cursor:
-        with _explained(self._path):
-            return self._database.execute(statement, values)
-
-
-def _read(path: Path, place: str, blob: bytes, *kinds: type) -> Any:
-    """Decode bytes of the file as one of ``kinds``. Raises InputError if they are damaged."""
-    try:
-        return decode(blob, *kinds)
-    except ValueError as error:
-        raise InputError(path, place, str(error), "a journal that is whole") from None
-
-
-def _explained(path: Path) -> AbstractContextManager[None]:
-    """Translate errors of SQLite into those of this package."""
-    return storage.explained(path, JOURNAL)
-
-
-def _compare(path: Path, stored: Mapping[str, Any], requested: Mapping[str, Any]) -> None:
-    """Raise InputError if the requested settings differ from the stored ones."""
-    for name in sorted(stored.keys() | requested.keys()):
-        if stored.get(name) != (wanted := encode_and_decode(Setting(requested.get(name)))[1].value):
-            raise InputError(path, name, f"{stored.get(name)}", f"{wanted}, or that with which the walk began")
-
-
-def _damaged_rows(database: sqlite3.Connection) -> str:
-    """What is damaged or missing in a journal whose pages are whole; "" if nothing is."""
-    for name, blob in database.execute("SELECT name, bytes FROM setting"):
-        if not is_whole(blob):
-            return f"damaged (setting {name})"
-    for expected, (number, blob) in enumerate(database.execute("SELECT number, bytes FROM event ORDER BY number"), 1):
-        if number != expected or not is_whole(blob):
-            return f"damaged (no event {expected})" if number != expected else f"damaged (event {number})"
-    return ""
-
-
-def _whole_rows(path: Path, required: Collection[str], rows: Callable[[str], list[Row]]) -> tuple[Rows, str]:
-    """The rows of a damaged journal up to the last whole event, and what is lost. required: settings.
-
-    Raises InputError if no walk can go on from them: a setting or the first event is damaged.
-    """
-    settings, events = ({name: (name, blob) for name, blob in rows(table) if is_whole(blob)} for table in PUT)
-    kept = list[Row]()
-    while (event := events.get(len(kept) + 1)) is not None:
-        kept.append(event)
-    if not settings.keys() >= {*required} or not kept:
-        place = "event 1" if settings.keys() >= {*required} else "settings"
-        raise InputError(path, place, "a damaged journal", "one that is whole: start the walk anew with another file")
-    found = {PUT["setting"]: list(settings.values()), PUT["event"]: kept}
-    return found, "all events after the last whole one are lost"

@@ -8,6 +8,7 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.registry import kind_of
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
@@ -29,18 +32,36 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import LiveCompass
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
-from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, EventChecks
-from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows
-from pdr_graph.online.live_warnings import contradictions_of, warnings_of
-from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
-from pdr_graph.online.step_log import StepLog
-from pdr_graph.priors import INITIAL
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory, last_time, take
+from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
+from pdr_graph.online.status import (
+    Status,
+    contradictions_of,
+    issues_of,
+    issues_of_times,
+    missing_inputs,
+    state_of,
+    warnings_of,
+)
+from pdr_graph.priors import FIXES, INITIAL, REPORTS
+from pdr_graph.types import (
+    LONLAT,
+    Array,
+    Beacons,
+    Estimate,
+    Fixes,
+    FixReport,
+    Headings,
+    Steps,
+    Trajectory,
+    last_time,
+    take,
+)
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -96,7 +117,7 @@ class Navigator:
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
         self._start_heading = start_heading, start_heading_sigma
-        self._steps = StepLog()  # since `finalized` was last called
+        self._chunks = list[Steps]()  # since `finalized` was last called, with the last before
         self._beacons = beacons
         self._tail: Steps | None = None
         self._pose: Pose | None = None  # the current pose, if it was asked for since the last event
@@ -204,7 +225,11 @@ class Navigator:
             state=state_of(walking, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
-            issues=tuple(issues_of(self._gait.health, located and not walking)) + self._unused(),
+            issues=(
+                *issues_of(self._gait.health, located and not walking),
+                *self._checks.issues(),
+                *issues_of_times(self._early, graph.graph.too_late),
+            ),
             unknown=self.unknown,
             sensors=self._gait.health,
             keyframes=len(self._window.keyframes),
@@ -216,13 +241,9 @@ class Navigator:
             judge=lambda: verdict(self._estimate()),
         )
 
-    def _unused(self) -> tuple[str, ...]:
-        """What was not used of the events, a line each."""
-        return (*self._checks.issues(), *issues_of_times(self._early, self._graph.graph.too_late))
-
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
-        self._steps.forget()
+        self._chunks = self._chunks[-1:]
         return trajectory_of_rows(self._graph.graph.finalized.pop_finalized())
 
     def finish(self) -> Estimate:
@@ -236,7 +257,7 @@ class Navigator:
             return self._graph.final
         estimate = self._estimate()
         warnings = warnings_of(self._graph, self.building, estimate)
-        return replace(estimate, dead_reckoning=self._steps.dead_reckoning(estimate.fixes), warnings=warnings)
+        return replace(estimate, dead_reckoning=dead_reckoning_of(self._chunks, estimate.fixes), warnings=warnings)
 
     def _estimate(self) -> Estimate:
         """The walk smoothed so far, without dead reckoning and warnings."""
@@ -308,9 +329,9 @@ class Navigator:
         anew, goings = self._floors.advance(self._tail), self._floors.goings
         if anew and len(goings):
             self._graph.set_goings(goings)
-            self._steps.set_goings(goings)
+            self._chunks = [with_goings(part, goings) if part.end >= goings[0, 0] else part for part in self._chunks]
         steps = with_goings(steps, goings)
-        self._steps.append(steps)
+        self._chunks.append(steps)
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property
@@ -353,7 +374,8 @@ class Navigator:
     def _scan(self, scan: Scan) -> None:
         """Pass the usable signals of a scan to the collectors."""
         received = self._checks.heard(scan.heard)
-        self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
+        if received is not None:
+            self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
 
     def _until_soon(self, data: Any) -> Any:
         """The rows that are not later than AHEAD from now, once there are steps."""
@@ -368,3 +390,52 @@ class Navigator:
         self._accepted += len(fixes)
         for n in range(len(fixes)):
             self._floors.add_fixes(fixes[n])
+
+
+FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
+
+
+def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
+    """The ways of a mixture with their probabilities, the most probable first."""
+    modes = []
+    for n in np.argsort(-ways.log_weight, kind="stable").tolist():
+        probability, (x, y, heading) = float(np.exp(ways.log_weight[n])), ways.mean[n, :3].tolist()
+        if probability >= REPORTS.least_reported or not modes:
+            modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
+    return tuple(modes)
+
+
+class Display:
+    """A position that moves with the walker and catches up jumps of the pose evenly, within FOLLOWED seconds."""
+
+    def __init__(self) -> None:
+        self._time, self._walked, self._position, self._speed = np.nan, 0.0, np.zeros(2), 0.0
+
+    def at(self, time: float, position: Array, heading: float, walked: float) -> tuple[float, float]:
+        """The position x, y [m] at a time [s], for a pose at ``position (2,)`` [m] after ``walked`` [m]."""
+        if np.isnan(self._time):
+            self._position = position.copy()
+        else:
+            ahead = (walked - self._walked) * np.array([np.cos(heading), np.sin(heading)])
+            behind = self._position + ahead - position
+            distance, seconds = float(np.hypot(*behind)), max(time - self._time, 0.0)
+            self._speed = max(self._speed, distance / FOLLOWED)
+            if distance <= self._speed * seconds:
+                self._position, self._speed = position.copy(), 0.0
+            else:
+                self._position = position + (1.0 - self._speed * seconds / distance) * behind
+        self._time, self._walked = time, walked
+        x, y = self._position.tolist()
+        return x, y
+
+
+def dead_reckoning_of(chunks: Sequence[Steps], reports: Sequence[FixReport]) -> Trajectory:
+    """Dead reckoning of consecutive steps, rigidly aligned with those of the fixes that were used."""
+    if not chunks:
+        return trajectory_of_rows([])
+    steps = concatenate_steps(chunks)
+    begin = steps.start - FIXES.longest_overhang
+    used = [fix for fix in reports if fix.weight > 0 and fix.time >= begin]
+    place = np.array([(fix.x, fix.y) for fix in used]).reshape(-1, 2)
+    time, sigma = np.array([fix.time for fix in used]), np.array([fix.sigma for fix in used])
+    return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(used)))

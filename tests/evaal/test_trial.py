@@ -12,8 +12,7 @@ from recorders import G, get_sensor_data, sample
 
 from pdr_graph.apps import cli
 from pdr_graph.apps.evaal.client import CSV_TYPE, TRIES, Api, State
-from pdr_graph.apps.evaal.row_stream import FIRST_SECOND, RowStream
-from pdr_graph.apps.evaal.trial import INTERVAL, PositionFormat, run_trial
+from pdr_graph.apps.evaal.trial import FIRST_SECOND, INTERVAL, PositionFormat, RowStream, run_trial
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.apps.evaal.client import Api
-from pdr_graph.apps.evaal.row_stream import RowStream
-from pdr_graph.apps.evaal.trial import INTERVAL, run_trial
+from pdr_graph.apps.evaal.trial import INTERVAL, RowStream, run_trial
 from pdr_graph.frames import Frame, enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Pose, Samples, Scan

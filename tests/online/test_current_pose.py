@@ -13,9 +13,8 @@ from simulated import scenario
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.online.display import Display
 from pdr_graph.online.interface import events_of
-from pdr_graph.online.navigator import Navigator
+from pdr_graph.online.navigator import Display, Navigator
 from pdr_graph.types import Fixes, Recording, Signal
 
 ROOT = Path(__file__).parents[2]

@@ -316,7 +316,7 @@ def test_a_killed_replay_ends_the_same(tmp_path):
             return subprocess.Popen([*command, *options, "--out", str(tmp_path / out)], stderr=log, stdout=log)
 
     assert replay("whole").wait() in (0, 3)
-    log, random = tmp_path / "killed.journal-wal", np.random.default_rng(0)
+    log, random = tmp_path / "killed.journal", np.random.default_rng(0)
     for _ in range(6):
         running, before = replay("killed"), log.stat().st_mtime_ns if log.exists() else 0
         while running.poll() is None and not (log.exists() and log.stat().st_mtime_ns > before):

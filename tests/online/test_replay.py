@@ -11,9 +11,8 @@ from standin import Metronome
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.apps import replay
 from pdr_graph.apps.cli import app
-from pdr_graph.apps.cli.summary_text import live_lines
+from pdr_graph.apps.cli.terminal import live_lines
 from pdr_graph.apps.replay import Latency, replay_recording
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.io.tables import read_trajectory
@@ -121,8 +120,7 @@ def test_latency_of_a_replay(result):
     assert all(look["resident"] > 10 for look in described["memory"])
 
 
-def test_long_walks_have_as_many_memory_measurements_as_short_ones(monkeypatch):
-    monkeypatch.setattr("pdr_graph.apps.replay._resident", lambda: 100.0)
+def test_long_walks_have_as_many_memory_measurements_as_short_ones():
     latency = Latency()
     for now in range(100_000):
         latency.measure_memory(float(now))
@@ -154,7 +152,7 @@ def test_a_journal_resumes_where_it_was_interrupted(folder, result, tmp_path):
 
 
 def invoked(monkeypatch, *arguments, kind=Metronome):
-    monkeypatch.setattr(replay, "_navigator", lambda: kind)
+    monkeypatch.setattr("pdr_graph.online.navigator.Navigator", kind)
     return CliRunner().invoke(app, ["replay", *map(str, arguments)])
 
 

@@ -16,8 +16,7 @@ from stand_in_server import QuietHandler, served
 
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
-from pdr_graph.apps.serve.hub import Hub
-from pdr_graph.apps.serve.plan_layers import plan_layers
+from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
 

@@ -9,8 +9,7 @@ import estimating_standin
 import pytest
 
 from pdr_graph.apps.serve import estimators
-from pdr_graph.apps.serve.estimating import MOST_ATTEMPTS
-from pdr_graph.apps.serve.estimators import Estimators
+from pdr_graph.apps.serve.estimators import MOST_ATTEMPTS, Estimators
 
 PATIENCE = 60.0  # [s] on a machine under load
 

@@ -12,11 +12,11 @@ import simulated
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.serve import live_walk
 from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, Queue, Session
-from pdr_graph.apps.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
+from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session
 from pdr_graph.errors import InputError
 from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import events_of
+from pdr_graph.online.journal import MESSAGES, Entry, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 
 SECONDS = 20
@@ -51,7 +51,7 @@ def logged(folder, bodies, numbers=None, late=0.0):
     """A log of messages; numbers: their order of arrival; late [s]: by the server's clock."""
     log = MessageLog(folder / LOG)
     for n in range(len(bodies)) if numbers is None else numbers:
-        log.append(n, received(n) + late, bodies[n])
+        log.add(n, received(n) + late, bodies[n])
     log.close()
 
 
@@ -176,7 +176,7 @@ def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
     log, points = MessageLog(tmp_path / LOG), {"time": [], "x": []}
     walk = opened(tmp_path)
     for n, body in enumerate(bodies):
-        log.append(n, received(n), body)
+        log.add(n, received(n), body)
         walk.look()
         used(walk)
         path = walk.path()
@@ -248,15 +248,15 @@ def test_too_many_waiting_messages_go_on_without_the_lost_one():
 
 def test_a_message_cut_short_by_a_kill_is_no_message(tmp_path):
     log = MessageLog(tmp_path / "log")
-    log.append(1, 0.0, b"one")
-    log.append(2, 0.0, b"two" * 100)
+    log.add(1, 0.0, b"one")
+    log.add(2, 0.0, b"two" * 100)
     log.close()
     whole = (tmp_path / "log").read_bytes()
-    for end in range(len(MAGIC), len(whole)):
+    for end in range(len(MESSAGES), len(whole)):
         (tmp_path / "log").write_bytes(whole[:end])
         log = MessageLog(tmp_path / "log")
         assert log.identities <= {1}
-        assert log.append(2, 0.0, b"again")
+        assert log.add(2, 0.0, b"again")
         log.close()
         bodies = [read_body(tmp_path / "log", each) for each in read_entries(tmp_path / "log")]
         assert bodies[-1] == b"again"
@@ -264,7 +264,7 @@ def test_a_message_cut_short_by_a_kill_is_no_message(tmp_path):
 
 def test_a_damaged_last_message_is_no_message(tmp_path):
     log = MessageLog(tmp_path / "log")
-    log.append(1, 0.0, b"one")
+    log.add(1, 0.0, b"one")
     log.close()
     content = (tmp_path / "log").read_bytes()
     (tmp_path / "log").write_bytes(content[:-1] + b"?")
@@ -284,7 +284,7 @@ def test_a_finished_walk_is_a_day_of_the_lifelog(bodies, tmp_path):
     session = Session("s", "s", "phone", "ann", "sensorlogger", "android", EPOCH, True)
     (folder / SESSION).write_bytes(msgspec.json.encode(session))
     for _ in range(2):  # a walk that was resumed is finished again
-        assert finish(str(folder), str(tmp_path / "days.db"), None) == ""
+        assert finish(folder, tmp_path / "days.db", None) == ""
     with Store(tmp_path / "days.db") as log:
         ((person, date),) = log.days()
     assert (person, date) == ("ann", "2023-11-14")

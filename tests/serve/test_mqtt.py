@@ -11,8 +11,8 @@ import time
 import pytest
 from mqtt_broker import Broker, running
 
-from pdr_graph.apps.serve import mqtt
-from pdr_graph.apps.serve.mqtt import TOPIC, broker_of, subscribe
+from pdr_graph.apps.serve import pulling
+from pdr_graph.apps.serve.pulling import TOPIC, broker_of, subscribe
 from pdr_graph.errors import InputError
 
 aiomqtt = pytest.importorskip("aiomqtt")
@@ -60,7 +60,7 @@ def test_messages_of_a_phone_arrive_in_order():
 
 
 def test_a_lost_connection_is_made_again(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.05)
+    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.05)
 
     async def run():
         broker = Broker()
@@ -76,7 +76,7 @@ def test_a_lost_connection_is_made_again(monkeypatch):
 
 
 def test_a_broker_that_is_not_there_is_tried_again(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.02)
+    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.02)
 
     async def run():
         async with listening("mqtt://127.0.0.1:9") as (_, said):
@@ -86,7 +86,7 @@ def test_a_broker_that_is_not_there_is_tried_again(monkeypatch):
 
 
 def test_a_password_is_given_and_not_told(monkeypatch):
-    monkeypatch.setattr(mqtt, "FIRST_RECONNECT", 0.02)
+    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.02)
 
     async def run():
         broker = Broker(password="s3cret")
@@ -104,7 +104,7 @@ def test_a_password_is_given_and_not_told(monkeypatch):
 
 
 def test_a_password_may_come_from_the_environment(monkeypatch):
-    monkeypatch.setenv(mqtt.PASSWORD, "from outside")
+    monkeypatch.setenv(pulling.PASSWORD, "from outside")
     assert broker_of("mqtt://me@host").password == "from outside"
 
 

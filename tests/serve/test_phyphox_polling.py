@@ -27,6 +27,10 @@ pytestmark = pytest.mark.timeout(20)
 UNIX = 1_700_000_000.0
 
 
+def poll_of(phone):
+    return asyncio.run(phone.poll())
+
+
 @pytest.fixture
 def phone():
     return Phone()
@@ -51,7 +55,7 @@ def test_each_sample_comes_once_at_its_unix_time(phone, polled):
     tables = []
     for second in range(4):
         walk(phone, second, second + 1)
-        tables.append(polled.poll().tables["accelerometer"])
+        tables.append(poll_of(polled).tables["accelerometer"])
     rows = np.concatenate(tables)
     assert [len(table) for table in tables] == [100] * 4
     np.testing.assert_allclose(rows[:, 0], UNIX + np.arange(0, 4, 0.01), atol=1e-6)
@@ -61,25 +65,25 @@ def test_each_sample_comes_once_at_its_unix_time(phone, polled):
 def test_the_location_has_its_accuracy_and_the_phone_its_name(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
-    poll = polled.poll()
+    poll = poll_of(polled)
     np.testing.assert_allclose(poll.tables["location"], [[UNIX, 49.45, 11.08, 4.0]])
     assert (poll.name, poll.measuring, poll.ignored) == ("Fairphone 5", True, ("light",))
 
 
 def test_a_phone_that_has_not_started_has_no_run(phone, polled):
-    poll = polled.poll()
+    poll = poll_of(polled)
     assert (poll.run, poll.measuring, poll.tables) == ("", False, {})
 
 
 def test_a_pause_is_a_gap_in_unix_time(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
-    first = polled.poll()
+    first = poll_of(polled)
     phone.pause(1.0, UNIX + 1.0)
-    assert not polled.poll().measuring
+    assert not poll_of(polled).measuring
     phone.start(1.0, UNIX + 61.0)
     walk(phone, 1, 2)
-    then = polled.poll()
+    then = poll_of(polled)
     assert then.run == first.run
     assert then.tables["accelerometer"][0, 0] == pytest.approx(UNIX + 61.0)
 
@@ -87,12 +91,12 @@ def test_a_pause_is_a_gap_in_unix_time(phone, polled):
 def test_cleared_data_are_another_run(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 3)
-    first = polled.poll()
+    first = poll_of(polled)
     phone.clear()
-    assert polled.poll().run == ""
+    assert poll_of(polled).run == ""
     phone.start(0.0, UNIX + 100.0)
     walk(phone, 0, 1)
-    second = polled.poll()
+    second = poll_of(polled)
     assert second.run not in ("", first.run)
     assert len(second.tables["accelerometer"]) == 100
     assert second.tables["accelerometer"][0, 0] == pytest.approx(UNIX + 100.0)
@@ -101,22 +105,22 @@ def test_cleared_data_are_another_run(phone, polled):
 def test_data_cleared_between_two_questions_of_a_poll_are_not_given_the_old_clock(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 3)
-    polled.poll()
+    poll_of(polled)
     phone.clear()
     phone.start(0.0, UNIX)  # /time as before
     walk(phone, 0, 1)
     phone._part, part = lambda name, how: part(name, how and f"-1|{how.partition('|')[2] or name}"), phone._part
-    assert polled.poll().tables == {}, "an answer in full, with times before those asked for"
+    assert poll_of(polled).tables == {}, "an answer in full, with times before those asked for"
 
 
 def test_another_session_is_another_run(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
-    first = polled.poll()
+    first = poll_of(polled)
     phone.session = "ffee00"
     walk(phone, 1, 2)
-    assert polled.poll().tables == {}
-    assert polled.poll().run not in ("", first.run)
+    assert poll_of(polled).tables == {}
+    assert poll_of(polled).run not in ("", first.run)
 
 
 def test_a_restarted_server_asks_for_what_it_does_not_have(phone):
@@ -124,10 +128,10 @@ def test_a_restarted_server_asks_for_what_it_does_not_have(phone):
     walk(phone, 0, 5)
     with serving(phone) as url:
         first = PhyphoxPhone(url)
-        (message,) = messages_of(first.poll(), 0)
+        (message,) = messages_of(poll_of(first), 0)
         walk(phone, 5, 6)
         again = PhyphoxPhone(url, stored=lambda run: stored_of(7, message))
-        poll = again.poll()
+        poll = poll_of(again)
     assert again.messages == 7
     for sensor in ("accelerometer", "gyroscope", "location"):
         assert poll.tables[sensor][0, 0] == pytest.approx(UNIX + 5.0, abs=1e-6)
@@ -138,7 +142,7 @@ def test_messages_are_those_of_sensor_logger(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 50)
     numbers, times = [], []
-    for number, text in enumerate(messages_of(polled.poll(), 3), 3):
+    for number, text in enumerate(messages_of(poll_of(polled), 3), 3):
         message = parse(text)
         tables, ignored = tables_of(message.payload)
         assert (message.messageId, message.sessionId, ignored) == (number, f"phyphox-ab12cd-{UNIX:.0f}000", {})
@@ -183,7 +187,7 @@ def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
 def test_of_a_long_experiment_the_last_minutes_are_asked_for(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1000, step=1.0)
-    times = polled.poll().tables["accelerometer"][:, 0]
+    times = poll_of(polled).tables["accelerometer"][:, 0]
     assert times[0] - UNIX == pytest.approx(999 - HISTORY, abs=1.0)
 
 
@@ -192,15 +196,15 @@ def test_nulls_and_unequal_buffers_cost_only_their_rows(phone, polled):
     walk(phone, 0, 0.05)
     phone.buffers["accY"][2] = float("nan")
     phone.buffers["accZ"].pop()
-    assert len(polled.poll().tables["accelerometer"]) == 3
+    assert len(poll_of(polled).tables["accelerometer"]) == 3
     phone.buffers["accZ"].append(9.8)
-    assert len(polled.poll().tables["accelerometer"]) == 1, "the row whose last value came late"
+    assert len(poll_of(polled).tables["accelerometer"]) == 1, "the row whose last value came late"
 
 
 def test_each_request_has_a_connection_of_its_own(phone, polled):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
-    polled.poll()
+    poll_of(polled)
     assert {connection for _, connection in phone.asked} == {"close"}
 
 
@@ -208,30 +212,30 @@ def test_each_request_has_a_connection_of_its_own(phone, polled):
 def test_a_fault_is_one_line_and_loses_nothing(phone, polled, fault):
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
-    polled.poll()
+    poll_of(polled)
     walk(phone, 1, 2)
     phone.faults = [None, fault]  # of /get, after /time
     with pytest.raises(PhoneError, match="127"):
-        polled.poll()
-    again = polled.poll()
+        poll_of(polled)
+    again = poll_of(polled)
     assert len(again.tables["accelerometer"]) == 100
 
 
 def test_nobody_there_is_one_line():
     with pytest.raises(PhoneError, match="no answer"):
-        PhyphoxPhone("http://127.0.0.1:9", timeout=1.0).poll()
+        poll_of(PhyphoxPhone("http://127.0.0.1:9", timeout=1.0))
 
 
 def test_something_else_there_is_one_line(phone, polled):
     phone.events = [{"event": "START"}]
     with pytest.raises(PhoneError, match="expected an answer of phyphox"):
-        polled.poll()
+        poll_of(polled)
 
 
 def test_an_old_phyphox_is_named(phone, polled):
     phone.faults = [404]
     with pytest.raises(PhoneError, match=r"1\.1\.8"):
-        polled.poll()
+        poll_of(polled)
 
 
 def test_an_address_may_lack_the_scheme():

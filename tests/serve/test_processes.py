@@ -15,8 +15,8 @@ import pytest
 import simulated
 from commands import run
 
-from pdr_graph.apps.serve.message_log import read_entries
 from pdr_graph.lab.simulation.streaming import batches, message
+from pdr_graph.online.journal import read_entries
 
 PATIENCE = 30.0  # [s]
 SERVE = "from pdr_graph.apps.cli import main; main()"

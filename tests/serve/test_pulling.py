@@ -13,8 +13,7 @@ from mqtt_broker import Broker, running
 from phyphox_phone import Phone, serving
 from starlette.testclient import TestClient
 
-from pdr_graph.apps.serve.mqtt import TOPIC, broker_of
-from pdr_graph.apps.serve.pulling import Sources
+from pdr_graph.apps.serve.pulling import TOPIC, Sources, broker_of
 from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.apps.serve.study import StudyReports
 from pdr_graph.frames import enu

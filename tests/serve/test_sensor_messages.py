@@ -6,8 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from pdr_graph.apps.serve.intake import Intake
-from pdr_graph.apps.serve.sensor_messages import parse
+from pdr_graph.apps.serve.sensor_messages import Intake, parse
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.recorders import write

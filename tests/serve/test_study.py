@@ -12,8 +12,7 @@ import recorders
 from stand_in_server import QuietHandler, served
 
 from pdr_graph.apps.serve import study
-from pdr_graph.apps.serve.study import StudyReports, Upload, upload_of
-from pdr_graph.apps.serve.study_report import MOST_LISTED, plain, refusal, report
+from pdr_graph.apps.serve.study import MOST_LISTED, StudyReports, Upload, plain, refusal, report, upload_of
 from pdr_graph.errors import InputError
 
 pytestmark = pytest.mark.timeout(60)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import shapely
 
-from pdr_graph.apps.serve.plan_layers import plan_layers
-from pdr_graph.apps.serve.web_page import WEB, checked_tiles, security_headers, settings
+from pdr_graph.apps.serve.application import WEB, checked_tiles, security_headers, settings
+from pdr_graph.apps.serve.publishing import plan_layers
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import METRES_PER_DEGREE, Frame

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 import pdr_graph
-from pdr_graph.apps.cli.compare import compare
-from pdr_graph.apps.cli.learning import calibrate, radio_map
 from pdr_graph.apps.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.apps.cli.options import (
     AsJson,
@@ -25,6 +25,7 @@ from pdr_graph.apps.cli.options import (
     Method,
     OutputOptions,
     Pairing,
+    PictureFile,
     PlanScale,
     Quiet,
     Rate,
@@ -35,13 +36,14 @@ from pdr_graph.apps.cli.options import (
     path_named_after,
     with_groups,
 )
-from pdr_graph.apps.cli.plain_help import App
 from pdr_graph.apps.cli.plans import maps
 from pdr_graph.apps.cli.serve import serve
-from pdr_graph.apps.cli.summary_text import print_summary
-from pdr_graph.apps.cli.terminal import echo, echo_result
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable, shows_progress
+from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result, print_summary
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.fingerprinting import RadioMap
 
 
 class Commands(TyperGroup):
@@ -138,13 +140,74 @@ def replay(
     from pdr_graph.apps.replay import replay_recording
     from pdr_graph.walk import LIVE
 
-    of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
-    folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
+    folder = output.folder(recording, "-replayed", [*walk.files, *([journal] if journal else [])])
     options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
     print_summary(folder, replay_recording(recording, folder, options, report=output.report), output.json)
 
 
-app.command()(compare)
+Tracks = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="A B ...",
+        help="Trajectories as CSV or TUM, output folders of smooth or replay; with --recording also methods of smooth: "
+        "graph, filter, rts, pdr.",
+    ),
+]
+Recorded = Annotated[
+    Path | None, typer.Option("--recording", metavar="RECORDING", help="The recording that methods estimate.")
+]
+
+
+@app.command()
+@with_groups
+def compare(
+    tracks: Tracks,
+    walk: WalkOptions,
+    recording: Recorded = None,
+    out: PictureFile = Path("comparison.png"),
+    quiet: Quiet = False,
+    json_: AsJson = False,
+) -> None:
+    """Compare trajectories of one walk in a table and a picture.
+
+    The scores are those of evaluate. All are in one frame and on one clock. Without --truth the others are scored
+    against the first. The options from --fixes to --radio-map are those of the methods.
+
+    \b
+    pdr-graph compare result other.tum --truth truth.csv --map plan.geojson
+    pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
+    """
+    from pdr_graph.apps.report import evaluation
+    from pdr_graph.apps.report.plotting import picture_bytes, plot_comparison
+    from pdr_graph.floor.plan_files import Building
+    from pdr_graph.io.tables import read_trajectory
+    from pdr_graph.whole_files import write_file
+
+    if len(tracks) < 2 and walk.truth is None:
+        raise InputError(tracks[0], "", "one trajectory", "two or more, or --truth")
+    with tempfile.TemporaryDirectory() as folder:
+        results = [_estimated(name, recording, Path(folder), walk) for name in tracks]
+        read = evaluation.read_tracks(results)
+    truth = read_trajectory(walk.truth) if walk.truth else None
+    building = Building.load(walk.map, walk.scale) if walk.map else None
+    compared = evaluation.compare(read, truth, walk.truth.name if walk.truth else "", building)
+    write_file(out, picture_bytes(plot_comparison(read, truth, building)))
+    if json_:
+        echo_result(json.dumps({"reference": compared.reference, "scores": compared.scores}))
+    echo_lines(evaluation.comparison_table(compared))
+    echo(f"-> {out}")
+
+
+def _estimated(name: str, recording: Path | None, folder: Path, walk: WalkOptions) -> Path:
+    """The path of a trajectory; if it is the name of a method, its result in a folder."""
+    if name not in set(Method) or Path(name).exists():
+        return Path(name)
+    if recording is None:
+        raise InputError(name, "", "a method of smooth, and no file of that name", "--recording, which it estimates")
+    from pdr_graph.apps.report.output_files import smooth_recording
+
+    smooth_recording(recording, folder / name, walk.options(method=name), report=False)
+    return folder / name
 
 
 @app.command()
@@ -176,8 +239,118 @@ def steps(
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
 
 
-app.command()(calibrate)
-app.command("radio-map")(radio_map)
+@app.command()
+def calibrate(
+    recording: RecordingPath,
+    route: Annotated[
+        Path,
+        typer.Option("--route", metavar="GEOJSON", help="The route that was walked: one feature of kind link."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="File of the walker's profile.")],
+    walker: WalkerPath = None,
+    height: Height = None,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate a walker's stride and turn scales on a known route.
+
+    \b
+    pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
+    """
+    import numpy as np
+
+    from pdr_graph.apps.report.plotting import picture_bytes, plot
+    from pdr_graph.estimation.calibration import calibrate as fit
+    from pdr_graph.floor.plan_files import read_route
+    from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.gait.walker import COEFFICIENTS
+    from pdr_graph.io.loading import load
+    from pdr_graph.types import Trajectory
+    from pdr_graph.walk import Options
+    from pdr_graph.whole_files import write_file
+
+    walk, person = load(recording), Options(walker=walker, height=height).person()
+    if walk.gyroscope is None:
+        raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
+    steps, line = detect_steps(walk, replace(person, profile=None)), read_route(route)
+    profile, estimate, laps = fit(steps, line, walk.source)
+    reference = Trajectory(np.arange(float(len(line))), line, np.zeros(len(line)), ("",) * len(line))
+    title = f"{walk.source} along {route.name}   {profile.residual:.2f} m from it (rms)"
+    picture = picture_bytes(plot(replace(estimate, reports={}), truth=reference, title=title))
+    write_file(out.with_suffix(".png"), picture)
+    replace(person, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
+    sigma = profile.covariance.diagonal() ** 0.5
+    columns = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
+    values = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in columns)
+    echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
+
+
+@app.command("radio-map")
+def radio_map(
+    walks: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING DIR ...", help="Recordings, each followed by the output folder of its smooth."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File of the radio map.")],
+    quiet: Quiet = False,
+) -> None:
+    """Make a radio map of Wi-Fi and BLE from smoothed walks.
+
+    For smooth --radio-map. All walks must have been smoothed with the same plan.
+
+    \b
+    pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
+    """
+    if len(walks) % 2:
+        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
+    learnt = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
+    echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
+
+
+def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
+    """Write a radio map of recordings to ``out``; walks: each recording with the output folder of ``pdr-graph smooth``.
+
+    Raises InputError if an input cannot be used, or if the walks are not all in one frame.
+    """
+    from pdr_graph.estimation.fingerprinting import RadioMap
+    from pdr_graph.io.loading import load
+    from pdr_graph.io.tables import read_trajectory
+
+    learnt, frames = [], []
+    for recording, folder in walks:
+        walk, track = load(recording), read_trajectory(folder / "trajectory.csv")
+        track = replace(track, time=track.time - walk.clock_origin)
+        if track.time[-1] < 0 or track.time[0] > max(s.time[-1] for s in walk.signals.values()):
+            raise InputError(folder, "trajectory.csv", "times of another walk", f"those of {walk.source}")
+        learnt.append((track, walk))
+        frames.append(_frame_of(folder / "summary.json"))
+        if frames[-1] != frames[0]:
+            raise InputError(folder, "frame", f"{frames[-1]}", f"that of {walks[0][1]}, {frames[0]}: one plan for all")
+    try:
+        radio_map = RadioMap.learn(learnt, frames[0])
+    except ValueError as error:
+        raise InputError(out, "", str(error).removeprefix("found "), "more walks or longer ones") from None
+    radio_map.save(out)
+    return radio_map
+
+
+def _frame_of(summary: Path) -> dict[str, Any]:
+    """The frame of a smoothed walk. Raises InputError if it has none, or if the walk is not to be trusted."""
+    from pdr_graph.types import OK
+
+    try:
+        content = json.loads(summary.read_text(encoding="utf-8"))
+        frame, judged = content["frame"], content.get("verdict", {}).get("state", OK)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        frame, judged = None, OK
+    if judged != OK:
+        raise InputError(
+            summary, "verdict", one_line(f"{judged}"), "walks that are ok: a radio map is as wrong as they"
+        )
+    if not isinstance(frame, dict):
+        raise InputError(summary, "frame", "none", "the frame of a walk, as pdr-graph smooth writes it")
+    return frame
 
 
 @app.command()

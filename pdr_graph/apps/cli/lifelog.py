@@ -12,9 +12,8 @@ from typing import Annotated
 import typer
 
 from pdr_graph.apps.cli.options import AsJson, BeaconsPath, FixesPath, Force, Quiet, RangesPath, WalkerPath
-from pdr_graph.apps.cli.plain_help import App
 from pdr_graph.apps.cli.serve import serve_lifelog
-from pdr_graph.apps.cli.terminal import echo, echo_lines, echo_result
+from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, shows_progress
 from pdr_graph.whole_files import check_replaceable
 

@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from pdr_graph.apps.cli.options import PlanScale
-from pdr_graph.apps.cli.plain_help import App
-from pdr_graph.apps.cli.terminal import echo
+from pdr_graph.apps.cli.terminal import App, echo
 from pdr_graph.errors import EXIT_DEGRADED, count
 
 maps = App(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")

@@ -87,11 +87,10 @@ def serve(
     except ImportError as error:
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
-    from pdr_graph.apps.serve.mqtt import broker_of
+    from pdr_graph.apps.serve.application import checked_tiles
     from pdr_graph.apps.serve.phyphox_polling import PhyphoxPhone
-    from pdr_graph.apps.serve.pulling import Sources
+    from pdr_graph.apps.serve.pulling import Sources, broker_of
     from pdr_graph.apps.serve.study import StudyReports
-    from pdr_graph.apps.serve.web_page import checked_tiles
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
     options |= {"floor": floor, "lag": lag_seconds(lag)}

@@ -167,28 +167,25 @@ class Api:
     def _ask(self, query: str, data: bytes | None = None, most: int = MAXIMUM_TEXT, tries: int = TRIES) -> Reply:
         """One call, repeated while the server does not answer or asks to retry. Raises UnreachableError."""
         started, found, made = time.monotonic(), "", 0
+        method, headers = ("POST", {"Content-Type": CSV_TYPE}) if data else ("GET", {})
         for made in range(1, tries + 1):
-            try:
-                code, body = self._once(query, data, most, started + LONGEST_CALL - time.monotonic())
-                if code not in RETRIED:
-                    return Reply(code, body, time.monotonic() - started, made)
-                found = f"{code} {body[:100]!r}"
+            left = started + LONGEST_CALL - time.monotonic()
+            try:  # codes 4xx are answers, too: the normal end of a trial is one
+                answer = ask(self._base + query, SILENCE, left, most, method=method, body=data, headers=headers)
+            except TooLongError as error:
+                raise InputError(self.url, self.trial, str(error), "one of the EvAAL API") from None
             except OSError as error:
                 found = f"no answer ({error})"
+            else:
+                body = f"to {answer.location}".encode() if answer.status in REDIRECTS else answer.body
+                if answer.status not in RETRIED:
+                    return Reply(answer.status, body, time.monotonic() - started, made)
+                found = f"{answer.status} {body[:100]!r}"
             if made < tries:
                 self._sleep(FIRST_PAUSE * 2 ** (made - 1))
             if time.monotonic() > started + LONGEST_CALL:
                 break
         raise UnreachableError(f"{found} after {made} {'try' if made == 1 else 'tries'}")
-
-    def _once(self, query: str, data: bytes | None, most: int, seconds: float) -> tuple[int, bytes]:
-        """Status code and body of one try. Codes 4xx are answers, too: the normal end of a trial is one."""
-        method, headers = ("POST", {"Content-Type": CSV_TYPE}) if data else ("GET", {})
-        try:
-            answer = ask(self._base + query, SILENCE, seconds, most, method=method, body=data, headers=headers)
-        except TooLongError as error:
-            raise InputError(self.url, self.trial, str(error), "one of the EvAAL API") from None
-        return answer.status, f"to {answer.location}".encode() if answer.status in REDIRECTS else answer.body
 
 
 OFFLINE = "offline"  # the label of the one request of an offline trial
@@ -215,10 +212,13 @@ class RequestLog:
         whole = whole[: whole.rfind(b"\n") + 1]  # the request of an incomplete line was not sent
         for number, line in enumerate(whole.decode("ascii", errors="replace").splitlines(), start=1):
             self._parse_line(number, line.split("\t"), ["trial", url, trial])
-        self._check_received()
+        found = self.received.stat().st_size if self.received.exists() else 0
+        logged = self.sizes[-1] if self.sizes else 0
+        if found < logged or len(self.sizes) > len(self.asked) or self.sizes != sorted(self.sizes):
+            raise InputError(self.received, "", f"{found} bytes", f"{logged} bytes as in {self.path.name}")
         self._rows = self.received.open("ab")
         self._lines.truncate(len(whole))
-        self._rows.truncate(self.sizes[-1] if self.sizes else 0)
+        self._rows.truncate(logged)
         if not whole:
             self._write("trial", url, trial)
 
@@ -284,10 +284,3 @@ class RequestLog:
                 self.end = cells[1]
         except (ValueError, IndexError):
             raise InputError(self.path, f"line {number}", "\t".join(cells), "a line as pdr-graph writes it") from None
-
-    def _check_received(self) -> None:
-        """Raise InputError unless ``received.txt`` has all rows that the log lists."""
-        found = self.received.stat().st_size if self.received.exists() else 0
-        logged = self.sizes[-1] if self.sizes else 0
-        if found < logged or len(self.sizes) > len(self.asked) or self.sizes != sorted(self.sizes):
-            raise InputError(self.received, "", f"{found} bytes", f"{logged} bytes as in {self.path.name}")

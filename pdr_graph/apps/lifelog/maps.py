@@ -35,7 +35,7 @@ from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.types import Array, OneLineRepr, Trajectory
-from pdr_graph.web_request import ask, same_host
+from pdr_graph.web_request import ask
 
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 # Chosen by hand
@@ -140,8 +140,8 @@ def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) ->
 
 def _fetched(address: str) -> Array:
     """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
-    agent, most = {"User-Agent": f"pdr_graph/{__version__}"}, 2_000_000  # bytes of a tile
-    answer = ask(address, TIMEOUT, TIMEOUT, most, same_host(address), headers=agent)
+    most = 2_000_000  # bytes of a tile
+    answer = ask(address, TIMEOUT, TIMEOUT, most, "same host", headers={"User-Agent": f"pdr_graph/{__version__}"})
     if answer.status != 200:
         raise OSError(f"status {answer.status}")
     if len(answer.body) < PNG_HEAD.size:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -105,8 +105,6 @@ class Observation(OneLineRepr):
     notes: tuple[str, ...] = ()
     measurements: tuple[Any, ...] = ()
     stated: tuple[StatedActivity, ...] = ()
-
-    added: ClassVar[tuple[str, ...]] = ("measurements", "stated")  # older files have none
 
     @property
     def walked(self) -> Steps:

@@ -181,11 +181,10 @@ class Store:
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
         begins = {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())}
-        self._database, loss = checked(path, LIFELOG, STORE_SCHEMA, begins, lambda _: "", _rows_kept, pages=thorough)
+        self._database, loss = checked(path, LIFELOG, STORE_SCHEMA, begins, _rows_kept, pages=thorough)
         if loss:
             advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
             warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
-        self._database.execute("PRAGMA synchronous = NORMAL")  # survives kill -9; a power cut loses the last days
         self._database.execute("PRAGMA secure_delete = ON")  # deleted rows are overwritten
 
     def entries(self) -> tuple[Entry, ...]:
@@ -307,9 +306,8 @@ class Store:
                 execute(f"DELETE FROM {table} WHERE person = ?", (person,))
 
     def compact(self) -> None:
-        """Write the file anew without what was deleted, and empty its write-ahead log."""
+        """Write the file anew without what was deleted."""
         self._all("VACUUM")
-        self._all("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""

@@ -1,54 +1,71 @@
-"""The routes of the server: what apps post, what programs and the page read."""
+"""The routes of the server: what apps post, what programs and the page read, and their description.
+
+All that the page loads comes from this server, but for the tiles of a server of the user's choice, ``--tiles``.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+import html
+import re
+import zlib
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import msgspec
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import HTTPConnection, Request
-from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from pdr_graph.apps.serve import openapi, posting
-from pdr_graph.apps.serve.access import Access, is_foreign, is_local, token_of
-from pdr_graph.apps.serve.hub import Hub, Published, Subscriber
-from pdr_graph.apps.serve.plan_layers import plan_layers
-from pdr_graph.apps.serve.publishing import nav_sat_fix, walk_geojson
+import pdr_graph
+from pdr_graph.apps.serve import publishing
+from pdr_graph.apps.serve.access import COOKIE, Access, is_foreign, is_local, token_of
+from pdr_graph.apps.serve.publishing import Hub, Published, Subscriber, plan_layers
 from pdr_graph.apps.serve.reception import Reception
-from pdr_graph.apps.serve.study import StudyReports
-from pdr_graph.apps.serve.web_page import WEB, page, settings
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.study import StudyReports, upload_of
+from pdr_graph.errors import InputError
 
+WEB, OPENAPI = Path(__file__).parent / "web", Path(__file__).parent / "openapi.json"
 HEARTBEAT = 15.0  # [s] after which a silent stream sends a comment, by which proxies and the page know that it lives
+SLOWEST_BODY = 30.0  # [s] for a message to arrive completely
+SHOW_TO_USER = 499  # status by which Sensor Logger shows the text of the answer
 TOKEN = "a token: ?token=… as in the address that pdr-graph serve printed, or Authorization: Bearer …"
 ENCODE = msgspec.json.encode  # NaN becomes null
+HOST = re.compile(r"[A-Za-z0-9.:\[\]-]+")  # of a tile server: nothing that could end a directive of the policy
 
 
+@dataclass
 class Server:
     """What the routes share.
 
-    hub: the published walkers; access: who may see them; reception: the sessions, None for tests of the page; plan: of
-    `plan_layers`; tiles: address of a tile server; study: reports for studies, None without.
+    hub: the published walkers; access: who may see them; plan: of `plan_layers`, None without; tiles: address of a tile
+    server; reception: the sessions, None for tests of the page; study: reports for studies, None without.
     """
 
-    def __init__(
-        self,
-        hub: Hub,
-        access: Access,
-        plan: dict[str, Any] | None = None,
-        tiles: str | None = None,
-        reception: Reception | None = None,
-        study: StudyReports | None = None,
-    ):
-        self.hub, self.access, self.plan, self.tiles = hub, access, plan or plan_layers(None), tiles
-        self.reception, self.study = reception, study
+    hub: Hub
+    access: Access
+    plan: dict[str, Any] | None = None
+    tiles: str | None = None
+    reception: Reception | None = None
+    study: StudyReports | None = None
 
 
 def application(server: Server, lifespan: Any = None) -> Starlette:
@@ -59,16 +76,23 @@ def application(server: Server, lifespan: Any = None) -> Starlette:
         Route("/walkers", walkers),
         Route("/walkers/{id}.geojson", geojson),
         Route("/walkers/{id}.navsatfix", navsatfix),
-        *posting.routes(),
+        Route("/walkers/{id}/recording", recording),
+        Route("/walkers/{id}/finish", finish, methods=["POST"]),
+        Route("/walkers/{id}", forget, methods=["DELETE"]),
         Route("/walkers/{id}", walker),
+        Route("/sensorlogger", sensorlogger, methods=["POST"]),
+        Route("/owntracks", owntracks, methods=["POST"]),
+        Route("/overland", overland, methods=["POST"]),
+        Route("/osmand", osmand, methods=["GET", "POST"]),
+        Route("/study", study, methods=["POST"]),
         Route("/events", events),
         WebSocketRoute("/socket", socket),
         Route("/plan", plan),
         Route("/openapi.json", description),
-        Route("/api", described),
+        Route("/api", description_for_people),
         Mount("/web", StaticFiles(directory=WEB, check_dir=False)),
     ]
-    handlers = {HTTPException: refusal}
+    handlers = {HTTPException: refusal, InputError: refusal}
     app = Starlette(False, routes, [Middleware(Guard, server.access)], handlers, lifespan=lifespan)
     app.state.server = server
     return app
@@ -103,8 +127,9 @@ class Guard:
 
 
 def refusal(_: Request, error: Exception) -> Response:
-    """A fault as one line of text."""
-    assert isinstance(error, HTTPException)
+    """A fault as one line of text; a malformed message has status 400."""
+    if not isinstance(error, HTTPException):
+        error = HTTPException(400, str(error))
     return PlainTextResponse(f"{error.detail}\n", error.status_code, error.headers)
 
 
@@ -112,33 +137,110 @@ def _server(connection: HTTPConnection) -> Server:
     return connection.app.state.server
 
 
-def _sees(connection: HTTPConnection) -> Callable[[str], bool]:
-    """Whether the user of a request may see the walkers of a user."""
-    return lambda user: Access.sees(connection.scope["user"], user)
-
-
 def _walker(request: Request) -> Published:
     """The walker of the address. Raises HTTPException 404, also for those of other users."""
     walker = _server(request).hub.walkers.get(request.path_params["id"])
-    if walker is None or not _sees(request)(walker.user):
+    if walker is None or not Access.sees(request.scope["user"], walker.user):
         raise HTTPException(404, f"found no walker {request.path_params['id'][:64]!r}, expected one of GET /walkers")
     return walker
 
 
-def _json(value: Any) -> Response:
-    return Response(ENCODE(value), media_type="application/json", headers={"Cache-Control": "no-store"})
+def _json(value: Any, media_type: str = "application/json") -> Response:
+    return Response(ENCODE(value), media_type=media_type, headers={"Cache-Control": "no-store"})
 
 
-async def page_settings(request: Request) -> Response:
-    """What the page needs to know first."""
-    server = _server(request)
-    return _json(settings(server.tiles, bool(server.access.tokens)))
+# ── what phones post ────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _body(request: Request) -> bytes:
+    """The body of a request. Raises HTTPException 413 if it is too large, 408 if it takes too long, 400 if it ends."""
+    most, body = _reception(request).limits.body, bytearray()
+    closing = {"Connection": "close"}
+    too_large = HTTPException(413, f"found more than {most >> 20} MB, expected smaller messages", closing)
+    try:
+        async with asyncio.timeout(SLOWEST_BODY):
+            async for part in request.stream():
+                body += part
+                if len(body) > most:
+                    raise too_large
+    except TimeoutError:
+        raise HTTPException(408, f"found no end of the message in {SLOWEST_BODY:.0f} s", closing) from None
+    except ClientDisconnect:
+        raise HTTPException(400, "found a connection that ended within the message") from None
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding not in ("gzip", "identity"):
+        raise HTTPException(415, f"found the encoding {encoding[:40]!r}, expected gzip or none")
+    if encoding == "identity":
+        return bytes(body)
+    unpacking = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    try:
+        unpacked = unpacking.decompress(body, most)
+    except zlib.error as error:
+        raise HTTPException(400, f"found a damaged gzip body ({error})") from None
+    if unpacking.unconsumed_tail:
+        raise too_large
+    return unpacked
+
+
+def _reception(request: Request) -> Reception:
+    reception = _server(request).reception
+    assert reception is not None
+    return reception
+
+
+async def _receive(request: Request, protocol: str, name: str = "") -> str:
+    """Log the message of a request; returns what its user should know, or "". Raises HTTPException, InputError."""
+    query = request.query_params
+    body = await _body(request) or (request.url.query.encode() if request.method == "GET" else b"")
+    user, platform = request.scope["user"], query.get("platform", "").lower()
+    return _reception(request).receive(protocol, user, body, platform, query.get("name", "") or name)
+
+
+async def sensorlogger(request: Request) -> Response:
+    """A message of Sensor Logger: 200, or once 499 with a text that the app shows; the message is stored then too."""
+    advice = await _receive(request, SENSOR_LOGGER)
+    return PlainTextResponse(advice, SHOW_TO_USER) if advice else Response()
+
+
+async def owntracks(request: Request) -> Response:
+    """A message of OwnTracks; answered by an empty list of commands."""
+    user, device = (request.headers.get(f"x-limit-{letter}", "") for letter in "ud")
+    await _receive(request, "owntracks", device or user)
+    return JSONResponse([])
+
+
+async def overland(request: Request) -> Response:
+    """A batch of Overland; any answer but this one and it comes again."""
+    await _receive(request, "overland")
+    return JSONResponse({"result": "ok"})
+
+
+async def osmand(request: Request) -> Response:
+    """A position of Traccar Client, OsmAnd or GPSLogger."""
+    await _receive(request, "osmand")
+    return Response()
+
+
+async def study(request: Request) -> Response:
+    """A call of Sensor Logger's cloud: an upload to a study; 404 unless studies are configured."""
+    reports = _server(request).study
+    if reports is None:
+        raise HTTPException(404, "found no study, expected pdr-graph serve --study STUDY")
+    upload = upload_of(await _body(request))
+    try:
+        reports.accept(upload)
+    except OSError as error:
+        raise HTTPException(507, error.strerror or str(error), {"Retry-After": "60"}) from None
+    return Response()
+
+
+# ── what programs read, and do with a walker ────────────────────────────────────────────────────────────────────────
 
 
 async def walkers(request: Request) -> Response:
     """The last pose of each walker that the user may see."""
-    sees = _sees(request)
-    return _json([each.pose for each in _server(request).hub.walkers.values() if sees(each.user)])
+    shown = _server(request).hub.walkers.values()
+    return _json([each.pose for each in shown if Access.sees(request.scope["user"], each.user)])
 
 
 async def walker(request: Request) -> Response:
@@ -148,57 +250,100 @@ async def walker(request: Request) -> Response:
 
 async def geojson(request: Request) -> Response:
     """The path of a walker, finalised and current part, and its pose."""
-    found = _walker(request)
-    content = ENCODE(walk_geojson(found.pose, found.finalised, found.current))
-    return Response(content, media_type="application/geo+json", headers={"Cache-Control": "no-store"})
+    walker = _walker(request)
+    content = publishing.walk_geojson(walker.pose, walker.finalised, walker.current)
+    return _json(content, "application/geo+json")
 
 
 async def navsatfix(request: Request) -> Response:
     """The pose of a walker in the shape of sensor_msgs/NavSatFix."""
-    return _json(nav_sat_fix(_walker(request).pose))
+    return _json(publishing.nav_sat_fix(_walker(request).pose))
+
+
+async def recording(request: Request) -> Response:
+    """The recording of a finished walk, for pdr-graph smooth; 409 before it is finished."""
+    id_ = _walker(request).pose["id"]
+    file = _reception(request).recording(id_)
+    if file is None:
+        raise HTTPException(409, "found a walk under way, expected a finished one: POST /walkers/ID/finish")
+    return FileResponse(file, filename=f"{id_}{file.suffix}")
+
+
+async def finish(request: Request) -> Response:
+    """End a walk; its recording is made. The next message of its phone would resume it."""
+    _reception(request).finish(_walker(request).pose["id"])
+    return Response(status_code=202)
+
+
+async def forget(request: Request) -> Response:
+    """Delete a walk with all its files. What the lifelog has of it stays there."""
+    _reception(request).forget(_walker(request).pose["id"])
+    return Response(status_code=204)
 
 
 async def plan(request: Request) -> Response:
     """The floor plan as GeoJSON; without one, an empty collection."""
-    return Response(ENCODE(_server(request).plan), media_type="application/geo+json")
+    return Response(ENCODE(_server(request).plan or plan_layers(None)), media_type="application/geo+json")
+
+
+def document() -> dict[str, Any]:
+    """The routes as an OpenAPI 3.1 document."""
+    content: dict[str, Any] = msgspec.json.decode(OPENAPI.read_bytes())
+    content["info"] |= {"version": pdr_graph.__version__, "description": publishing.__doc__}
+    return content
 
 
 async def description(_: Request) -> Response:
     """The routes as an OpenAPI document."""
-    return Response(ENCODE(openapi.document()), media_type="application/json")
+    return _json(document())
 
 
-async def described(_: Request) -> Response:
-    """The routes for people."""
-    return Response(openapi.html_page(), media_type="text/html")
+async def description_for_people(_: Request) -> Response:
+    """The OpenAPI document as a page without scripts."""
+    content, rows = document(), ""
+    shared = {f"#/components/responses/{name}": each for name, each in content["components"]["responses"].items()}
+    for path, operations in content["paths"].items():
+        for method, operation in operations.items():
+            answers = {status: shared.get(each.get("$ref"), each) for status, each in operation["responses"].items()}
+            listed = "".join(
+                f"<li>{status}: {html.escape(each['description'])}</li>" for status, each in answers.items()
+            )
+            rows += f"<h2><code>{method.upper()} {html.escape(path)}</code></h2><ul>{listed}</ul>"
+    style = "body{font:16px/1.5 system-ui;max-width:50rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>pdr-graph serve</title><style>{style}</style>'
+    link = '<p>Also as <a href="openapi.json">OpenAPI</a>.</p>'
+    shapes = f"<h2>JSON</h2><pre>{html.escape(publishing.__doc__ or '')}</pre>"
+    return Response(f"{head}<h1>pdr-graph serve</h1>{link}{rows}{shapes}</html>", media_type="text/html")
+
+
+# ── streams of events ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _subscribe(connection: HTTPConnection) -> Subscriber:
-    subscriber = _server(connection).hub.subscribe(_sees(connection))
+    viewer = connection.scope["user"]
+    subscriber = _server(connection).hub.subscribe(lambda user: Access.sees(viewer, user))
     if subscriber is None:
-        raise HTTPException(
-            503, "found the most event streams that this server has, expected fewer", {"Retry-After": "10"}
-        )
+        raise HTTPException(503, "found the most event streams that this server has", {"Retry-After": "10"})
     return subscriber
 
 
 async def events(request: Request) -> Response:
     """Server-sent events: `pose`, `path` and `forgotten` of all walkers that the user may see."""
+    hub, subscriber = _server(request).hub, _subscribe(request)
+
+    async def stream() -> AsyncIterator[bytes]:
+        try:
+            yield b"retry: 2000\n\n"
+            while not (hub.closed or await request.is_disconnected()):
+                if not await subscriber.wait(HEARTBEAT):
+                    yield b": alive\n\n"
+                for name, data in subscriber.events():
+                    yield b"event: %s\ndata: %s\n\n" % (name.encode(), ENCODE(data))
+        finally:
+            hub.unsubscribe(subscriber)
+
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(_stream(request, _subscribe(request)), media_type="text/event-stream", headers=headers)
-
-
-async def _stream(request: Request, subscriber: Subscriber) -> AsyncIterator[bytes]:
-    try:
-        yield b"retry: 2000\n\n"
-        hub = _server(request).hub
-        while not (hub.closed or await request.is_disconnected()):
-            if not await subscriber.wait(HEARTBEAT):
-                yield b": alive\n\n"
-            for name, data in subscriber.events():
-                yield b"event: %s\ndata: %s\n\n" % (name.encode(), ENCODE(data))
-    finally:
-        _server(request).hub.unsubscribe(subscriber)
+    return StreamingResponse(stream(), media_type="text/event-stream", headers=headers)
 
 
 async def socket(websocket: WebSocket) -> None:
@@ -208,26 +353,76 @@ async def socket(websocket: WebSocket) -> None:
     except HTTPException:
         return await websocket.close(1013)
     await websocket.accept()
-    reading = asyncio.create_task(_until_closed(websocket))
+    hub = _server(websocket).hub
+
+    async def discard() -> None:
+        with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # until the client closes
+            while True:
+                await websocket.receive_text()
+
+    reading = asyncio.create_task(discard())
     try:
-        hub = _server(websocket).hub
         while not (hub.closed or reading.done()):
             await subscriber.wait(HEARTBEAT)
             for name, data in subscriber.events():
-                # stuck [s] after which a subscriber that reads nothing is disconnected
-                async with asyncio.timeout(30.0):
+                async with asyncio.timeout(30.0):  # [s] after which a subscriber that reads nothing is disconnected
                     await websocket.send_text(ENCODE({"event": name, **data}).decode())
     except (TimeoutError, WebSocketDisconnect, RuntimeError):
         pass
     finally:
         reading.cancel()
-        _server(websocket).hub.unsubscribe(subscriber)
+        hub.unsubscribe(subscriber)
 
 
-async def _until_closed(websocket: WebSocket) -> None:
-    """Discard what a client sends, until it closes."""
-    try:
-        while True:
-            await websocket.receive_text()
-    except (WebSocketDisconnect, RuntimeError, KeyError):
-        return
+# ── the page ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def checked_tiles(url: str | None) -> str | None:
+    """The address of a tile server, ``https://host/{z}/{x}/{y}.png``; None without one. Raises InputError."""
+    if url is None:
+        return None
+    parts = urlsplit(url)
+    places = all(place in url for place in ("{z}", "{x}", "{y}"))
+    if parts.scheme not in ("http", "https") or not HOST.fullmatch(parts.netloc) or not places:
+        raise InputError("--tiles", "", repr(url), "an address such as https://host/{z}/{x}/{y}.png")
+    return url
+
+
+def security_headers(tiles: str | None) -> dict[str, str]:
+    """Headers of the page: scripts, styles and connections of this server alone; images of the tile server too."""
+    elsewhere = " {0.scheme}://{0.netloc}".format(urlsplit(tiles)) if tiles else ""
+    policy = [
+        *("default-src 'none'", "script-src 'self'", "style-src 'self'", "worker-src 'self'"),
+        f"img-src 'self' data: blob:{elsewhere}",
+        f"connect-src 'self'{elsewhere}",
+        *("base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"),
+    ]
+    return {
+        "Content-Security-Policy": "; ".join(policy),
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "Cache-Control": "no-cache",
+    }
+
+
+async def page(request: Request) -> Response:
+    """The page. A token in its address moves to a cookie, so that it stays in no history and no link."""
+    if "token" in request.query_params:
+        response: Response = RedirectResponse("./", 303)  # relative: a proxy may have put a path before it
+        token, secure = request.query_params["token"], request.url.scheme == "https"
+        # cookie life [s]: four months
+        response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
+        return response
+    return FileResponse(WEB / "index.html", headers=security_headers(_server(request).tiles))
+
+
+async def page_settings(request: Request) -> Response:
+    """What the page asks first."""
+    server = _server(request)
+    return _json(settings(server.tiles, bool(server.access.tokens)))
+
+
+def settings(tiles: str | None, guarded: bool) -> dict[str, Any]:
+    """Settings of the page. guarded: phones need a token."""
+    host = urlsplit(tiles).hostname if tiles else None
+    return {"tiles": {"url": tiles, "attribution": f"tiles: {host}"} if tiles else None, "guarded": guarded}

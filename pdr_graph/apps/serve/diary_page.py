@@ -7,7 +7,7 @@ correction does what ``pdr-graph lifelog correct`` does.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, date, datetime, timedelta
 from html import escape
 from pathlib import Path
@@ -28,7 +28,6 @@ from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.picture import picture as drawn_picture
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
-from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.apps.serve.access import COOKIE, OWNER, Access
 from pdr_graph.apps.serve.application import Guard
@@ -75,18 +74,18 @@ def application(store: Path, token: str) -> Starlette:
     """The ASGI application of a lifelog. token: which every request must have."""
     server = DiaryServer(store)
 
+    def shown(function: Callable[..., bytes | str]) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            return await server.run(function, request.query_params)
+
+        return answer
+
     async def day(request: Request) -> Response:
         if "token" in request.query_params:
             response = RedirectResponse("./", 303)  # the token stays in no history
             response.set_cookie(COOKIE, request.query_params["token"], httponly=True, samesite="strict")
             return response
         return await server.run(day_page, request.query_params)
-
-    async def picture(request: Request) -> Response:
-        return await server.run(day_picture, request.query_params)
-
-    async def entry(request: Request) -> Response:
-        return await server.run(entry_page, request.query_params)
 
     async def correct(request: Request) -> Response:
         body = b""
@@ -97,11 +96,8 @@ def application(store: Path, token: str) -> Starlette:
         fields = {name: values[0] for name, values in parse_qs(body.decode(errors="replace")).items()}
         return await server.run(corrected_page, fields)
 
-    async def made(_: Request) -> Response:
-        return await server.run(list_page)
-
-    routes = [Route("/", day), Route("/picture.svg", picture), Route("/entry", entry), Route("/corrections", made)]
-    routes += [Route("/correct", correct, methods=["POST"])]
+    routes = [Route("/", day), Route("/picture.svg", shown(day_picture)), Route("/entry", shown(entry_page))]
+    routes += [Route("/corrections", shown(list_page)), Route("/correct", correct, methods=["POST"])]
     return Starlette(False, routes, [Middleware(Guard, Access({OWNER: token}))])
 
 
@@ -119,10 +115,17 @@ def _page(title: str, body: str) -> str:
 def day_page(store: Path, query: Fields) -> str:
     """A day with its picture and a row per entry; the last day without a date."""
     own, dates, people = _day(store, query)
-    links = [_link("./", _query(own.person, on), text) for on, text in _neighbours(own.date, dates)]
+    place = dates.index(own.date)
+    beside = [(on, f"← {on}") for on in dates[place - 1 : place]] if place else []
+    beside += [(on, f"{on} →") for on in dates[place + 1 : place + 2]]
+    links = [_link("./", _query(own.person, on), text) for on, text in beside]
     links += [_link("./", urlencode({"person": name}), one_line(name)) for name in people if name != own.person]
     picture = f'<img alt="" style="width:100%" src="picture.svg?{escape(_query(own.person, own.date))}">'
-    rows = "".join(_row(own, n, entry) for n, entry in enumerate(own.entries))
+    rows = ""
+    for n, entry in enumerate(own.entries):
+        cells = "".join(f"<td>{escape(text)}</td>" for text in row_texts(entry))
+        correct = _link("entry", f"{_query(own.person, own.date)}&n={n}", "correct")
+        rows += f"<tr>{cells}<td>{correct}</td></tr>"
     table = f'<div class="wide"><table><tbody>{rows}</tbody></table></div>'
     return _page(f"{one_line(own.person)} {own.date}", f"<nav>{' · '.join(links)}</nav>{picture}{table}")
 
@@ -143,22 +146,6 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
     if on not in days:
         raise InputError("date", "", on, "a recorded day")
     return days[on], sorted(days), people
-
-
-def _neighbours(on: str, dates: Sequence[str]) -> list[tuple[str, str]]:
-    """The days before and after, with the words of their links."""
-    place = dates.index(on)
-    before = [(dates[place - 1], f"← {dates[place - 1]}")] if place else []
-    return before + ([(dates[place + 1], f"{dates[place + 1]} →")] if place + 1 < len(dates) else [])
-
-
-def _row(day: DiaryDay, n: int, entry: TimelineEntry) -> str:
-    cells = "".join(f"<td>{escape(text)}</td>" for text in _texts(entry))
-    return f"<tr>{cells}<td>{_link('entry', f'{_query(day.person, day.date)}&n={n}', 'correct')}</td></tr>"
-
-
-def _texts(entry: TimelineEntry) -> Sequence[str]:
-    return row_texts(entry)
 
 
 def _query(person: str, on: str) -> str:
@@ -203,7 +190,7 @@ def entry_page(store: Path, query: Fields) -> str:
     if after:
         both = hidden | {"end": _time(after[0].end, after[0].end_offset)}
         forms.insert(2, _form("merge", both, "This and the next are one stay", ""))
-    title = f"{_texts(entry)[0]} to {_texts(entry)[1]}, {' '.join(filter(None, _texts(entry)[3:]))}"
+    title = f"{row_texts(entry)[0]} to {row_texts(entry)[1]}, {' '.join(filter(None, row_texts(entry)[3:]))}"
     return _page(title, "".join(forms))
 
 
@@ -222,40 +209,35 @@ def _form(action: str, hidden: Fields, text: str, inputs: str, button: str = "Sa
 
 
 def corrected_page(store: Path, fields: Fields) -> str:
-    """The page after a correction: what was stored and what the diary shows now."""
-    lines = _corrected(store, fields)
-    back = _link("./", _query(fields.get("person", ""), fields["date"]), "back to the day") if "date" in fields else ""
-    return _page("saved", f"<pre>{escape(chr(10).join(lines))}</pre>{back}")
-
-
-def _corrected(store: Path, fields: Fields) -> list[str]:
-    """Make the correction of a form; returns its lines. Raises InputError."""
+    """Make the correction of a form; the page has what was stored and what the diary shows now. Raises InputError."""
     person, value = fields.get("person") or None, fields.get("value", "")
     start, end = fields.get("start", ""), fields.get("end", "")
     match fields.get("do"):
         case "at":
-            return revision.state_place(store, fields.get("at", ""), value, person=person)
+            lines = revision.state_place(store, fields.get("at", ""), value, person=person)
         case "name":
-            return revision.name_place(store, fields.get("at", ""), value, person=person)
+            lines = revision.name_place(store, fields.get("at", ""), value, person=person)
         case "merge":
-            return revision.merge(store, start, end, person)
+            lines = revision.merge(store, start, end, person)
         case "split":
-            return revision.split(store, value, person)
+            lines = revision.split(store, value, person)
         case "mode":
-            return revision.state_mode(store, start, end, value, person)
+            lines = revision.state_mode(store, start, end, value, person)
         case "not-me":
-            return revision.state_not_me(store, start, end, person)
+            lines = revision.state_not_me(store, start, end, person)
         case "forget" if fields.get("sure", "").strip().lower() == "yes":
-            return revision.forget(store, start, end, person)
+            lines = revision.forget(store, start, end, person)
         case "forget":
             raise InputError("forget", "", "no yes", "yes: what is deleted does not come back")
         case "undo" if value.isdecimal():
-            return revision.undo(store, int(value))
+            lines = revision.undo(store, int(value))
         case _:
             raise InputError("do", "", repr(fields.get("do")), "a correction")
+    back = _link("./", _query(fields.get("person", ""), fields["date"]), "back to the day") if "date" in fields else ""
+    return _page("saved", f"<pre>{escape(chr(10).join(lines))}</pre>{back}")
 
 
-def list_page(store: Path) -> str:
+def list_page(store: Path, _: Fields) -> str:
     """All corrections, each with a form that undoes it."""
     lines = revision.listing(store)
     numbers = [line.split(" ", 1)[0] for line in lines]

@@ -13,13 +13,13 @@ import numpy as np
 
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.intake import SENSOR_LOGGER
 from pdr_graph.apps.serve.live_walk import LOG, RECORDINGS, Session, read_session
-from pdr_graph.apps.serve.message_log import read_body, read_entries
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
 from pdr_graph.errors import InputError, count
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
+from pdr_graph.online.journal import read_body, read_entries
 
 TABLE_FILES = {  # name in a message: table of an export, and its columns
     "accelerometer": ("Accelerometer", "z,y,x"),
@@ -108,28 +108,24 @@ def _write_track(file: Path, folder: Path, session: Session) -> None:
     file.write_bytes(gpx.document([gpx.Track(session.name, (points,))]))
 
 
-def finish(folder: str, store: str | None, plan: str | None) -> str:
-    """Write the recording of a session, and add it to a lifelog; returns an issue, or "". Runs in its own process."""
-    try:
-        file = write_recording(Path(folder))
-        if store is not None:
-            _add(Path(store), file, Path(folder), plan)
-        damaged = sum(entry.skipped for entry in read_entries(Path(folder) / LOG))
-    except (InputError, OSError) as error:
-        return f"the recording could not be completed: {error}"
-    return f"{count(damaged, 'byte')} of {LOG} are damaged: not in the recording" if damaged else ""
+def finish(folder: Path, store: Path | None, plan: Path | None) -> str:
+    """Write the recording of a session, and add it to a lifelog, whose day is reconstructed; returns an issue, or "".
 
-
-def _add(store: Path, file: Path, folder: Path, plan: str | None) -> None:
-    """Add a recording to a lifelog and reconstruct its day. Raises InputError if it cannot be used."""
+    Runs in a process of its own.
+    """
     from pdr_graph.apps.lifelog.build import build
     from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON, add
     from pdr_graph.apps.lifelog.store import RecordingOptions
 
-    session = read_session(folder)
-    person = DEFAULT_PERSON if session.user == OWNER else session.user
-    options = RecordingOptions(plan=None if plan is None else Path(plan))
-    added = add(store, [file], options, person=person, copy=True)
-    if added.refused:
-        raise InputError(store, "", added.refused[0], "a recording that the lifelog takes")
-    build(store)
+    try:
+        file, user = write_recording(folder), read_session(folder).user
+        if store is not None:
+            person = DEFAULT_PERSON if user == OWNER else user
+            added = add(store, [file], RecordingOptions(plan=plan), person=person, copy=True)
+            if added.refused:
+                raise InputError(store, "", added.refused[0], "a recording that the lifelog takes")
+            build(store)
+        damaged = sum(entry.skipped for entry in read_entries(folder / LOG))
+    except (InputError, OSError) as error:
+        return f"the recording could not be completed: {error}"
+    return f"{count(damaged, 'byte')} of {LOG} are damaged: not in the recording" if damaged else ""

@@ -18,11 +18,11 @@ import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.apps.lifelog.cache import write
-from pdr_graph.apps.serve.intake import SENSOR_LOGGER, Intake
-from pdr_graph.apps.serve.message_log import MAGIC, Entry, read_body, read_entries
 from pdr_graph.apps.serve.publishing import path_columns, pose_json
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER, Intake
 from pdr_graph.errors import InputError, count
 from pdr_graph.online.interface import Event
+from pdr_graph.online.journal import MESSAGES, Entry, RecordLog, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Trajectory
 
@@ -48,6 +48,30 @@ class Session:
     platform: str
     began: float
     finished: bool = False
+
+
+class MessageLog(RecordLog):
+    """The log of a session, open for appending; ``identities`` of all its messages.
+
+    It is also the queue between the process that receives and the one that estimates: waiting messages cost no memory.
+    Raises InputError if the file is no log.
+    """
+
+    def __init__(self, path: Path):
+        super().__init__(path, MESSAGES)
+        try:
+            self.identities = {entry.identity for entry in read_entries(path)}
+        except BaseException:
+            self.close()
+            raise
+
+    def add(self, identity: int, received: float, body: bytes) -> bool:
+        """Append a message; False if one of this identity is there already. Raises OSError if the disk fails."""
+        if identity in self.identities:
+            return False
+        self.append(identity, received, body)
+        self.identities.add(identity)
+        return True
 
 
 class Queue:
@@ -111,7 +135,7 @@ class LiveWalk:
         self.folder, self.session, self._make = folder, session, make
         self.intake = Intake(session.protocol, session.platform)
         self._queue = Queue(session.protocol == SENSOR_LOGGER)
-        self._read_until, self._used, self._opened = len(MAGIC), 0, time.time()
+        self._read_until, self._used, self._opened = len(MESSAGES), 0, time.time()
         self._last_received, self._clock_error = -np.inf, 0.0  # [s]
         self._refused, self._damaged, self._unfinished = 0, 0, 0
         self._navigator: Navigator | None = None  # from the first event on

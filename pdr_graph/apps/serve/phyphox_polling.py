@@ -22,11 +22,10 @@ from urllib.parse import quote, urlsplit
 import msgspec
 import numpy as np
 
-from pdr_graph.apps.serve.daemon_thread import in_daemon_thread
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.phyphox import ExperimentClock
 from pdr_graph.types import Array
-from pdr_graph.web_request import TooLongError, ask
+from pdr_graph.web_request import TooLongError, request
 
 POLL_INTERVAL = 1.0  # [s] between two polls
 POLL_TIMEOUT, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
@@ -148,17 +147,10 @@ def clock_of(events: Sequence[Mapping[str, Any]]) -> ExperimentClock:
     return ExperimentClock(experiment, system - experiment, unix=True)
 
 
-def experiment_time(clock: ExperimentClock, unix: float) -> float:
-    """The experiment time [s] of a Unix time [s]."""
-    part = int(np.searchsorted(clock.begins + clock.offset, unix, side="right")) - 1
-    return unix - float(clock.offset[max(part, 0)])
-
-
 class PhyphoxPhone:
     """A phone with remote access.
 
-    url: as phyphox shows it. stored: returns what is stored of a run, None of a new one. Not for several threads.
-    `poll` takes as long as the phone takes to answer: call it beside the event loop.
+    url: as phyphox shows it. stored: returns what is stored of a run, None of a new one.
     """
 
     def __init__(
@@ -173,61 +165,58 @@ class PhyphoxPhone:
         self._inputs, self._since = list[Input](), dict[str, float]()
         self.messages = 0  # of the run so far
 
-    def poll(self) -> Poll:
+    async def poll(self) -> Poll:
         """Return what is new since the last poll. Raises PhoneError."""
+        nothing = Poll("", self._name, False, {})
         try:
-            return self._poll()
+            events = await self._json("/time")
+            begun = next((event["systemTime"] for event in events if event.get("event") == "START"), None)
+            clock = clock_of(events)
+            if begun is None:  # not started, or cleared
+                self._run = ""
+                return nothing
+            if self._run != _run(self._session, begun):
+                await self._begin(begun, clock)
+            answer = await self._json(f"/get?{query(self._inputs, self._since)}")
+            rows = {each: rows_of(answer["buffer"], each) for each in self._inputs}
+            old = any((table[:, 0] < self._since[each.time]).any() for each, table in rows.items())
+            if answer["status"]["session"] != self._session or old:
+                self._run = ""  # another experiment, or cleared since /time was asked: the next poll finds out
+                return nothing
+            for each, table in rows.items():
+                self._since[each.time] = max([self._since[each.time], *table[np.isfinite(table[:, 0]), 0]])
+            tables = {each.sensor: _table(each, table, clock) for each, table in rows.items()}
+            return Poll(self._run, self._name, bool(answer["status"]["measuring"]), tables, self._ignored)
         except UNREADABLE_ANSWER as error:
             raise PhoneError(f"{self.url}: found {one_line(repr(error))}, expected an answer of phyphox") from None
 
-    def _poll(self) -> Poll:
-        events = self._json("/time")
-        begun = next((event["systemTime"] for event in events if event.get("event") == "START"), None)
-        clock = clock_of(events)
-        if begun is None:  # not started, or cleared
-            self._run = ""
-        elif self._run != _run(self._session, begun):
-            self._begin(begun, clock)
-        if not self._run:
-            return Poll("", self._name, False, {})
-        answer = self._json(f"/get?{query(self._inputs, self._since)}")
-        found = {each: rows_of(answer["buffer"], each) for each in self._inputs}
-        if answer["status"]["session"] != self._session or any(self._is_old(*each) for each in found.items()):
-            self._run = ""  # another experiment, or cleared since /time was asked: the next poll finds out
-            return Poll("", self._name, False, {})
-        for each, rows in found.items():
-            self._since[each.time] = max([self._since[each.time], *rows[np.isfinite(rows[:, 0]), 0]])
-        tables = {each.sensor: _table(each, rows, clock) for each, rows in found.items()}
-        return Poll(self._run, self._name, bool(answer["status"]["measuring"]), tables, self._ignored)
-
-    def _is_old(self, each: Input, rows: Array) -> bool:
-        """True if there are times that were to be left out."""
-        return bool((rows[:, 0] < self._since[each.time]).any())
-
-    def _begin(self, begun: float, clock: ExperimentClock) -> None:
+    async def _begin(self, begun: float, clock: ExperimentClock) -> None:
         """Begin a run: find its sensors, and from when on its data are wanted."""
-        config, meta = self._json("/config"), self._json("/meta", missing={})
+        meta = await self._json("/meta", missing={})
         self._name = " ".join(str(meta[key]) for key in ("deviceBrand", "deviceModel") if meta.get(key)) or "phyphox"
-        self._inputs, ignored = inputs_of(config)
+        self._inputs, ignored = inputs_of(await self._json("/config"))
         self._ignored = tuple(ignored)
-        answer = self._json("/get?" + "&".join(quote(each.time) for each in self._inputs))  # the last value of each
-        session = str(answer["status"]["session"])
-        run = _run(session, begun)
-        stored = self._stored(run)
-        last = [_numbers(answer["buffer"], each.time)[-1:] for each in self._inputs]
-        since = max([-1.0, *(float(time[0]) - HISTORY for time in last if np.isfinite(time).all() and len(time))])
-        self._session, self._run, self.messages = session, run, 0 if stored is None else stored.messages
+        last = "&".join(quote(each.time) for each in self._inputs)  # of each buffer the last value
+        answer = await self._json(f"/get?{last}")
+        self._session = str(answer["status"]["session"])
+        self._run = _run(self._session, begun)
+        ends = [_numbers(answer["buffer"], each.time)[-1:] for each in self._inputs]
+        since = max([-1.0, *(float(end[0]) - HISTORY for end in ends if np.isfinite(end).any())])
         self._since = {each.time: since for each in self._inputs}
+        stored = self._stored(self._run)
+        self.messages = 0 if stored is None else stored.messages
         if stored is not None and stored.last:
             latest = max(stored.last.values())
             for each in self._inputs:
-                self._since[each.time] = experiment_time(clock, stored.last.get(each.sensor, latest))
+                unix = stored.last.get(each.sensor, latest)
+                part = int(np.searchsorted(clock.begins + clock.offset, unix, side="right")) - 1
+                self._since[each.time] = unix - float(clock.offset[max(part, 0)])
 
-    def _json(self, path: str, missing: Any = None) -> Any:
+    async def _json(self, path: str, missing: Any = None) -> Any:
         """The JSON at a path; ``missing`` where there is none. Raises PhoneError."""
         try:
             # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
-            answer = ask(self.url + path, self._timeout, LONGEST_ANSWER, 2**26, proxies=False)
+            answer = await request(self.url + path, self._timeout, LONGEST_ANSWER, 2**26, proxies=False)
         except TooLongError as error:
             raise PhoneError(f"{self.url}: found {error}, expected less") from None
         except OSError as error:
@@ -299,7 +288,7 @@ async def follow(
     wait, answered = FIRST_RETRY, None
     while True:
         try:
-            poll = await in_daemon_thread(phone.poll)
+            poll = await phone.poll()
             if answered is not True:
                 say(f"phyphox: {phone.url} answers, {'measuring' if poll.measuring else 'not measuring: tap ▶'}")
             wait, answered = FIRST_RETRY, True

@@ -40,12 +40,19 @@ The first ``path`` of a connection has all finalised points (``from`` is 0); so 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import asyncio
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import shapely
 
-from pdr_graph.frames import Frame
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import METRES_PER_DEGREE, Frame
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.interface import NO_DATA, Pose
 from pdr_graph.online.status import SENSOR_SILENCE, Status
@@ -183,3 +190,206 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
         "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e4],
         "position_covariance_type": 2 if fixed else 0,  # known: sensor_msgs/NavSatFix: COVARIANCE_TYPE_DIAGONAL_KNOWN
     }
+
+
+CELL_LAYERS = {"room": CLOSED, "door": (DOOR,), "stairs": ("stairs",)}  # layers and the kinds of cells in them
+
+
+def plan_layers(building: Building | None) -> dict[str, Any]:
+    """The plan as a GeoJSON FeatureCollection; without a plan, an empty one.
+
+    Each feature has ``layer`` (``ground``, ``border``, ``walkable``, ``room``, ``door``, ``stairs``, ``wall``,
+    ``link``, ``beacon`` or ``name``) and ``floor``. The member ``pdr_graph`` has ``georeferenced``, ``floors`` (labels,
+    lowest first) and ``bounds`` (west, south, east, north; None without a plan).
+    """
+    if building is None:
+        about = {"georeferenced": None, "floors": [], "bounds": None}
+        return {"type": "FeatureCollection", "pdr_graph": about, "features": []}
+    frame = building.floors[0].frame
+    features = [
+        {"type": "Feature", "properties": properties | {"floor": floor.label}, "geometry": _geometry(shape, frame)}
+        for floor in building.floors
+        for properties, shape in _drawn(floor)
+        if not shapely.is_empty(shape)
+    ]
+    (west, south), (east, north) = lonlat(building.corners, frame).tolist()
+    about = {
+        "georeferenced": frame.georeferenced,
+        "floors": list(building.labels),
+        "bounds": [west, south, east, north],
+    }
+    return {"type": "FeatureCollection", "pdr_graph": about, "features": features}
+
+
+def lonlat(position: Array, frame: Frame) -> Array:
+    """Longitudes and latitudes ``(n, 2)`` [deg] of positions ``(n, 2)`` [m]; about (0, 0) without a georeference."""
+    return frame.to_lonlat(position) if frame.georeferenced else position / METRES_PER_DEGREE
+
+
+def _drawn(floor: FloorPlan) -> Iterator[tuple[dict[str, str], shapely.Geometry]]:
+    """The shapes of a floor [m] with their properties."""
+    areas = [area for area in floor.areas if area.is_polygon and area.kind not in (LINK, BEACON)]
+    yield {"layer": "ground"}, shapely.union_all([area.shape for area in areas])
+    solid = shapely.geometrycollections([area.shape for area in areas if area.kind in SOLID])
+    yield {"layer": "border"}, shapely.union_all(shapely.boundary(shapely.get_parts(solid)))
+    yield {"layer": "walkable"}, floor.walkable
+    for layer, kinds in CELL_LAYERS.items():
+        shapes = [cell.polygon for cell in floor.cells.cells if cell.kind in kinds]
+        yield {"layer": layer}, shapely.union_all(shapes)
+    yield {"layer": "wall"}, floor.cells.barriers
+    yield {"layer": "link"}, shapely.union_all([area.shape for area in floor.of_kind(LINK)])
+    for area in floor.of_kind(BEACON):
+        yield {"layer": "beacon", "text": area.name}, shapely.point_on_surface(area.shape)
+    for area in floor.of_kind(*SOLID, *CLOSED, *OPEN):
+        if area.name and area.is_polygon:
+            yield {"layer": "name", "text": area.name}, shapely.point_on_surface(area.shape)
+
+
+def _geometry(shape: shapely.Geometry, frame: Frame) -> dict[str, Any]:
+    """A shape [m] as a GeoJSON geometry in longitude and latitude."""
+    placed = shapely.transform(shape, lambda points: np.round(lonlat(points, frame), 9))  # decimals of a degree: 0.1 mm
+    geometry: dict[str, Any] = json.loads(shapely.to_geojson(placed))
+    return geometry
+
+
+Event = tuple[str, dict[str, Any]]  # name and data
+MOST_SUBSCRIBERS = 100
+
+
+@dataclass
+class Published:
+    """The last pose of a walker and its path, in columns; user: to whom it belongs; revision: of the finalised part."""
+
+    user: str
+    pose: dict[str, Any]
+    finalised: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
+    current: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
+    revision: int = 0
+
+    def extend(self, path: dict[str, Any]) -> None:
+        """Take over an event ``path``, whose ``from`` is the number of points that stay."""
+        count, new = path["from"], path["finalised"]
+        if count < len(self.finalised["time"]) or (new["lon"] is None) != (self.finalised["lon"] is None):
+            self.revision += 1
+        self.finalised = {
+            name: None if new[name] is None else (self.finalised[name] or [])[:count] + new[name] for name in PATH_KEYS
+        }
+        self.current = path["current"]
+
+    def path(self, count: int) -> dict[str, Any]:
+        """The event ``path`` for a subscriber who has ``count`` finalised points."""
+        finalised = {name: None if column is None else column[count:] for name, column in self.finalised.items()}
+        return {"id": self.pose["id"], "from": count, "finalised": finalised, "current": self.current}
+
+
+class Subscriber:
+    """A connection that receives events. sees: whether it may see the walker of a user."""
+
+    def __init__(self, hub: Hub, sees: Callable[[str], bool]):
+        self._hub, self.sees = hub, sees
+        self._poses, self._paths, self._forgotten = dict[str, None](), dict[str, None](), dict[str, None]()
+        self._sent = dict[str, tuple[int, int]]()  # revision and number of finalised points
+        self._changed = asyncio.Event()
+        for id_, walker in hub.walkers.items():
+            self.note(id_, walker.user, "pose")
+            self.note(id_, walker.user, "path")
+
+    def note(self, id_: str, user: str, kind: str) -> None:
+        """Note that there is news of a walker."""
+        if not self.sees(user):
+            return
+        pending = {"pose": self._poses, "path": self._paths, "forgotten": self._forgotten}
+        pending[kind][id_] = None
+        self._changed.set()
+
+    def wake(self) -> None:
+        """End a `wait`."""
+        self._changed.set()
+
+    async def wait(self, timeout: float) -> bool:
+        """Wait for news; False after ``timeout`` [s] without any."""
+        try:
+            await asyncio.wait_for(self._changed.wait(), timeout)
+        except TimeoutError:
+            return False
+        return True
+
+    def events(self) -> Iterator[Event]:
+        """Yield the pending events; each is made when it is asked for."""
+        self._changed.clear()
+        while self._forgotten:
+            id_, _ = self._forgotten.popitem()
+            self._sent.pop(id_, None)
+            yield "forgotten", {"id": id_}
+        while self._poses:
+            walker = self._hub.walkers.get(_first(self._poses))
+            if walker is not None:
+                yield "pose", walker.pose
+        while self._paths:
+            id_ = _first(self._paths)
+            walker = self._hub.walkers.get(id_)
+            if walker is not None:
+                revision, count = self._sent.get(id_, (-1, 0))
+                path = walker.path(count if revision == walker.revision else 0)
+                self._sent[id_] = walker.revision, len(walker.finalised["time"])
+                yield "path", path
+
+
+def _first(pending: dict[str, None]) -> str:
+    """Remove and return the oldest key."""
+    key = next(iter(pending))
+    del pending[key]
+    return key
+
+
+class Hub:
+    """All walkers and subscribers."""
+
+    def __init__(self) -> None:
+        self.walkers = dict[str, Published]()
+        self.closed = False
+        self._subscribers = set[Subscriber]()
+
+    def close(self) -> None:
+        """Wake all subscribers, whose connections end since the server does."""
+        self.closed = True
+        for subscriber in self._subscribers:
+            subscriber.wake()
+
+    def pose(self, user: str, pose: dict[str, Any]) -> None:
+        """Publish a pose; the first creates the walker."""
+        walker = self.walkers.get(pose["id"])
+        if walker is None:
+            self.walkers[pose["id"]] = Published(user, pose)
+        else:
+            walker.pose = pose
+        self._note(pose["id"], user, "pose")
+
+    def path(self, path: dict[str, Any]) -> None:
+        """Publish an event ``path`` of a walker that has a pose."""
+        walker = self.walkers.get(path["id"])
+        if walker is not None:
+            walker.extend(path)
+            self._note(path["id"], walker.user, "path")
+
+    def forget(self, id_: str) -> None:
+        """Remove a walker."""
+        walker = self.walkers.pop(id_, None)
+        if walker is not None:
+            self._note(id_, walker.user, "forgotten")
+
+    def subscribe(self, sees: Callable[[str], bool]) -> Subscriber | None:
+        """A new subscriber, for whom all walkers are news; None if there are MOST_SUBSCRIBERS."""
+        if len(self._subscribers) >= MOST_SUBSCRIBERS:
+            return None
+        subscriber = Subscriber(self, sees)
+        self._subscribers.add(subscriber)
+        return subscriber
+
+    def unsubscribe(self, subscriber: Subscriber) -> None:
+        """Remove a subscriber."""
+        self._subscribers.discard(subscriber)
+
+    def _note(self, id_: str, user: str, kind: str) -> None:
+        for subscriber in self._subscribers:
+            subscriber.note(id_, user, kind)

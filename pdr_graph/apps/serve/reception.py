@@ -17,19 +17,27 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from starlette.exceptions import HTTPException
+
 from pdr_graph.apps.lifelog.cache import write
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.estimators import Estimators
-from pdr_graph.apps.serve.hub import Hub
-from pdr_graph.apps.serve.intake import PLATFORMS, SENSOR_LOGGER
-from pdr_graph.apps.serve.live_walk import LOG, PUBLISHED, RECORDINGS, SESSION, Session, read_session, write_session
-from pdr_graph.apps.serve.message_log import MessageLog
+from pdr_graph.apps.serve.live_walk import (
+    LOG,
+    PUBLISHED,
+    RECORDINGS,
+    SESSION,
+    MessageLog,
+    Session,
+    read_session,
+    write_session,
+)
+from pdr_graph.apps.serve.publishing import Hub
+from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.storage import decode_json, encode_json
 
-PROTOCOLS = (SENSOR_LOGGER, *positions.PARSERS)
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{4,64}")
-SHOW_TO_USER = 499  # by which Sensor Logger shows the text of the answer
 
 
 @dataclass(frozen=True)
@@ -65,14 +73,6 @@ class State:
     advice: tuple[str, ...] = ()
     shown_advice: set[str] = field(default_factory=set)
     timer: asyncio.TimerHandle | None = None
-
-
-class RefusalError(Exception):
-    """A message that is not taken. status: of HTTP; text: one line; headers: of the answer."""
-
-    def __init__(self, status: int, text: str, **headers: str):
-        super().__init__(text)
-        self.status, self.text, self.headers = status, text, {name.replace("_", "-"): v for name, v in headers.items()}
 
 
 Finishing = Callable[[Session], Awaitable[str]]
@@ -118,16 +118,13 @@ class Reception:
             else:
                 self.hub.pose(session.user, blank_pose(session))
         for _, session, folder in sorted(finished, key=lambda row: row[0])[-self.limits.shown :]:
-            self._show_finished(session, folder)
-
-    def _show_finished(self, session: Session, folder: Path) -> None:
-        try:
-            published = decode_json((folder / PUBLISHED).read_text(encoding="utf-8"), dict)
-            self.hub.pose(session.user, published["pose"])
-            self.hub.path({"id": session.id, "from": 0, **published["path"]})
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            issue = f"{PUBLISHED}, its last pose and path: {one_line(str(error))}"
-            self.hub.pose(session.user, blank_pose(session) | {"state": "finished", "issues": [issue]})
+            try:
+                published = decode_json((folder / PUBLISHED).read_text(encoding="utf-8"), dict)
+                self.hub.pose(session.user, published["pose"])
+                self.hub.path({"id": session.id, "from": 0, **published["path"]})
+            except (OSError, ValueError, LookupError, TypeError) as error:
+                issue = f"{PUBLISHED}, its last pose and path: {one_line(str(error))}"
+                self.hub.pose(session.user, blank_pose(session) | {"state": "finished", "issues": [issue]})
 
     def started(self, number: int) -> None:
         """Tell an estimating process that has started of its unfinished sessions."""
@@ -141,75 +138,74 @@ class Reception:
     def receive(self, protocol: str, user: str, body: bytes, platform: str = "", name: str = "") -> str:
         """Log a message; returns a text to show to the user of the phone, once, or "".
 
-        protocol: one of PROTOCOLS; platform: "ios" or "android" if it was stated; name: of the device if the message
-        has none. Raises RefusalError.
+        protocol: SENSOR_LOGGER or that of an app for positions; platform: "ios" or "android" if it was stated; name: of
+        the device if the message has none. Raises HTTPException, and InputError for a malformed message.
         """
         if platform and platform not in PLATFORMS:
-            raise RefusalError(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
+            raise HTTPException(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
         if len(body) > self.limits.body:
-            raise RefusalError(413, f"found more than {self.limits.body >> 20} MB, expected smaller messages")
-        if protocol == SENSOR_LOGGER and sensor_messages.is_test(body):
-            return ""
-        try:
-            identified = _identify(protocol, body, name, self.limits)
-        except InputError as error:
-            raise RefusalError(400, str(error)) from None
-        if identified is None:
-            return ""  # a message without a position, as apps send them
-        key, identity, label = identified
+            raise HTTPException(413, f"found more than {self.limits.body >> 20} MB, expected smaller messages")
+        if protocol == SENSOR_LOGGER:
+            if sensor_messages.is_test(body):
+                return ""
+            message = sensor_messages.parse(body)
+            if (samples := len(message.payload)) > self.limits.samples:
+                raise HTTPException(413, f"found {samples} samples in a message, expected up to {self.limits.samples}")
+            key, identity = message.sessionId, message.messageId
+            label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
+        else:
+            device, fixes = positions.parse(protocol, body)
+            if not len(fixes):
+                return ""  # a message without a position, as apps send them
+            key = label = one_line(device or name or "phone")[:64]
+            identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
         state = self._state(protocol, user, key, label, platform)
         self._charge(state, len(body))
         now = time.time()
         try:
-            if self._log(state.session.id).append(identity, now, body):
+            if self._log(state.session.id).add(identity, now, body):
                 state.last_received = now
                 self._announce(state)
         except OSError as error:
-            raise RefusalError(507, f"the disk of the server: {error.strerror or error}", Retry_After="30") from None
+            text = f"the disk of the server: {error.strerror or error}"
+            raise HTTPException(507, text, {"Retry-After": "30"}) from None
         except InputError as error:  # the log is damaged beyond its messages
-            raise RefusalError(500, f"the disk of the server: {error}") from None
+            raise HTTPException(500, f"the disk of the server: {error}") from None
         self._set_timer(state)
         fresh = [line for line in state.advice if line not in state.shown_advice]
         state.shown_advice.update(fresh)
         return "; ".join(fresh)
 
     def _state(self, protocol: str, user: str, key: str, label: str, platform: str) -> State:
-        """The session of a message, which its first one creates; a finished one is resumed. Raises RefusalError."""
-        id_ = id_of(protocol, user, key, self._current(protocol, user, key))
+        """The session of a message, which its first one creates; a finished one is resumed. Raises HTTPException.
+
+        Positions name no session: a new one of their device begins after a long silence.
+        """
+        id_ = id_of(key)
+        if protocol != SENSOR_LOGGER:
+            names = (protocol, user, key)
+            earlier = [s for s in self._states.values() if (s.session.protocol, s.session.user, s.session.key) == names]
+            last = max(earlier, key=lambda state: state.last_received, default=None)
+            device = hashlib.sha256("\0".join(names).encode()).hexdigest()[:12]
+            id_ = f"{protocol}-{device}-{time.time():.0f}"
+            if last is not None and not last.session.finished:
+                id_ = last.session.id
         state = self._states.get(id_)
         if state is None:
-            state = self._created(Session(id_, key, label, user, protocol, platform, time.time()))
+            unfinished = sum(s.session.user == user and not s.session.finished for s in self._states.values())
+            if unfinished >= self.limits.sessions:
+                text = f"found {unfinished} unfinished sessions of this user, expected fewer"
+                raise HTTPException(429, text, {"Retry-After": "600"})
+            session = Session(id_, key, label, user, protocol, platform, time.time())
+            (self.root / id_).mkdir(exist_ok=True, mode=0o700)
+            state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
+            self._store(state, session)
+            self._states[id_] = state
+            self.hub.pose(user, blank_pose(session))
         if state.session.user != user:
-            raise RefusalError(403, "found a session of another user, expected one of the user of this token")
+            raise HTTPException(403, "found a session of another user, expected one of the user of this token")
         if state.session.finished:
             self._store(state, replace(state.session, finished=False))
-        return state
-
-    def _current(self, protocol: str, user: str, key: str) -> str:
-        """What distinguishes the sessions of a device that names none: a new one begins after a long silence."""
-        if protocol == SENSOR_LOGGER:
-            return ""
-        mine = [
-            state
-            for state in self._states.values()
-            if (state.session.protocol, state.session.user, state.session.key) == (protocol, user, key)
-        ]
-        last = max(mine, key=lambda state: state.last_received, default=None)
-        if last is not None and not last.session.finished:
-            return last.session.id
-        return f"{time.time():.0f}"
-
-    def _created(self, session: Session) -> State:
-        own = [s for s in self._states.values() if s.session.user == session.user and not s.session.finished]
-        if len(own) >= self.limits.sessions:
-            raise RefusalError(
-                429, f"found {len(own)} unfinished sessions of this user, expected fewer", Retry_After="600"
-            )
-        (self.root / session.id).mkdir(exist_ok=True, mode=0o700)
-        state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
-        self._store(state, session)
-        self._states[session.id] = state
-        self.hub.pose(session.user, blank_pose(session))
         return state
 
     def _store(self, state: State, session: Session) -> None:
@@ -218,21 +214,21 @@ class Reception:
         write_session(self.root / session.id, session)
 
     def _charge(self, state: State, size: int) -> None:
-        """Raise RefusalError if a session sends more than its rate."""
+        """Raise HTTPException if a session sends more than its rate."""
         now, most = time.monotonic(), self.limits.rate * self.limits.burst
         state.credit = min(most, state.credit + (now - state.credited) * self.limits.rate)
         state.credited = now
         if size > state.credit:
             wait = (size - state.credit) / self.limits.rate
             text = f"found more than {self.limits.rate / 1e6:.1f} MB/s of a session, expected a phone's sensors"
-            raise RefusalError(429, text, Retry_After=f"{wait + 1:.0f}")
+            raise HTTPException(429, text, {"Retry-After": f"{wait + 1:.0f}"})
         state.credit -= size
 
     def _log(self, id_: str) -> MessageLog:
         if id_ not in self._logs:
             self._logs[id_] = MessageLog(self.root / id_ / LOG)
             while len(self._logs) > self.limits.open_logs:
-                self._logs.popitem(last=False)[1].close()
+                self._close(next(iter(self._logs)))
         self._logs.move_to_end(id_)
         return self._logs[id_]
 
@@ -268,7 +264,9 @@ class Reception:
         elif kind == "path":
             self.hub.path(update)
         elif kind == "finished":
-            self._spawn(self._finished(state))
+            task = asyncio.get_running_loop().create_task(self._finished(state))
+            self._background.add(task)
+            task.add_done_callback(self._background.discard)
         elif kind == "failed":
             published = self.hub.walkers.get(state.session.id)
             pose = published.pose if published else blank_pose(state.session)
@@ -279,17 +277,20 @@ class Reception:
 
     def _set_timer(self, state: State) -> None:
         """Finish a session when it has been silent for long."""
-        sensors = state.session.protocol == SENSOR_LOGGER
-        idle = self.limits.idle if sensors else self.limits.idle_positions
         if state.timer is None:
-            delay = max(0.0, state.last_received + idle - time.time())
-            state.timer = asyncio.get_running_loop().call_later(delay, self._idle, state, idle)
+            delay = max(0.0, self._end(state) - time.time())
+            state.timer = asyncio.get_running_loop().call_later(delay, self._idle, state)
 
-    def _idle(self, state: State, idle: float) -> None:
+    def _end(self, state: State) -> float:
+        """Unix time at which a session ends unless a message comes [s]."""
+        sensors = state.session.protocol == SENSOR_LOGGER
+        return state.last_received + (self.limits.idle if sensors else self.limits.idle_positions)
+
+    def _idle(self, state: State) -> None:
         state.timer = None
         if state.session.finished or state.session.id not in self._states:
             return
-        if time.time() < state.last_received + idle:
+        if time.time() < self._end(state):
             self._set_timer(state)
         else:
             self.finish(state.session.id)
@@ -303,9 +304,7 @@ class Reception:
         if state.announced:
             return  # a message came meanwhile
         self._store(state, replace(state.session, finished=True))
-        log = self._logs.pop(state.session.id, None)
-        if log is not None:
-            log.close()
+        self._close(state.session.id)
         walker = self.hub.walkers.get(state.session.id)
         if walker is not None:
             path = {"finalised": walker.finalised, "current": walker.current}
@@ -323,63 +322,29 @@ class Reception:
             return
         if state.timer is not None:
             state.timer.cancel()
-        log = self._logs.pop(id_, None)
-        if log is not None:
-            log.close()
+        self._close(id_)
         self._estimators.tell("forget", id_)
         shutil.rmtree(self.root / id_, ignore_errors=True)
         self.hub.forget(id_)
-
-    def user_of(self, id_: str) -> str | None:
-        """The user to whom a session belongs; None if there is none of that id."""
-        state = self._states.get(id_)
-        return None if state is None else state.session.user
 
     def recording(self, id_: str) -> Path | None:
         """The file of a session's recording; None before it is finished."""
         files = (self.root / id_ / name for name in RECORDINGS)
         return next((file for file in files if file.exists()), None)
 
-    def _spawn(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._background.add(task)
-        task.add_done_callback(self._background.discard)
-
     def close(self) -> None:
         """Close all files."""
-        for log in self._logs.values():
-            log.close()
-        self._logs.clear()
+        for id_ in list(self._logs):
+            self._close(id_)
+
+    def _close(self, id_: str) -> None:
+        if id_ in self._logs:
+            self._logs.pop(id_).close()
 
 
-def _identify(protocol: str, body: bytes, name: str, limits: Limits) -> tuple[str, int, str] | None:
-    """The app's name of the session, the identity of the message, and a name for people; None without a position.
-
-    Raises InputError, RefusalError.
-    """
-    if protocol == SENSOR_LOGGER:
-        message = sensor_messages.parse(body)
-        if len(message.payload) > limits.samples:
-            raise RefusalError(
-                413, f"found {len(message.payload)} samples in a message, expected up to {limits.samples}"
-            )
-        label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
-        return message.sessionId, message.messageId, label
-    device, fixes = positions.parse(protocol, body)
-    if not len(fixes):
-        return None
-    device = one_line(device or name or "phone")[:64]
-    return device, int.from_bytes(hashlib.sha256(body).digest()[:7], "big"), device
-
-
-def id_of(protocol: str, user: str, key: str, current: str) -> str:
-    """The id of a session in addresses and of its folder. current: the id that is in use, or a number for a new one."""
-    if protocol == SENSOR_LOGGER:
-        return key if PLAIN_ID.fullmatch(key) else hashlib.sha256(key.encode()).hexdigest()[:32]
-    if not current.isdigit():
-        return current
-    device = hashlib.sha256(f"{protocol}\0{user}\0{key}".encode()).hexdigest()[:12]
-    return f"{protocol}-{device}-{current}"
+def id_of(key: str) -> str:
+    """The id, in addresses and of the folder, of the session that Sensor Logger names ``key``."""
+    return key if PLAIN_ID.fullmatch(key) else hashlib.sha256(key.encode()).hexdigest()[:32]
 
 
 def blank_pose(session: Session) -> dict[str, Any]:

@@ -24,9 +24,8 @@ from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
 from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.hub import Hub
 from pdr_graph.apps.serve.live_walk import Session
-from pdr_graph.apps.serve.plan_layers import plan_layers
+from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.reception import Limits, Reception
 from pdr_graph.errors import InputError, Interrupted
@@ -79,12 +78,7 @@ def build(settings: Settings) -> Starlette:
     pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=20)
 
     async def finishing(session: Session) -> str:
-        folder, store = reception.root / session.id, settings.store
-        arguments = (
-            str(folder),
-            None if store is None else str(store),
-            None if options.plan is None else str(options.plan),
-        )
+        arguments = (reception.root / session.id, settings.store, options.plan)
         try:
             return await asyncio.get_running_loop().run_in_executor(pool, finish, *arguments)
         except (RuntimeError, OSError) as error:  # the pool was shut down, or its process was killed

@@ -10,39 +10,47 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import re
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import msgspec
 
 from pdr_graph.apps.lifelog.cache import write
-from pdr_graph.apps.serve.daemon_thread import in_daemon_thread
-from pdr_graph.apps.serve.study_report import refusal, report
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line
-from pdr_graph.web_request import TooLongError, anywhere, ask, nowhere
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line
+from pdr_graph.types import DOUBTFUL, OK
+from pdr_graph.web_request import TooLongError, request
 
 API = "https://sensorlogger.app/api"
 ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
-LONGEST_NAME = 200  # characters of an identity
 MOST_PENDING = 1000  # uploads, each a file of 1 kB
 CLOUD_TIMEOUT = 30.0  # [s] for an answer of the cloud to begin or go on
 DOWNLOAD, POST = 600.0, 60.0  # [s] for all of a recording; for a report
 SMOOTHING_TIMEOUT = 1800.0  # [s] for an estimate
 ATTEMPTS, ATTEMPT_PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
 SMOOTH = "from pdr_graph.apps.cli import main; main()"
+MOST_LISTED = 8  # of each list: the report is one page
+SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~])")
+VERDICT_WORDS = {
+    OK: "The sources of this walk agree with each other.",
+    DOUBTFUL: "**Treat the path with caution**: sources of this walk contradict each other.",
+}
+NOT_CONSISTENT = "**The path cannot be trusted**: nothing fits together."
+# Of an identity: up to 200 printable ASCII characters
+Identity = Annotated[str, msgspec.Meta(min_length=1, max_length=200, pattern=r"^[ -~]+\Z")]
 
 
 class Upload(msgspec.Struct, frozen=True):
     """A recording in the cloud, as the webhook names it; ``secretCode`` gives access to it."""
 
-    studyId: str  # noqa: N815
-    uploadId: str  # noqa: N815
-    secretCode: str  # noqa: N815
+    studyId: Identity  # noqa: N815
+    uploadId: Identity  # noqa: N815
+    secretCode: Identity  # noqa: N815
 
     def __repr__(self) -> str:
         return f"Upload({one_line(self.studyId)[:40]!r}, {one_line(self.uploadId)[:40]!r})"  # without the code
@@ -64,13 +72,9 @@ class CloudError(OSError):
 def upload_of(body: bytes) -> Upload:
     """Decode a call of the webhook. Raises InputError."""
     try:
-        upload = msgspec.json.decode(body, type=Upload)
+        return msgspec.json.decode(body, type=Upload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("webhook", "", one_line(str(error)), "JSON with studyId, uploadId and secretCode") from None
-    for text in (upload.studyId, upload.uploadId, upload.secretCode):
-        if not 0 < len(text) <= LONGEST_NAME or not (text.isascii() and text.isprintable()):
-            raise InputError("webhook", "", f"an identity of {len(text)} characters", f"1 to {LONGEST_NAME}, ASCII")
-    return upload
 
 
 @dataclass
@@ -132,9 +136,16 @@ class StudyReports:
 
     async def _once(self, upload: Upload, folder: Path) -> None:
         recording = folder / "recording.zip"
-        await in_daemon_thread(fetch, self.api, upload, recording)
-        text = await smoothed(recording, folder / "result", self.plan, self.say)
-        await in_daemon_thread(post, self.api, upload, text)
+        await fetch(self.api, upload, recording)
+        text = (await smoothed(recording, folder / "result", self.plan, self.say)).encode()
+        try:
+            await _ask(self.api, "study/webhook/v1", upload, POST, body=text, method="POST")
+        except CloudError as error:
+            if error.status != 405:
+                raise
+            await _ask(
+                self.api, "study/webhook/v1", upload, POST, body=text, method="PUT"
+            )  # as the app's demonstration
         self.say(f"study: {upload!r} reported")
 
 
@@ -163,41 +174,74 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
     return refusal("the estimate failed; the server's log has the cause")
 
 
-def fetch(api: str, upload: Upload, file: Path) -> None:
+async def fetch(api: str, upload: Upload, file: Path) -> None:
     """Download a recording. Raises CloudError."""
     with file.open("wb") as out:
-        _ask(api, "study/file/v1", upload, DOWNLOAD, out=out)
+        await _ask(api, "study/file/v1", upload, DOWNLOAD, follow="anywhere", out=out)
 
 
-def post(api: str, upload: Upload, text: str) -> None:
-    """Post a report. Raises CloudError."""
-    try:
-        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "POST")
-    except CloudError as error:
-        if error.status != 405:
-            raise
-        _ask(api, "study/webhook/v1", upload, POST, text.encode(), "PUT")  # as the demonstration of the app does
-
-
-def _ask(
-    api: str,
-    path: str,
-    upload: Upload,
-    whole: float,
-    body: bytes | None = None,
-    method: str = "GET",
-    out: BinaryIO | None = None,
-) -> None:
+async def _ask(api: str, path: str, upload: Upload, whole: float, **options: Any) -> None:
     """Ask the cloud, which may redirect to its storage. Raises CloudError, also where the body ends early."""
     address = f"{api}/{path}?{urlencode({'studyId': upload.studyId, 'uploadId': upload.uploadId})}"
-    headers = {"Authorization": upload.secretCode} | ({} if body is None else {"Content-Type": "text/markdown"})
-    follow = anywhere if body is None else nowhere
+    headers = {"Authorization": upload.secretCode} | ({"Content-Type": "text/markdown"} if "body" in options else {})
     most = 2**30  # bytes of a recording; an hour at 100 Hz is 100 MB
     try:
-        answer = ask(address, CLOUD_TIMEOUT, whole, most, follow, method=method, body=body, headers=headers, out=out)
+        answer = await request(address, CLOUD_TIMEOUT, whole, most, headers=headers, **options)
     except OSError as error:
         again = not isinstance(error, TooLongError)
         raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again) from None
     if not 200 <= answer.status < 300:
         text = f"{upload!r}, {path}: status {answer.status}"
         raise CloudError(text, again=answer.status >= 500, status=answer.status)
+
+
+# ── the page that a participant gets: one walk in Markdown, from its summary ────────────────────────────────────────
+
+
+def report(summary: Mapping[str, Any]) -> str:
+    """The report of a walk by its ``summary.json``."""
+    verdict = summary["verdict"]
+    lines = ["# Your walk", "", VERDICT_WORDS.get(verdict["state"], NOT_CONSISTENT), ""]
+    lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in _figures(summary)), ""]
+    lines += _listed("What contradicts", [f"{each['text']} Check: {each['check']}" for each in verdict["reasons"]])
+    lines += _listed("What could not be estimated", summary["missing"])
+    lines += _listed("Notes on the recording", summary["warnings"])
+    lines.append(f"*pdr\\_graph {plain(summary['versions']['pdr_graph'])}*")
+    return "\n".join(lines) + "\n"
+
+
+def refusal(reason: str) -> str:
+    """The report of a recording that cannot be used."""
+    return f"# Your walk\n\nThis recording could not be reconstructed.\n\n{plain(reason)}\n"
+
+
+def plain(text: str) -> str:
+    """Untrusted text on one line, without meaning in Markdown."""
+    return SPECIAL.sub(r"\\\1", one_line(text))
+
+
+def _figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    minutes, seconds = divmod(round(summary["duration"]), 60)
+    yield "duration", f"{minutes} min {seconds} s"
+    yield "steps", f"{summary['steps']}"
+    yield "distance", f"{summary['distance']:.0f} m"
+    if summary["steps"]:
+        yield "mean step", f"{summary['distance'] / summary['steps']:.2f} m"
+    if len(summary["floors"]) > 1:
+        yield "floors", plain(" → ".join(summary["floors"]))
+    yield "positions used", f"{sum(fix['weight'] > 0 for fix in summary['fixes'])} of {len(summary['fixes'])}"
+    protection = summary.get("protection")
+    if protection:
+        worst = max(protection["along_95"]["worst"], protection["across_95"]["worst"])
+        median = max(protection["along_95"]["median"], protection["across_95"]["median"])
+        yield "error with 95 % probability below", f"{median:.1f} m on most of the way, {worst:.1f} m at worst"
+    else:
+        yield "position", "not known: there is the shape of the walk alone"
+
+
+def _listed(title: str, lines: list[str]) -> list[str]:
+    if not lines:
+        return []
+    more = len(lines) - MOST_LISTED
+    listed = [f"- {plain(line)}" for line in lines[:MOST_LISTED]]
+    return [f"## {title}", "", *listed, *([f"- and {count(more, 'line')} more"] if more > 0 else []), ""]
