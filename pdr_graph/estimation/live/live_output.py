@@ -175,7 +175,7 @@ class FixesAlone:
 def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
     """The state after some fixes; begins at the first.
 
-    A fix beyond the gate is not used; at the third of them in a row, the state begins anew.
+    A fix beyond the gate is not used; at the third of them in a row, the state restarts.
     """
     for time, position, sigma in zip(fixes.time.tolist(), fixes.position, fixes.sigma.tolist(), strict=True):
         R = sigma**2 * np.eye(2)
