@@ -112,3 +112,16 @@ def anchor(heading):
     github = plain.replace(" ", "-")
     site = re.sub(r"[-\s]+", "-", unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode())
     return github if github == site else ""
+
+
+def test_lines_of_code_that_the_reading_page_links_to_define_what_it_names():
+    """pdr_graph/README.md: a name in backticks, linked to path#Lnumber."""
+    page, wrong = ROOT / "pdr_graph" / "README.md", {}
+    links = re.findall(r"\[`(\w+)`\]\(([\w/.]+)#L(\d+)\)", page.read_text(encoding="utf-8"))
+    for name, path, line in links:
+        code = (page.parent / path).read_text(encoding="utf-8").splitlines()
+        defined = [n for n, text in enumerate(code, 1) if re.match(rf"\s*(class|def) {name}\b", text)]
+        if int(line) not in defined:
+            wrong[name] = f"{path}#L{defined[0] if defined else None}"
+    assert len(links) > 30
+    assert wrong == {}
