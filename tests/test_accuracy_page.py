@@ -91,7 +91,7 @@ QUOTES = [
     ),
     (
         "docs/limits.md",
-        "[{} m, in the worst twentieth {} m], where all of the walk at once has {} and {}",
+        "[{} m in the median, {} m at 95 %]; batch {} and {} m",
         [
             ("results/live.md", "live", ("NJU campus", "one in 60 s"), tuple(cell), digits)
             for *cell, digits in (
