@@ -109,7 +109,7 @@ QUOTES = [
     ),
     (
         "docs/limits.md",
-        "{} % of the current poses with a start 8 m off",
+        "the region holds {} % of the current poses with a start 8 m off",
         [("results/integrity-live.md", "integrity live", ("indoors", "user fixes, start: 8 m off"), "in 90 % (2)", 0)],
     ),
     (
