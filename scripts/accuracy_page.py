@@ -99,21 +99,6 @@ def live():
     return table(["recordings: given", *columns], rows)
 
 
-REST = ("GNSS, beacons", "GNSS, beacons: one moved", "GNSS: 10 m off, beacons")  # rows that say no more than others
-
-
-def live_regions():
-    """Share of current poses in the stated region, with honest and with wrong sources."""
-    rows = []
-    for row in published("results/integrity-live.md", "integrity live")[0]:
-        if row["given"] in REST:
-            continue
-        sources = f"{row['']}: {row['given']}"
-        error, region = ends(row["current pose [m]"]), plain(row["in 90 % (2)"])
-        rows.append([sources, error, region, row["not ok"]])
-    return table(["simulated walks: given", "current pose [m]", "in 90 %", "not `ok`"], rows)
-
-
 def lifelog():
     """Stays of simulated days, and visits of shop fronts."""
     stays = published("results/lifelog.md", "lifelog-simulated-days")[0]
@@ -204,7 +189,6 @@ TABLES = {
     "plan": plan,
     "beacons": beacons,
     "live quality": live,
-    "live regions": live_regions,
     "diary": lifelog,
     "trust": trust,
     "misses": misses,
