@@ -90,28 +90,13 @@ def live():
         ),
         ("scenario", ["mall"]),
     ]
-    columns = ["walks", "current pose [m]", "filter [m]", "pose / filter", "in 90 %", "lag 60 s [m]", "batch [m]"]
+    columns = ["walks", "current pose [m]", "filter [m]", "in 90 %", "lag 60 s [m]", "batch [m]"]
     rows = [
         [f"{walk.split('_')[0]}: {given}", *(ends(plain(record("live", "live", walk, given)[c])) for c in columns)]
         for walk, several in shown
         for given in several
     ]
     return table(["recordings: given", *columns], rows)
-
-
-REST = ("GNSS, beacons", "GNSS, beacons: one moved", "GNSS: 10 m off, beacons")  # rows that say no more than others
-
-
-def live_regions():
-    """Share of current poses in the stated region, with honest and with wrong sources."""
-    rows = []
-    for row in published("results/integrity-live.md", "integrity live")[0]:
-        if row["given"] in REST:
-            continue
-        sources = f"{row['']}: {row['given']}"
-        error, region = ends(row["current pose [m]"]), plain(row["in 90 % (2)"])
-        rows.append([sources, row["walks"], error, region, row["not ok"]])
-    return table(["simulated walks: given", "walks", "current pose [m]", "in 90 %", "not `ok`"], rows)
 
 
 def lifelog():
@@ -204,7 +189,6 @@ TABLES = {
     "plan": plan,
     "beacons": beacons,
     "live quality": live,
-    "live regions": live_regions,
     "diary": lifelog,
     "trust": trust,
     "misses": misses,

@@ -91,7 +91,7 @@ QUOTES = [
     ),
     (
         "docs/limits.md",
-        "[{} m, in the worst twentieth {} m], where all of the walk at once has {} and {}",
+        "[{} m in the median, {} m at 95 %]; batch {} and {} m",
         [
             ("results/live.md", "live", ("NJU campus", "one in 60 s"), tuple(cell), digits)
             for *cell, digits in (
@@ -109,7 +109,7 @@ QUOTES = [
     ),
     (
         "docs/limits.md",
-        "{} % of the current poses with a start 8 m off",
+        "the region holds {} % of the current poses with a start 8 m off",
         [("results/integrity-live.md", "integrity live", ("indoors", "user fixes, start: 8 m off"), "in 90 % (2)", 0)],
     ),
     (
