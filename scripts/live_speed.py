@@ -6,13 +6,17 @@ have others to do.
 
 import gc
 import os
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from synthetic_walks import held_by_walls, walk
 from tables import table
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
+from synthetic_walks import held_by_walls, live_events, walk
 
 from pdr_graph import FloorPlan
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -103,7 +107,7 @@ def crowd_rows():
     """Many walkers in turn, step by step: cores that they keep busy in the first minute and after it, and memory."""
     steps, fixes = held_by_walls(int(CROWD_TIME / PERIOD), period=PERIOD)
     plan, before = FloorPlan.load(LOOP), resident()
-    walkers = [(Navigator(plan, lag=LAG), said_events(steps, fixes[n % FIRST_FIXES :])) for n in range(CROWD)]
+    walkers = [(Navigator(plan, lag=LAG), live_events(steps, fixes[n % FIRST_FIXES :])) for n in range(CROWD)]
     took = np.zeros((2, len(PARTS)))  # [s] in the first minute and after it
     for n in range(len(steps)):
         for nav, events in walkers:
@@ -134,11 +138,11 @@ def push_step(nav, events):
 
 def walks():
     """The walks, pushed, by what they are."""
-    day = pushed(Navigator(FloorPlan.load(LOOP), lag=LAG), said_events(*held_by_walls(DAY, period=PERIOD)), DAY)
+    day = pushed(Navigator(FloorPlan.load(LOOP), lag=LAG), live_events(*held_by_walls(DAY, period=PERIOD)), DAY)
     return {
         OF_A_DAY: day,
-        "no walls, fixes at 1 Hz, lag 60 s": pushed(Navigator(lag=LAG), said_events(*walk(20_000, 2)), 20_000),
-        "no walls, fix every 30 steps, all open": pushed(Navigator(lag=None), said_events(*walk(10_000, 30)), 10_000),
+        "no walls, fixes at 1 Hz, lag 60 s": pushed(Navigator(lag=LAG), live_events(*walk(20_000, 2)), 20_000),
+        "no walls, fix every 30 steps, all open": pushed(Navigator(lag=None), live_events(*walk(10_000, 30)), 10_000),
         OF_SAMPLES: sampled_hour(),
     }
 
@@ -193,18 +197,6 @@ def clocks():
 def resident():
     """Memory of this process now [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def said_events(steps, fixes):
-    """Step after step as it ends, and each fix in its time."""
-    begin, fix = steps.start, 0
-    for k, end in enumerate(steps.time.tolist()):
-        while fix < len(fixes) and fixes.time[fix] <= end:
-            yield fixes[fix : fix + 1]
-            fix += 1
-        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
-        yield Steps(begin, end, **columns)
-        begin = end
 
 
 def sampled_hour():

@@ -1,6 +1,8 @@
 """Disturb every command in the middle of its work. Its outputs must be the earlier ones or the new ones, never half.
 
-python scripts/output_faults.py [COUNT] [disk-full | small-disk | read-only | interrupted | killed | second] [COMMAND ...]
+python scripts/output_faults.py [COUNT] [KIND ...] [COMMAND ...]
+
+KIND: disk-full, small-disk, read-only, interrupted, killed, second.
 
 COUNT: moments at which each command is interrupted (20). After each fault: one line of text and no traceback; the files
 that were there are unchanged, or all new ones are in place; nothing unfinished lies about. A lifelog or journal is then

@@ -4,7 +4,9 @@ Every rival has the steps, the fixes and the sigmas that the graph has, and the 
 given beyond that is said in its docstring.
 """
 
+import sys
 import time
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -14,8 +16,11 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
-from synthetic_walks import PERIOD, walk_and_truth
 from tables import table
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
+from synthetic_walks import PERIOD, walk_and_truth
 
 from pdr_graph import WalkGraph, dead_reckon, smooth
 from pdr_graph.estimation.factors.start import Prior

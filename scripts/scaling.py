@@ -10,8 +10,11 @@ import sys
 import time
 from pathlib import Path
 
-from synthetic_walks import walk
 from tables import table
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
+from synthetic_walks import walk
 
 from pdr_graph import WalkGraph, smooth
 
