@@ -1,39 +1,215 @@
-"""Absolute directions: what the compass says of real walks, where gait says ahead is, and re-holds put into walks."""
+"""The front end: step counts and lengths on real recordings, compass headings, and re-holds put into walks."""
 
 from functools import partial
 from itertools import product
 
 import numpy as np
-from heading import HOLDS, walked
+from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import detect_steps, magnetic_headings
+from pdr_graph import Walker, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.estimation.calibration import posterior_profile, prior_of
 from pdr_graph.frames import enu
+from pdr_graph.gait import step_length
 from pdr_graph.gait.compass import LiveCompass
-from pdr_graph.gait.heading import braking_axis, forward_axis, reading_axis, walking_direction
+from pdr_graph.gait.heading import walking_direction
+from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
-from pdr_graph.lab.papers.heading_methods import principal_axis
+from pdr_graph.lab.papers.step_detectors import peak_pairs, trough_to_peak
 from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
+from pdr_graph.priors import STRIDES
+from pdr_graph.types import LONLAT, Fixes
 
+OXFORD = {  # true counts of the data page
+    "hand": ("user1_hand", 326),
+    "trouser pocket": ("user1_frontpocket", 327),
+    "bag": ("user1_bag", 346),
+    "swinging arm, switch rises": ("SwingingArm", 284),
+    "swinging arm, feet in turn": ("SwingingArm", 264),
+}
+DETECTORS = {
+    "[map-matching] peak pairs": peak_pairs,
+    "[calibration-walk] candidates": trough_to_peak,
+    "**ours**": lambda attitude: walking_steps(attitude.time, attitude.acceleration),
+}
+QUIET = {"IPIN 2023": 60.0, "IPIN21": 4.0}  # [s] from the start
+LONG = 35.0  # [m]
+CHAINS = {"site1/B1": "5ddb8a0", "site1/F1": "5dd9ef", "site2/F1": "5dd36"}
+HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
-AXES = {
-    "principal component, signed by the step pattern": principal_axis,
-    "what brakes the walker": braking_axis,
-    "the y axis of a phone that is read": reading_axis,
-    "**both, our default**": forward_axis,
-}
 LIVE_WALKS, EARLY = 12, 45.0  # per hold; [s] since the first step
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 ROUGHLY = 40  # [deg]
 SHARES, TURN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2  # of the walk; [rad]
+
+
+def steps(data):
+    """The tables."""
+    counts(data)
+    quiet(data)
+    walks = measured(data)
+    strides(walks)
+    profiles(walks)
+
+
+def counts(data):
+    """Steps of the Oxford recordings, of an accelerometer alone."""
+    rows = []
+    for name, true, path in oxford(data):
+        attitude = attitude_of(load(path))
+        found = [len(detect(attitude)) for detect in DETECTORS.values()]
+        rows.append([name, true, *(with_error(n, true) for n in found)])
+    publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
+
+
+def oxford(data):
+    """Each count of the Oxford recordings: what it is of, the true one, and the file."""
+    files = sorted((data / "oxford_steps").glob("validation/*.csv")) + sorted((data / "oxford_steps").glob("Pixel*"))
+    for name, (part, true) in OXFORD.items():
+        yield name, true, next(f for f in files if part in f.name)
+
+
+def with_error(found, true):
+    """A count, and by how much it is off."""
+    return f"{found} ({100 * (found / true - 1):+.1f} %)"
+
+
+def quiet(data):
+    """Steps found where nobody walked."""
+    paths = {
+        "IPIN 2023": sorted((data / "ipin2023_track3").glob("*Trial*.txt")),
+        "IPIN21": [data / "ipin21_hcu" / "eight"],
+    }
+    rows = []
+    for name, files in paths.items():
+        attitudes = [attitude_of(load(path)) for path in files]
+        found = [sum(int((detect(a).time < QUIET[name]).sum()) for a in attitudes) for detect in DETECTORS.values()]
+        rows.append([f"{name}, first {QUIET[name]:.0f} s of {len(files)}", *found])
+    publish("results/steps.md", "quiet", table(["", *DETECTORS], rows))
+
+
+class Measured:
+    """A walk whose way between some moments is known: legs of distance [m], share of each step, which steps."""
+
+    def __init__(self, name, walk, truth, every=1):
+        self.name = name
+        self.truth = enu(*truth.position[0][::-1]).place(truth) if truth.epsg == LONLAT else truth
+        self.gait = gait_signals(walk)[0]
+        self.features, landings = StepFeatures(self.gait), self.gait.landings
+        begin, time = landings.time - landings.period, self.truth.time[::every]
+        self.legs = []
+        for a, b, move in zip(time[:-1], time[1:], np.diff(self.truth.position[::every], axis=0), strict=True):
+            share = np.clip(np.minimum(landings.time, b) - np.maximum(begin, a), 0, None) / landings.period
+            if share.any():
+                self.legs.append((float(np.hypot(*move)), share))
+        self.way = sum(distance for distance, _ in self.legs)
+
+    def ratio(self, lengths):
+        """Walked length by a model over the true one."""
+        return sum(share @ lengths for _, share in self.legs) / self.way
+
+
+def measured(data):
+    """Microsoft's walks, and those that no constant was chosen on."""
+    walks = []
+    for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
+        walk = load(path)
+        walks.append(Measured(f"{path.parent.parent.name}/{path.parent.name} {path.stem[:8]}", walk, walk.truth))
+    for path in sorted((data / "ipin2023_track3").glob("*Trial[02]*.txt")):  # Trial52 climbs stairs
+        walk = load(path)
+        walks.append(Measured(path.stem.split("Training")[1].split("_")[0], walk, walk.truth))
+    walk = load(data / "ipin21_hcu" / "eight")
+    walks.append(Measured("IPIN21", walk, walk.truth, every=8))
+    walk = load(data / "nju_phyphox_outdoor")
+    walks.append(Measured("NJU", walk, walk.fixes, every=12))
+    return walks
+
+
+def strides(walks):
+    """Dead-reckoned length over the true one, by model: Microsoft's fifteen, and the four others."""
+    known = [walk for walk in walks if walk.name.startswith("site")]
+    others = [walk for walk in walks if walk not in known]
+    rows = []
+    for name, model in step_length.MODELS.items():
+        ratios, elsewhere = (np.array([w.ratio(model(w.features)[0]) for w in of]) for of in (known, others))
+        shown = f"**{name}**" if name == "inverted pendulum" else name
+        rows.append([shown, *spread(known, ratios), *(f"{ratio:.2f}" for ratio in elsewhere)])
+    left_out = np.array([walk.ratio(refitted(known, walk)) for walk in known])
+    rows.append(["inverted pendulum, k₁ of the other chains", *spread(known, left_out), *[""] * len(others)])
+    header = ["model / true length", f"{LONG:.0f} m and more: bias", "spread", "all fifteen: bias", "spread"]
+    publish("results/steps.md", "stride", table([*header, *(walk.name for walk in others)], rows))
+    cells = [[w.name, f"{w.way:.0f}", len(w.gait.landings), f"{r:.2f}"] for w, r in zip(known, left_out, strict=True)]
+    publish(
+        "results/steps.md",
+        "stride by walk",
+        table(["walk", "way [m]", "steps", "model / true, k₁ of the others"], cells),
+    )
+
+
+def spread(walks, ratios):
+    """Bias and spread of the long walks, and of all. [%]"""
+    long = np.array([walk.way >= LONG for walk in walks])
+    return [f"{100 * v:.1f} %" for of in (ratios[long], ratios) for v in (of.mean() - 1, of.std())]
+
+
+def chain_of(walk):
+    """The walks of one walker, which a fit must not share out."""
+    return next((c for c, start in CHAINS.items() if walk.name.startswith(f"{c} {start}")), walk.name)
+
+
+def refitted(walks, walk):
+    """Step lengths of a walk by the default model, its k₁ fitted to the legs of everybody else."""
+    rest = [other for other in walks if chain_of(other) != chain_of(walk)]
+    legs = [(d, share.sum(), share @ bounce(other)) for other in rest for d, share in other.legs]
+    distance, count, bounced = np.array(legs).T
+    sigma = np.sqrt(2 * 0.47**2 + 0.15**2 * count)
+    k = least_squares(lambda k: (STRIDES.k0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[0]
+    return STRIDES.k0 + k * bounce(walk)
+
+
+def bounce(walk):
+    """√A T of each step."""
+    return np.sqrt(walk.features.amplitude) * walk.features.period
+
+
+def profiles(walks):
+    """The length of a chain's walk by the model alone, and with the profile that the rest of the chain taught."""
+    rows, plain, taught = [], [], []
+    for chain in CHAINS:
+        pieces = [walk for walk in walks if chain_of(walk) == chain]
+        for piece in pieces:
+            profile = None
+            for other in pieces:
+                profile = profile if other is piece else learnt(other, profile)
+            factor = 1 + profile.E_length
+            lengths = step_length.inverted_pendulum(piece.features)[0]
+            plain.append(piece.ratio(lengths))
+            taught.append(piece.ratio(factor * lengths))
+            rows.append([piece.name, f"{piece.way:.0f}", f"{plain[-1]:.2f}", f"{factor:.2f}", f"{taught[-1]:.2f}"])
+    for name, of in (("mean", np.mean), ("spread", np.std)):
+        rows.append([f"**{name}**", "", f"{of(plain):.3f}", "", f"{of(taught):.3f}"])
+    header = ["walk", "way [m]", "model / true", "profile's 1 + E_length", "with profile / true"]
+    publish("results/steps.md", "profiles", table(header, rows))
+
+
+def learnt(measured_walk, known):
+    """The profile after another walk of the same person, with all its waypoints given."""
+    truth = measured_walk.truth
+    steps = detect_steps([measured_walk.gait], Walker(profile=known))
+    fixes = Fixes(truth.time, truth.position, np.full(len(truth), 0.5), ("",) * len(truth))
+    return posterior_profile(smooth(WalkGraph(steps, fixes, prior=prior_of(known))), steps, known)
+
+
+# Compass
 
 
 def recordings(data):
@@ -57,8 +233,7 @@ def compass(data):
         rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
     publish("results/compass.md", "compass", table(header, rows))
-    live(groups)
-    ahead([path for paths in groups.values() for path in paths])
+    live_compass(groups)
     reheld([path for paths in groups.values() for path in paths])
     put_away()
 
@@ -92,7 +267,7 @@ def errors_of(times, headings, steps, truth):
     return np.array(errors)
 
 
-def live(groups):
+def live_compass(groups):
     """The first headings of the live compass: when, and how honest, on real walks and simulated ones in five holds."""
     rows = [live_row(name, [live_recorded(path) for path in paths]) for name, paths in groups.items()]
     rows += [
@@ -152,50 +327,6 @@ def live_simulated(hold, seed):
     moment, time, heading, sigma = live_headings(walk.recording(*SENSORS), walk.frame).T
     error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
     return np.column_stack([moment - 3, error, sigma])
-
-
-def ahead(paths):
-    """Where each method says is ahead: simulated walks in five holds, and real ones against the phone's y axis."""
-    found = {name: [[] for _ in (*HOLDS, "real")] for name in AXES}
-    for column, hold in enumerate(HOLDS):
-        for seed in range(10):
-            walk = walked(hold, seed)
-            gait = seen(walk.recording("accelerometer", "gyroscope"))
-            wanted = true_ahead(walk, *gait[:3])
-            for name, method in AXES.items():
-                found[name][column].append(difference(method(*gait), wanted))
-    for path in paths:
-        gait = seen(load(path))
-        wanted = reading_axis(*gait).angle
-        for name, method in AXES.items():
-            found[name][-1].append(difference(method(*gait), wanted))
-    rows = [[name, *(cell(np.array(errors)) for errors in columns)] for name, columns in found.items()]
-    publish("results/compass.md", "ahead", table(["median error [deg] (silent)", *HOLDS, "real hands, to y"], rows))
-
-
-def seen(recording):
-    """Attitude, heading, when they walk, and the duration of a step, of a recording's first part."""
-    gait = gait_signals(recording)[0]
-    return gait.attitude, gait.direction.heading, gait.walking, gait.landings.usual_step
-
-
-def true_ahead(walk, attitude, heading, walking):
-    """The angle that is to be found, from the simulation's truth."""
-    truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
-    east = walk.world_of(attitude).apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
-    return float(np.angle(np.mean((east * np.exp(1j * (truth - heading)))[walking])))
-
-
-def difference(forward, wanted):
-    """[deg], NaN where nothing was said."""
-    return np.degrees(np.abs(wrap_angle(forward.angle - wanted))) if forward.determined else np.nan
-
-
-def cell(errors):
-    silent = int(np.isnan(errors).sum())
-    if silent == len(errors):
-        return "—"
-    return f"{np.nanmedian(errors):.0f}" + (f" ({silent} of {len(errors)})" if silent else "")
 
 
 def reheld(paths):
