@@ -7,17 +7,14 @@ CPU is the time of all threads of a process; quote the ratios, since machines di
 
 import gc
 import json
-import os
 import re
 import resource
-import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 import zipfile
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -600,17 +597,16 @@ FIRST = datetime(2024, 5, 1, 7, tzinfo=UTC).timestamp()  # [s] Unix time of the 
 WALKS, APART = 3, 14_400.0  # on each day; [s] between them
 OUTSIDE, FIX, SIGMA = 600.0, 30.0, 4.0  # [s] outside, and as long inside again; between fixes outside; [m] of them
 MONTH, MONTH_STEPS = 30, 1_000_000  # days of one person, and steps in all of them
-PEOPLE, DAYS, DAILY = 40, 5, 6_000  # of the fleet, and their steps on a day
 
 
 def lifelog_rows():
-    """A month of one person, and the days of many people by this process, by joblib and by Dask."""
+    """Time, memory and files of a month of one person, built by one process."""
     with tempfile.TemporaryDirectory() as folder, alone() as process:
         took, memory, size, again = process.submit(month, folder).result()
     rows = [[f"{MONTH} days, {MONTH_STEPS} steps, one process", f"{took:.1f} s, {memory:.0f} MB of memory"]]
     rows += [["the same again, nothing being new", f"{again:.2f} s"]]
     rows += [["the store", f"{size[0] / 1e6:.0f} MB"], ["observations beside it", f"{size[1] / 1e6:.0f} MB"]]
-    return f"{table(['a month', ''], rows)}\n\n{fleet_rows()}"
+    return table(["a month", ""], rows)
 
 
 def month(folder):
@@ -621,37 +617,6 @@ def month(folder):
     again = time.perf_counter()
     build(log, observe=drawn)
     return took, memory, size, time.perf_counter() - again
-
-
-def fleet_rows():
-    """The same days by this process, by joblib and by Dask."""
-    with tempfile.TemporaryDirectory() as folder:
-        ways = {"one process": ({}, 0), "joblib, 2 workers": ({"workers": 2}, 0)}
-        ways |= {f"Dask, {n} worker{'s' * (n > 1)}": ({}, n) for n in (1, 2)}
-        rows, first, slowest = [], None, None
-        for number, (name, (options, dask)) in enumerate(ways.items()):
-            log = lifelog(Path(folder) / str(number), PEOPLE, DAYS, DAILY)
-            with cluster(dask) as address, alone() as process:
-                days, took, _ = process.submit(timed, log, **options, **address).result()
-            found = content(log)
-            first, slowest = first or found, slowest or took
-            same = "—" if not rows else "yes" if found == first else "NO"
-            rows.append([name, days, f"{took:.1f}", f"{slowest / took:.2f}", same])
-    head = [f"{PEOPLE} people × {DAYS} days, {PEOPLE * DAYS * DAILY} steps", "person-days", "time [s]", "speed-up"]
-    return f"{table([*head, 'identical'], rows)}\n\n{os.cpu_count()} cores; workers had been started."
-
-
-@contextmanager
-def cluster(workers):
-    """Options of a local Dask cluster; none without workers."""
-    if not workers:
-        yield {}
-        return
-    from distributed import LocalCluster
-
-    options = {"n_workers": workers, "threads_per_worker": 1, "memory_limit": 0, "dashboard_address": ":0"}
-    with LocalCluster(**options) as local:
-        yield {"scheduler": local.scheduler_address}
 
 
 def lifelog(folder, people, days, steps):
@@ -708,14 +673,6 @@ def drawn(recording, *_):
         headings=Headings.none(),
         fixes=Fixes(time_[at], place, np.full(len(at), SIGMA), ("",) * len(at), source=("GNSS",) * len(at)),
     )
-
-
-def content(log):
-    """All that is in the tables of days."""
-    names = ("day", "outing", "segment", "trajectory", "stay", "facing", "profile", "failure")
-    with closing(sqlite3.connect(log)) as database:
-        ordered = "SELECT * FROM {} ORDER BY person, date, rowid"
-        return {name: database.execute(ordered.format(name)).fetchall() for name in names}
 
 
 if __name__ == "__main__":

@@ -1,18 +1,15 @@
-"""The front end: step counts and lengths on real recordings, compass headings, and re-holds put into walks."""
+"""The front end: step counts and lengths on real recordings, and headings of the compass."""
 
 from functools import partial
-from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import Walker, WalkGraph, detect_steps, magnetic_headings, smooth
-from pdr_graph.estimation.calibration import posterior_profile, prior_of
+from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
 from pdr_graph.gait import step_length
 from pdr_graph.gait.compass import LiveCompass
-from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.step_stream import StepStream
@@ -21,12 +18,11 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.step_detectors import peak_pairs, trough_to_peak
-from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.priors import STRIDES
-from pdr_graph.types import LONLAT, Fixes
+from pdr_graph.types import LONLAT
 
 OXFORD = {  # true counts of the data page
     "hand": ("user1_hand", 326),
@@ -48,8 +44,6 @@ HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
 LIVE_WALKS, EARLY = 12, 45.0  # per hold; [s] since the first step
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
-ROUGHLY = 40  # [deg]
-SHARES, TURN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2  # of the walk; [rad]
 
 
 def steps(data):
@@ -58,7 +52,6 @@ def steps(data):
     quiet(data)
     walks = measured(data)
     strides(walks)
-    profiles(walks)
 
 
 def counts(data):
@@ -181,34 +174,6 @@ def bounce(walk):
     return np.sqrt(walk.features.amplitude) * walk.features.period
 
 
-def profiles(walks):
-    """The length of a chain's walk by the model alone, and with the profile that the rest of the chain taught."""
-    rows, plain, taught = [], [], []
-    for chain in CHAINS:
-        pieces = [walk for walk in walks if chain_of(walk) == chain]
-        for piece in pieces:
-            profile = None
-            for other in pieces:
-                profile = profile if other is piece else learnt(other, profile)
-            factor = 1 + profile.E_length
-            lengths = step_length.inverted_pendulum(piece.features)[0]
-            plain.append(piece.ratio(lengths))
-            taught.append(piece.ratio(factor * lengths))
-            rows.append([piece.name, f"{piece.way:.0f}", f"{plain[-1]:.2f}", f"{factor:.2f}", f"{taught[-1]:.2f}"])
-    for name, of in (("mean", np.mean), ("spread", np.std)):
-        rows.append([f"**{name}**", "", f"{of(plain):.3f}", "", f"{of(taught):.3f}"])
-    header = ["walk", "way [m]", "model / true", "profile's 1 + E_length", "with profile / true"]
-    publish("results/steps.md", "profiles", table(header, rows))
-
-
-def learnt(measured_walk, known):
-    """The profile after another walk of the same person, with all its waypoints given."""
-    truth = measured_walk.truth
-    steps = detect_steps([measured_walk.gait], Walker(profile=known))
-    fixes = Fixes(truth.time, truth.position, np.full(len(truth), 0.5), ("",) * len(truth))
-    return posterior_profile(smooth(WalkGraph(steps, fixes, prior=prior_of(known))), steps, known)
-
-
 # Compass
 
 
@@ -234,8 +199,6 @@ def compass(data):
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
     publish("results/compass.md", "compass", table(header, rows))
     live_compass(groups)
-    reheld([path for paths in groups.values() for path in paths])
-    put_away()
 
 
 def heading_errors(path):
@@ -327,51 +290,3 @@ def live_simulated(hold, seed):
     moment, time, heading, sigma = live_headings(walk.recording(*SENSORS), walk.frame).T
     error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
     return np.column_stack([moment - 3, error, sigma])
-
-
-def reheld(paths):
-    """Real walks in which the phone is turned by a quarter in the hand: is that a turn of the walker?"""
-    told, tried, errors = 0, 0, []
-    for path in paths:
-        gait = gait_signals(load(path))[0]
-        recording, attitude, heading = gait.recording, gait.attitude, gait.direction.heading
-        landed, step = gait.landings.time, gait.landings.usual_step
-        if len(landed) < 60:
-            continue
-        for share in SHARES:
-            for angle in (TURN, -TURN):
-                begin = float(landed[int(len(landed) * share)])
-                up = attitude.R_world_device[int(np.searchsorted(attitude.time, begin))].inv().apply([0.0, 0.0, 1.0])
-                turned = with_grip_change(recording, up, begin, angle)
-                direction = walking_direction(attitude_of(turned), step)
-                gained = (direction.heading[-1] - direction.heading[0]) - (heading[-1] - heading[0])
-                error = np.degrees(abs(gained))
-                tried += 1
-                if error < 60:
-                    told += 1
-                    errors.append(error)
-    rows = [[tried, told, f"{np.median(errors):.0f}", f"{max(errors):.0f}"]]
-    header = ["re-holds put in", "detected as grip changes", "error [deg]: median", "largest"]
-    publish("results/compass.md", "reheld", table(header, rows))
-
-
-def put_away():
-    """Simulated walks in which the phone goes from any hold to any other, and the walker goes on, aside or back."""
-    rows = []
-    for name, angle, onwards in (("straight on", 0, [50, 0]), ("aside", 90, [25, 25]), ("back", 180, [0, 0])):
-        errors = [turn_error(*case, angle, onwards) for case in product(HOLDS, HOLDS, range(3)) if case[0] != case[1]]
-        within = f"{100 * np.mean(np.array(errors) < ROUGHLY):.0f} %"
-        rows.append([name, len(errors), f"{np.median(errors):.0f}", f"{np.percentile(errors, 90):.0f}", within])
-    header = ["the walker goes on", "walks", "error [deg]: median", "90 %", f"within {ROUGHLY}°"]
-    publish("results/compass.md", "put away", table(header, rows))
-
-
-def turn_error(before, after, seed, angle, onwards):
-    """Of the whole turn of a walk [deg]: 25 m, standing, turning on the spot, taking the phone otherwise, 25 m."""
-    standing = {"stand": 1, "turn": angle} if angle else {"stand": 1}
-    route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, standing, {"hold": after}, {"to": [onwards]}, {"stand": 2}]
-    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": before, "rate": 50}}))
-    attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
-    heading = walking_direction(attitude, 1 / walk.walker.cadence).heading
-    truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
-    return np.degrees(abs(wrap_angle(heading[-1] - heading[0] - truth[-1] + truth[0])))

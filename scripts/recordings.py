@@ -1,13 +1,11 @@
 """Real recordings with a reference: Microsoft's fifteen walks by method, and every recording by every method."""
 
-import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
 from conditions import (
     HELP,
-    ROOT,
     WAYPOINT_NOISE,
     errors_at,
     fixes_as_track,
@@ -21,20 +19,17 @@ from conditions import (
     rest,
     withheld,
 )
-from gait import oxford, with_error
 from live import campus, eight, followed, mall, museum, on_campus
 from tables import publish, table
 
-from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, kalman_filter, kalman_smoother, smooth
+from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session
-from pdr_graph.apps.lifelog.stays import follow_positions
 from pdr_graph.apps.lifelog.store import RecordingOptions
 from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes, Trajectory
-from pdr_graph.walk import read
 
 MICROSOFT_METHODS = {
     "straight lines": lambda walk: fixes_as_track(walk.fixes),
@@ -145,11 +140,6 @@ def every_recording(data):
     publish("results/recordings.md", "summary", table(header, in_short(rows)))
     header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
     publish("results/recordings.md", "recordings", table(header, in_full(rows)))
-    publish(
-        "results/recordings.md",
-        "without places",
-        table(["recording", "reference", *METHODS], [*counted(data), *positions_alone(data)]),
-    )
     publish("results/recordings.md", "out of order", out_of_order(rows))
 
 
@@ -240,18 +230,6 @@ def pooled(rows):
         yield Row(group, help_, group, help_, errors, np.concatenate([one.inside for one in alike]))
 
 
-def counted(data):
-    """Steps of recordings without positions, at the end and live."""
-    for of, true, path in oxford(data):
-        recording = load(path)
-        nav = Navigator()
-        for event in events_of(recording):
-            nav.push(event)
-        nav.finish()
-        found = [with_error(len(detect_steps(recording)), true), with_error(nav.steps, true)]
-        yield [f"Oxford, {of}", f"{true} steps", found[0], NO_PLACE, NO_PLACE, found[1], NO_PLACE]
-
-
 def out_of_order(rows):
     """How often one method is better than another, and the rows where the graph is worse than one by a tenth."""
     lines, worse = [], []
@@ -316,16 +294,3 @@ def as_one(data):
         said = f"{floor}, {len(pieces)} recordings, {length:.0f} m"
         for beside, plan, field in (("field", False, True), ("plan", True, False), ("plan, field", True, True)):
             yield said, beside, estimate_walk(by_ends(pieces, plan, field), None, None), rest(truth, [0, -1])
-
-
-def positions_alone(data):
-    """Yield the rows of how far positions alone led."""
-    sys.path.append(str(ROOT / "tests"))
-    from cleaned_track import cleaned_length
-
-    for path in [*sorted(data.glob("geolife_sample/*/*.plt")), *sorted(data.glob("gpx_sample/*.gpx"))]:
-        fixes, none = read(path).fixes, [NO_STEPS] * 4
-        clean = cleaned_length(fixes.time, fixes.position) / 1000
-        ours = sum(segment.distance for segment in follow_positions(fixes)[1]) / 1000
-        name = f"GeoLife {path.parent.name}" if path.suffix == ".plt" else path.stem
-        yield [name, f"cleaned: {clean:.2f} km", *none, f"{ours:.2f} km ({100 * (ours / clean - 1):+.1f} %)"]
