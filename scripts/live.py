@@ -6,11 +6,9 @@ import sys
 import time
 import tomllib
 import warnings
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -62,7 +60,7 @@ LEAST_COVERAGE, MOST_OUTSIDE, MOST_JITTER, LONGEST = 0.87, 0.01, 0.2, 0.030  # t
 ACCURACY = ["walk", "given", "walks", "places", "current pose [m]", "filter [m]", "pose / filter", "in 90 %"]
 ACCURACY += ["lag 60 s [m]", "batch [m]"]
 BEHAVIOUR = ["walk", "given", "first pose [s]", "within 5 m [s]", "within 0.5 rad [s]", "jump in a minute [m]"]
-BEHAVIOUR += ["causes", "drawn [m]", "outside", "jitter [m]", "push and pose, CPU [ms]", "wall [ms]"]
+BEHAVIOUR += ["drawn [m]", "outside", "jitter [m]", "push and pose, CPU [ms]", "wall [ms]"]
 
 
 SPARSE = 60.0  # [s] between the fixes of a user who gives few
@@ -95,7 +93,6 @@ SCENARIO_FILES = {  # what the scenario's file does not have
 
 NEAR, POINTED = 5.0, 0.5  # [m] and [rad] within which a place and a direction are right
 MINUTE = 60.0  # [s]
-NOTABLE = 1.0  # [m] of a jump whose cause is counted
 ON_THE_EDGE = 0.05  # [m] beyond the walkable area that a place may be, by the plan's own precision
 STILL, LEAST_STAND = 0.05, 50.0  # [m] within which a walker stands; [s] of a stand whose jitter is measured
 SETTLING = 5.0  # [s] after the last step, until a stand is known to be one
@@ -152,7 +149,6 @@ def behaviour_row(group, score):
         group.given,
         *times,
         median_and_most(score.jumps),
-        commonest(score.causes),
         median_and_most(score.display_jumps),
         "—" if np.isnan(outside) else marked(f"{100 * outside:.1f} %", outside > MOST_OUTSIDE),
         marked(median_and_most(score.jitter, 2), jitter > MOST_JITTER),
@@ -485,7 +481,7 @@ class Ask:
 
     time: of the newest sample [s]; pose: None before there is one; anchored: False while only its shape is known, not
     where it is; display: ``(2,)`` place that is drawn [m], None without; walked: length of all steps so far [m];
-    chunks, headings, fixes: how many of each the front end had given; reached: end of the certain steps [s]; tail:
+    chunks, headings, fixes: how many of each the front end had given; tail:
     provisional steps; cpu, wall: seconds of the pushes since the last one, and of the pose.
     """
 
@@ -497,10 +493,7 @@ class Ask:
     chunks: int
     headings: int
     fixes: int
-    reached: float
     tail: Steps | None
-    state: str
-    restarts: int
     cpu: float
     wall: float
 
@@ -603,10 +596,7 @@ def ask_of(nav, time, pose, taken):
         chunks=len(nav.chunks),
         headings=len(nav.headings),
         fixes=len(nav.fixes),
-        reached=nav.chunks[-1].end if nav.chunks else -np.inf,
         tail=tail,
-        state=status.state,
-        restarts=status.restarts,
         cpu=float(taken[0]),
         wall=float(taken[1]),
     )
@@ -622,7 +612,7 @@ class WalkScore:
     errors: by estimate at the places of the truth that all estimates have ``(n,)`` [m]; inside: of each, whether it is
     in the 90 % region of the pose; first, near, pointed: seconds from the first sample to the first pose, to a place
     within NEAR and to a direction within POINTED, infinite if never, pointed NaN without true directions; jumps,
-    display_jumps: the largest of each minute [m]; causes: of the notable ones; outside: whether each pose is outside
+    display_jumps: the largest of each minute [m]; outside: whether each pose is outside
     the walkable area, empty without a plan; jitter: of each stand of a minute [m]; cpu, wall: of each ask [s].
     """
 
@@ -633,7 +623,6 @@ class WalkScore:
     pointed: float
     jumps: np.ndarray
     display_jumps: np.ndarray
-    causes: tuple
     outside: np.ndarray
     jitter: np.ndarray
     cpu: np.ndarray
@@ -647,19 +636,17 @@ def score_of(case, run, batch):
     if not run.shown:
         never = np.inf
         errors = {name: empty for name in ("pose", "filter", "lag", "batch")}
-        return WalkScore(errors, empty, never, never, never, empty, empty, (), empty, empty, cpu, wall)
+        return WalkScore(errors, empty, never, never, never, empty, empty, empty, empty, cpu, wall)
     truth, causal = case.walk.truth, run.causal
     errors, inside = errors_of(case, run, batch)
-    size, causes = jumps(run)
     return WalkScore(
         errors=errors,
         inside=inside,
         first=run.shown[0].time - case.begin,
         near=time_to_near(causal, truth) - case.begin,
         pointed=time_to_pointed(causal, truth) - case.begin,
-        jumps=by_minute(run.shown, size),
+        jumps=by_minute(run.shown, jumps(run)),
         display_jumps=by_minute(run.shown, display_jumps(run)),
-        causes=tuple(np.array(causes, dtype=object)[size > NOTABLE]),
         outside=outside(causal.position, case.plan),
         jitter=jitter(run.shown, standing(truth)),
         cpu=cpu,
@@ -703,12 +690,8 @@ def _first_twice(time, right):
 
 
 def jumps(run):
-    """How much farther the pose moved than the steps from each ask to the next ``(a,)`` [m], and the cause of each."""
-    asks = run.shown
-    place = np.array([(ask.pose.x, ask.pose.y) for ask in asks])
-    fixes = np.array([(n, time) for n, fix in enumerate(run.fixes) for time in fix.time]).reshape(-1, 2)
-    causes = ["first"] + [cause(before, after, fixes) for before, after in pairwise(asks)]
-    return beyond_steps(asks, place), causes
+    """How much farther the pose moved than the steps from each ask to the next ``(a,)`` [m]."""
+    return beyond_steps(run.shown, np.array([(ask.pose.x, ask.pose.y) for ask in run.shown]))
 
 
 def display_jumps(run):
@@ -724,23 +707,6 @@ def beyond_steps(asks, place):
     walked = np.array([ask.walked for ask in asks])
     moved = np.hypot(*np.diff(place, axis=0, prepend=place[:1]).T)
     return np.maximum(moved - np.abs(np.diff(walked, prepend=walked[:1])), 0.0)
-
-
-def cause(before, after, fixes):
-    """Why a pose may have jumped from one ask to the next: a word. fixes: their numbers and times ``(f, 2)`` [s]."""
-    if after.restarts > before.restarts:
-        return "restart"
-    if after.state != before.state:
-        return "direction"
-    if after.state == "initialising heading":
-        return "initialising"
-    number, time = fixes.T
-    was_used = (number < before.fixes) & (time <= before.reached)
-    if ((number < after.fixes) & (time <= after.reached) & ~was_used).any():
-        return "fix"
-    if after.headings > before.headings:
-        return "compass"
-    return "steps" if after.chunks > before.chunks else "provisional"
 
 
 def by_minute(asks, size):
@@ -785,9 +751,4 @@ def pooled(scores):
     together = {name: np.concatenate([getattr(one, name) for one in scores]) for name in arrays}
     times = {name: np.array([getattr(one, name) for one in scores]) for name in ("first", "near", "pointed")}
     errors = {name: np.concatenate([one.errors[name] for one in scores]) for name in first.errors}
-    return replace(first, errors=errors, causes=tuple(c for one in scores for c in one.causes), **together, **times)
-
-
-def commonest(causes):
-    """The two commonest causes with their counts, as text."""
-    return ", ".join(f"{word} {count}" for word, count in Counter(causes).most_common(2)) or "—"
+    return replace(first, errors=errors, **together, **times)

@@ -45,7 +45,6 @@ MALLS, CHAINS = "Microsoft, 15 walks", "Microsoft, 3 chains"
 MUSEUM, EIGHT, CAMPUS = "IPIN 2023, 3 trials", "IPIN21, eight", "NJU campus"
 MINUTE = 60  # positions at 1 Hz that NJU's students were given
 WORSE = 1.1  # times another method's mean error, from where the graph is called worse
-NO_STEPS, NO_PLACE = "no accelerometer", "no gyroscope, no fix"
 IN_SHORT = (
     (MALLS, "first only, plan"),
     (MALLS, "first and last"),

@@ -22,9 +22,8 @@ def script(monkeypatch):
     return live
 
 
-def run_of(script, place, walked, **columns):
-    """A run whose poses, one a second, are at ``place (n, 2)`` after ``walked (n,)`` metres. columns: of the asks."""
-    usual = {"state": "running", "restarts": 0, "fixes": 0, "headings": 0, "chunks": 0, "reached": 0.0}
+def run_of(script, place, walked):
+    """A run whose poses, one a second, are at ``place (n, 2)`` after ``walked (n,)`` metres."""
     asks = [
         script.Ask(
             time=float(n),
@@ -35,7 +34,9 @@ def run_of(script, place, walked, **columns):
             tail=None,
             cpu=0.001,
             wall=0.002,
-            **{name: columns[name][n] if name in columns else value for name, value in usual.items()},
+            fixes=0,
+            headings=0,
+            chunks=0,
         )
         for n, xy in enumerate(np.asarray(place).tolist())
     ]
@@ -51,9 +52,9 @@ def straight(count=10):
 def test_a_pose_that_moves_3_m_beyond_its_steps_has_jumped_3_m(script):
     """Steps of a metre are no jump; a metre back after a step of one is one of none either."""
     place, walked = straight()
-    assert script.jumps(run_of(script, place, walked))[0] == pytest.approx(np.zeros(10))
+    assert script.jumps(run_of(script, place, walked)) == pytest.approx(np.zeros(10))
     place[5:] += [3.0, 0.0]
-    size, _ = script.jumps(run_of(script, place, walked))
+    size = script.jumps(run_of(script, place, walked))
     assert size == pytest.approx(np.where(np.arange(10) == 5, 3.0, 0.0))
 
 
@@ -63,28 +64,7 @@ def test_the_largest_jump_of_each_minute_counts(script):
     for row, size in ((10, 1.0), (30, 2.0), (70, 0.5)):
         place[row:] += [size, 0.0]
     run = run_of(script, place, walked)
-    assert script.by_minute(run.shown, script.jumps(run)[0]) == pytest.approx([2.0, 0.5])
-
-
-@pytest.mark.parametrize(
-    ("columns", "word"),
-    [
-        ({"restarts": [0, 1]}, "restart"),
-        ({"state": ["initialising heading", "running"]}, "direction"),
-        ({"state": ["initialising heading"] * 2}, "initialising"),
-        ({"fixes": [1, 1], "reached": [0.0, 2.0], "chunks": [1, 2]}, "fix"),
-        ({"fixes": [0, 1], "reached": [2.0, 2.0]}, "fix"),
-        ({"fixes": [0, 1], "reached": [2.0, 3.0], "chunks": [1, 2]}, "fix"),
-        ({"fixes": [0, 1], "chunks": [1, 2]}, "steps"),
-        ({"fixes": [1, 1], "reached": [2.0, 3.0], "chunks": [1, 2]}, "steps"),
-        ({"headings": [0, 1], "chunks": [1, 2]}, "compass"),
-        ({"chunks": [1, 2]}, "steps"),
-        ({}, "provisional"),
-    ],
-)
-def test_a_jump_has_the_cause_that_came_with_it(script, columns, word):
-    before, after = run_of(script, np.zeros((2, 2)), np.zeros(2), **columns).asks
-    assert script.cause(before, after, np.array([[0.0, 1.0]])) == word
+    assert script.by_minute(run.shown, script.jumps(run)) == pytest.approx([2.0, 0.5])
 
 
 def test_a_place_beyond_the_walkable_area_is_outside(script):
