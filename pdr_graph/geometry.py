@@ -157,7 +157,7 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
 
 FREEDOM = 5.0
 """Degrees of freedom of Student's t for protection levels. On 20 real recordings, 112 walks with several sets of fixes
-(`scripts/reproduce protection`), 95 % of the errors of each kind of walk are within 2.4 sigma and 99.9 % of all within
+(docs/results/protection.md), 95 % of the errors of each kind of walk are within 2.4 sigma and 99.9 % of all within
 3.8; 6 degrees would give 2.45 and 6.0. One less is used, 2.57 and 6.9: places within a walk err alike, and so few walks
 do not show one case in 1000."""
 

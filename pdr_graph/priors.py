@@ -194,7 +194,7 @@ class MotionPriors(Table):
 
 @dataclass(frozen=True)
 class ForwardPriors(Table):
-    """The forward axis of the phone; ``scripts/reproduce compass`` and ``heading`` score it."""
+    """The forward axis of the phone; docs/results/compass.md and heading.md score it."""
 
     lead: float = number(
         1.1,
@@ -348,7 +348,7 @@ class NorthPriors(Table):
 
 @dataclass(frozen=True)
 class ClimbPriors(Table):
-    """Climbs in a barometer's height; ``scripts/reproduce floors`` scores them."""
+    """Climbs in a barometer's height; docs/results/floors.md scores them."""
 
     grid: float = number(0.5, "s", "interval of the height samples")
     longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long")
@@ -410,7 +410,7 @@ class WalkerPriors(Table):
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
-        "fit of b: scripts/reproduce drift; JUDGEMENT",
+        "fit of b: docs/results/drift.md; JUDGEMENT",
         still=(1, 1),
     )
     change: tuple[float, float, float] = number(

@@ -1,47 +1,61 @@
-"""The smoother's speed beside what a user would write with GTSAM's tutorials, and beside the limit, in one run.
+"""The speed of pdr_graph beside what a user would write instead, section by section: the tables of docs/performance.md.
 
-Times are medians of several runs in this process; quote the ratios, machines differ.
+    scripts/benchmark [SECTION ...] [--write]
+
+CPU is the time of all threads of a process; quote the ratios, since machines differ.
 """
 
-import os
-import platform
+import gc
+import json
+import re
+import resource
 import subprocess
 import sys
 import tempfile
 import time
+import zipfile
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from importlib.metadata import version
+from datetime import UTC, datetime
+from functools import partial
+from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-import shapely
-from beacon_speed import beacon_rows
-from lifelog_speed import lifelog_rows
-from live_speed import live_rows
-from profile_pipeline import profile_rows
-from read_speed import reading_rows
-from rivals import banded_limit, rival_rows
-from scaling import scaling_rows
-from synthetic_walks import PERIOD, held_by_walls, walk
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
-from pdr_graph.estimation import particle_filter
-from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.gait.step_detection import StepDetector, walking_steps
-from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.inertial.attitude import attitude_of
-from pdr_graph.io.loading import load
-from pdr_graph.lab.papers.attitude_filters import METHODS, switching
-from pdr_graph.lab.simulation.recorders import write
-from pdr_graph.lab.simulation.scenario import Scenario
-from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.priors import PARTICLES, changed
-from pdr_graph.types import Fixes, Recording, Signal, Steps
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-ROOT = Path(__file__).resolve().parent.parent
-PARTICLE_COUNT = 1000
-HOUR = 360_000  # samples at 100 Hz
+import recorders
+import simulated
+from synthetic_walks import LOOP, PERIOD, held_by_walls, live_events, walk, walk_and_truth
+
+from pdr_graph import FloorPlan, WalkGraph, dead_reckon, evaluate, kalman_filter, read_trajectory, smooth
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.cache import content_hash
+from pdr_graph.apps.lifelog.observation import Observation
+from pdr_graph.apps.lifelog.store import Entry, Store
+from pdr_graph.estimation import particle_filter
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.frames import enu
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.io.loading import load
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
+from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.online.interface import events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.priors import MOTION, PARTICLES, changed
+from pdr_graph.types import Fixes, Headings, Steps
+from pdr_graph.walk import Options, observe, read
+
+MAPS = Path(__file__).resolve().parents[1] / "maps"
+LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
+LAPS = 37  # about an hour
+RUNS = 5
+EVERY = 30  # steps between fixes
 
 
 def median_time(function, runs):
@@ -51,185 +65,628 @@ def median_time(function, runs):
         started = time.perf_counter()
         function()
         times.append(time.perf_counter() - started)
-    return float(np.median(times[1:] or times))
+    return float(np.median(times[1:]))
 
 
-def smoother_rows():
-    """Time of the graph alone and with the covariance of every step, by length and how often a fix comes."""
+# An hour, from the file to the report
+
+NOT_EXPORTED = ("truth.csv", "steps.csv", "events.csv", "fixes.csv", "gnss.csv")
+
+
+def hour_rows():
+    """CPU time of each stage of ``smooth`` on an hour at 100 Hz with a plan: the run of the median time of a few."""
+    with tempfile.TemporaryDirectory() as folder:
+        arguments = [str(argument) for argument in hour(Path(folder))]
+        clocked = [sys.executable, Path(__file__).with_name("clocked.py"), *arguments]
+        runs = [json.loads(subprocess.run(clocked, check=True, capture_output=True).stdout) for _ in range(RUNS)]
+        size = Path(arguments[1]).stat().st_size / 1e6
+        command = [sys.executable, "-m", "pdr_graph", *arguments]
+        quickest = min(_seconds_of_command(command) for _ in range(RUNS))
+    middle = sorted(runs, key=lambda run: sum(cpu for cpu, _ in run["spent"].values()))[RUNS // 2]
+    spent = middle["spent"]
+    cpu, wall = np.sum(list(spent.values()), axis=0)
+    of_graph = sum(own for stage, (own, _) in spent.items() if stage.startswith("graph"))
+    rows = [[stage, f"{own:.2f}", f"{100 * own / cpu:.0f} %"] for stage, (own, _) in spent.items()]
+    rows += [["**of which the graph**", f"**{of_graph:.2f}**", f"{100 * of_graph / cpu:.0f} %"]]
+    rows += [["**the whole command**", f"**{cpu:.2f}**", "100 %"]]
+    text = f"{size:.0f} MB zipped. On the wall {wall:.2f} s in that run, {quickest:.2f} s in the quickest of {RUNS}; "
+    return f"{table(['stage', 'CPU [s]', 'share'], rows)}\n\n{text}at most {middle['memory']:.0f} MB of memory."
+
+
+def hour(folder, plan="loop", corners=LAP, laps=LAPS, period=20.0):
+    """Write an hour's walk in laps as Sensor Logger zips it; return the arguments of ``smooth``.
+
+    period: between fixes of 3 m [s].
+    """
+    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(laps))]
+    drawn = MAPS / f"{plan}.geojson"
+    given = {"plan": str(drawn), "route": route, "fixes": {"period": period, "sigma": 3.0}}
+    written, recording = folder / "written", folder / "walk.zip"
+    write(simulate(Scenario.of(given)), written)
+    with zipfile.ZipFile(recording, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(written.glob("*.csv")):
+            if path.name not in NOT_EXPORTED:
+                archive.write(path, path.name)
+    return ["smooth", recording, "--map", drawn, "--fixes", written / "fixes.csv", "--out", folder / "out"]
+
+
+def _seconds_of_command(command):
+    began = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True)
+    return time.perf_counter() - began
+
+
+# Rivals, each with the steps, fixes and sigmas of the graph and the textbook's model of its kind
+
+SEEDS, RIVAL_LENGTHS = 3, (2000, 7000)  # walks; steps
+START_SIGMAS = np.array([3.0, 3.0, 0.3])  # [m, m, rad] of the first pose, for those that need to be told one
+PRIOR = Prior()
+HUBER = 2.45
+
+
+def rival_rows():
+    """Time and error of each on walks of two lengths, and as ratios of ours."""
     rows = []
-    for n, every in ((1000, 30), (2000, 30), (7000, 30), (7000, 2), (30_000, 30), (100_000, 30)):
-        steps, fixes = walk(n, every)
-        runs = 9 if n <= 7000 else 3
+    for n in RIVAL_LENGTHS:
+        walks = [walk_and_truth(n, EVERY, seed) for seed in range(SEEDS)]
+        ours = None
+        for name, method in METHODS.items():
+            if method in SLOW and n > RIVAL_LENGTHS[0]:
+                continue
+            took, errors = zip(*(_run(method, *one) for one in walks), strict=True)
+            seconds, error = float(np.median(took)), np.concatenate(errors)
+            ours = ours or seconds
+            middle, most = np.percentile(error, [50, 95])
+            rows.append([n, name, f"{seconds:.3f}", f"{seconds / ours:.2g}", f"{middle:.2f}", f"{most:.2f}"])
+        limit = min(_seconds(banded_limit, n)[0] for _ in range(5))
+        solve = "LAPACK's banded solve of such a chain, four times"
+        rows.append([n, solve, f"{limit:.4f}", f"{limit / ours:.2g}", "", ""])
+    return table(["steps", "method", "CPU [s]", "ratio", "median error [m]", "95 % [m]"], rows)
 
-        def mean_only(steps=steps, fixes=fixes):
-            graph = WalkGraph(steps, fixes)
-            return optimize(graph, graph.start)
 
-        alone = median_time(mean_only, runs)
-        whole = median_time(lambda steps=steps, fixes=fixes: smooth(WalkGraph(steps, fixes)), runs)
-        limit = median_time(lambda n=n: banded_limit(n), runs)
-        often = "1 Hz" if every == 2 else f"every {every} steps"
-        rows.append(
-            [n, often, f"{alone:.3f}", f"{whole:.3f}", f"{1e6 * whole / n:.1f}", f"{limit:.4f}", f"{whole / limit:.1f}"]
-        )
-    header = ["steps", "fixes", "walk [s]", "with covariance [s]", "µs per step", "banded limit [s]", "times the limit"]
-    return table(header, rows)
+def _run(method, steps, fixes, truth):
+    """CPU time [s] and the errors at the ends of steps ``(n,)`` [m]; the better of two runs."""
+    (first, position), *again = [_seconds(method, steps, fixes) for _ in range(1 if method in SLOW else 2)]
+    took = min([first, *(seconds for seconds, _ in again)])
+    return took, np.hypot(*(position[: len(steps) + 1] - truth.position[: len(steps) + 1]).T)
+
+
+def _seconds(function, *arguments):
+    began = time.process_time()
+    result = function(*arguments)
+    return time.process_time() - began, result
+
+
+def ours(steps, fixes):
+    """The graph, with the covariance of every step."""
+    return smooth(WalkGraph(steps, fixes)).trajectory.position
+
+
+def our_filter(steps, fixes):
+    """The causal filter of `kalman_filter`, which builds the graph to read it."""
+    return kalman_filter(WalkGraph(steps, fixes)).trajectory.position
+
+
+def custom_factors(steps, fixes):
+    """Our model as GTSAM's tutorials write it: a Python CustomFactor per step, LevenbergMarquardtOptimizer."""
+    import gtsam
+    from gtsam.symbol_shorthand import C, X
+
+    def step_error(k, length, turn):
+        def error(this, values, jacobians):
+            d = values.atPose2(X(k)).between(values.atPose2(X(k + 1)))
+            R_s, R_d, b = values.atVector(C(k // 100))
+            angle = R_d * turn + b * PERIOD
+            forward = length * np.array([np.cos(angle / 2), np.sin(angle / 2), 0.0])
+            left = length * np.array([-np.sin(angle / 2), np.cos(angle / 2), 0.0])
+            if jacobians is not None:
+                jacobians[1] = np.eye(3, order="F")
+                jacobians[1][:2, :2] = d.rotation().matrix()
+                jacobians[0] = np.asfortranarray(-jacobians[1] @ d.inverse().AdjointMap())
+                by_turn = R_s * left / 2 + np.array([0, 0, 1.0])
+                jacobians[2] = np.asfortranarray(-np.column_stack([forward, by_turn * turn, by_turn * PERIOD]))
+            return np.array([d.x(), d.y(), wrap_angle(d.theta() - angle)]) - R_s * forward
+
+        return error
+
+    graph, start = gtsam.NonlinearFactorGraph(), _dead_reckoned(steps)
+    noise = _step_noise(steps)
+    for k, (length, turn) in enumerate(zip(steps.length, steps.turn, strict=True)):
+        graph.add(gtsam.CustomFactor(noise, [X(k), X(k + 1), C(k // 100)], step_error(k, length, turn)))
+    for factor in _fix_factors(steps, fixes):
+        graph.add(factor)
+    segments = (len(steps) - 1) // 100 + 1
+    believed = gtsam.noiseModel.Diagonal.Sigmas(np.array(PRIOR.sigma))
+    graph.add(gtsam.PriorFactorVector(C(0), np.array(PRIOR.mean), believed))
+    change = gtsam.noiseModel.Diagonal.Sigmas(np.array(PRIOR.change))
+    for s in range(segments - 1):
+        graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
+    for s in range(segments):
+        start.insert(C(s), np.array(PRIOR.mean))
+    return _positions(gtsam.LevenbergMarquardtOptimizer(graph, start).optimize())
+
+
+def between_factors(steps, fixes):
+    """The kinder tutorial: BetweenFactorPose2 per step, no Python in the loop, and no calibration to learn."""
+    import gtsam
+
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in (*_between(steps), *_fix_factors(steps, fixes)):
+        graph.add(factor)
+    return _positions(gtsam.LevenbergMarquardtOptimizer(graph, _dead_reckoned(steps)).optimize())
+
+
+def incremental(steps, fixes):
+    """The same by iSAM2, an update and the newest pose per step, as its tutorials do. It is told a first pose, since
+    it cannot begin without.
+    """
+    import gtsam
+    from gtsam.symbol_shorthand import X
+
+    isam, graph, start = gtsam.ISAM2(), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pose, sigmas = gtsam.Pose2(), gtsam.noiseModel.Diagonal.Sigmas(START_SIGMAS)
+    graph.add(gtsam.PriorFactorPose2(X(0), pose, sigmas))
+    start.insert(X(0), pose)
+    at = {int(k): factor for k, factor in zip(_rows(steps, fixes), _fix_factors(steps, fixes), strict=True)}
+    for k, factor in enumerate(_between(steps)):
+        graph.add(factor)
+        if k + 1 in at:
+            graph.add(at[k + 1])
+        start.insert(X(k + 1), pose.compose(factor.measured()))
+        isam.update(graph, start)
+        pose = isam.calculateEstimatePose2(X(k + 1))
+        graph.resize(0)
+        start.clear()
+    return _positions(isam.calculateEstimate())
+
+
+def extended_filter(steps, fixes):
+    """filterpy's extended Kalman filter over x, y, θ and a stride scale, then Rauch, Tung and Striebel by hand, since
+    filterpy's own takes linear motion for granted. It is told a first pose.
+    """
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    class Walker(ExtendedKalmanFilter):
+        def predict_x(self, u=0):
+            length, turn = u
+            x, y, theta, scale = self.x
+            along = scale * length * np.array([np.cos(theta + turn / 2), np.sin(theta + turn / 2)])
+            self.x = np.array([x + along[0], y + along[1], theta + turn, scale])
+
+    ekf = Walker(4, 2)
+    ekf.x, ekf.P = np.array([0.0, 0.0, 0.0, 1.0]), np.diag(np.append(START_SIGMAS, PRIOR.sigma[0]) ** 2)
+    at = dict(zip(_rows(steps, fixes).tolist(), range(len(fixes)), strict=True))
+    H, change = np.eye(2, 4), PRIOR.change[0] / 10  # a hundredth of a segment's variance each step
+    known, expected, motions = [(ekf.x, ekf.P)], [], []
+    for k, (length, turn) in enumerate(zip(steps.length, steps.turn, strict=True)):
+        _, _, theta, scale = ekf.x
+        ahead = np.array([np.cos(theta + turn / 2), np.sin(theta + turn / 2)])
+        aside = np.array([-ahead[1], ahead[0]])
+        F, G = np.eye(4), np.zeros((4, 4))
+        F[:2, 2], F[:2, 3] = scale * length * aside, length * ahead
+        G[:2, 0], G[:2, 1], G[:2, 2], G[2, 2], G[3, 3] = ahead, aside, scale * length * aside / 2, 1.0, 1.0
+        sigmas = np.array([steps.sigma_length[k], MOTION.lateral, steps.sigma_turn[k], change])
+        ekf.F, ekf.Q = F, G * sigmas**2 @ G.T
+        ekf.predict(u=(length, turn))
+        expected.append((ekf.x.copy(), ekf.P.copy()))
+        motions.append(F)
+        if (fix := at.get(k + 1)) is not None:
+            R = fixes.sigma[fix] ** 2 * np.eye(2)
+            ekf.update(fixes.position[fix], lambda x: H, lambda x: x[:2], R=R)
+        known.append((ekf.x.copy(), ekf.P.copy()))
+    smoothed, spread = known[-1]
+    states = [smoothed]
+    for (x, P), (ahead, before), F in zip(known[-2::-1], expected[::-1], motions[::-1], strict=True):
+        gain = P @ F.T @ np.linalg.inv(before)
+        smoothed, spread = x + gain @ (smoothed - ahead), P + gain @ (spread - before) @ gain.T
+        states.append(smoothed)
+    return np.array(states[::-1])[:, :2]
+
+
+def banded_limit(n):
+    """LAPACK's banded Cholesky of a chain of n poses and four iterations: what no general solver can beat."""
+    from scipy.linalg import solveh_banded
+
+    band = np.zeros((6, 3 * n))
+    band[0], band[1:, :] = 4.0, -0.1
+    for _ in range(4):
+        solveh_banded(band, np.ones(3 * n), lower=True, overwrite_ab=False, check_finite=False)
+
+
+def _between(steps):
+    """A BetweenFactorPose2 for each step."""
+    import gtsam
+    from gtsam.symbol_shorthand import X
+
+    noise = _step_noise(steps)
+    for k, (length, turn) in enumerate(zip(steps.length.tolist(), steps.turn.tolist(), strict=True)):
+        move = gtsam.Pose2(length * np.cos(turn / 2), length * np.sin(turn / 2), turn)
+        yield gtsam.BetweenFactorPose2(X(k), X(k + 1), move, noise)
+
+
+def _fix_factors(steps, fixes):
+    import gtsam
+    from gtsam.symbol_shorthand import X
+
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
+    for k, place, sigma in zip(_rows(steps, fixes).tolist(), fixes.position, fixes.sigma, strict=True):
+        noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma))
+        yield gtsam.PoseTranslationPrior2D(X(k), place, noise)
+
+
+def _step_noise(steps):
+    import gtsam
+
+    sigmas = np.array([steps.sigma_length[0], MOTION.lateral, steps.sigma_turn[0]])
+    return gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+
+
+def _rows(steps, fixes):
+    """The pose that each fix is of: at the end of the step in which it was taken."""
+    return np.searchsorted(steps.time, fixes.time) + 1
+
+
+def _dead_reckoned(steps):
+    import gtsam
+    from gtsam.symbol_shorthand import X
+
+    start, track = gtsam.Values(), dead_reckon(steps)
+    for k in range(len(steps) + 1):
+        start.insert(X(k), gtsam.Pose2(*track.position[k], track.heading[k]))
+    return start
+
+
+def _positions(values):
+    import gtsam
+
+    return gtsam.utilities.extractPose2(values)[:, :2]
+
+
+METHODS = {
+    "**pdr_graph, with covariance**": ours,
+    "pdr_graph, causal filter": our_filter,
+    "GTSAM: a CustomFactor per step, LevenbergMarquardtOptimizer": custom_factors,
+    "GTSAM: a BetweenFactorPose2 per step, LevenbergMarquardtOptimizer": between_factors,
+    "GTSAM: iSAM2, an update per step": incremental,
+    "filterpy: extended Kalman filter and RTS": extended_filter,
+}
+SLOW = (custom_factors, incremental)
+
+# Scaling
+
+SCALES = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)  # steps
+
+
+def scaling_rows():
+    """Time of building and solving with the covariance of every step, and memory beyond that of the walk itself."""
+    rows = []
+    for steps in SCALES:
+        with alone() as process:
+            took, before, memory = process.submit(scaled, steps).result()
+        more = memory - before
+        rows.append([f"{steps:,}".replace(",", " "), f"{took:.3f}", f"{1e6 * took / steps:.1f}", f"{more:.0f}"])
+        rows[-1] += [f"{1e3 * more / steps:.1f}", f"{memory:.0f}"]
+    return table(["steps", "CPU [s]", "µs per step", "memory [MB]", "kB per step", "of the process [MB]"], rows)
+
+
+def scaled(count):
+    """Least CPU time of a few runs [s], and peak memory before and after them [MB], of a walk of some steps."""
+    steps, fixes = walk(count, EVERY)
+    before, took = peak_memory(), []
+    while len(took) < RUNS and sum(took) < 2.0:
+        took.append(_seconds(lambda: smooth(WalkGraph(steps, fixes)) and None)[0])
+    return min(took), before, peak_memory()
+
+
+def alone():
+    """A process of its own, whose memory is that of what it does."""
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+
+
+def peak_memory():
+    """The most memory that this program has taken [MB]; ru_maxrss would count what it was forked from."""
+    return int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) / 1024
+
+
+def resident():
+    """Memory of this process now [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+# With walls and with beacons
 
 
 def wall_rows():
-    """The graph with walls; a step of particles, beside drawing its normal numbers; start-up by the floor's size."""
-    plan = FloorPlan.load(ROOT / "maps" / "loop.geojson")
+    """The graph with walls; a step of particles, beside drawing its normal numbers."""
+    plan = FloorPlan.load(LOOP)
     steps, fixes = held_by_walls(7000)
     graph = WalkGraph(steps, fixes, floor=plan)
     good = optimize(graph, graph.start).state
-    seven = median_time(lambda: optimize(graph, good), 5)
-    found = optimize(graph, good)
-    rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{found.iterations} iterations"]]
-    told = median_time(lambda: smooth(WalkGraph(steps, fixes, floor=plan)), 5)
+    seven, count = median_time(lambda: optimize(graph, good), RUNS), optimize(graph, good).iterations
+    rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{count} iterations"]]
+    told = median_time(lambda: smooth(WalkGraph(steps, fixes, floor=plan)), RUNS)
     sought = median_time(lambda: particle_filter.particle_filter(WalkGraph(steps, fixes, floor=plan)), 1)
     rows += [["built and smoothed, with covariance; fixes tell the way", f"{told:.3f} s", ""]]
     rows += [["particles alone, which need not be asked there", f"{sought:.3f} s", f"{sought / told:.0f} ×"]]
 
-    short = WalkGraph(*held_by_walls(400), floor=plan)
-    with changed(PARTICLES, fewest=PARTICLE_COUNT, most=PARTICLE_COUNT):
+    short, many = WalkGraph(*held_by_walls(400), floor=plan), 1000
+    with changed(PARTICLES, fewest=many, most=many):
         step = median_time(lambda: particle_filter.particle_filter(short), 9) / 400
     random = np.random.default_rng(0)
-    drawn = median_time(lambda: [random.standard_normal((3, PARTICLE_COUNT)) for _ in range(100)], 9) / 100
-    rows += [
-        [f"particle filter, {PARTICLE_COUNT} particles", f"{1e6 * step:.0f} µs per step", f"{step / drawn:.1f} × noise"]
-    ]
-
-    mall = FloorPlan.load(ROOT / "maps" / "mall.geojson")
-    there = Fixes(np.zeros(1), np.array([[10.5, 11.5]]), np.ones(1), ("",))
-    few = Steps(0.0, 33.0, PERIOD * np.arange(1, 61), *np.tile([[PERIOD], [0.7], [0], [0], [0.07], [0.02]], 60))
-    alone, of_many = (
-        median_time(lambda tiles=tiles: WalkGraph(few, there, floor=tiled(mall, tiles)), 5)
-        - median_time(lambda tiles=tiles: tiled(mall, tiles), 5)
-        for tiles in (1, 10)
-    )
-    rows += [["60 steps in a mall: plan and graph, the file read", f"{alone:.3f} s", ""]]
-    rows += [["the same among a hundred malls side by side", f"{of_many:.3f} s", f"{of_many / alone:.1f} × one mall"]]
+    drawn = median_time(lambda: [random.standard_normal((3, many)) for _ in range(100)], 9) / 100
+    rows += [[f"particle filter, {many} particles", f"{1e6 * step:.0f} µs per step", f"{step / drawn:.1f} × noise"]]
     return table(["with walls", "time", ""], rows)
 
 
-def tiled(plan, count):
-    """A plan ``count`` times ``count`` times, side by side."""
-    size = plan.corners[1] - plan.corners[0]
-    places = [size * (i, j) for i in range(count) for j in range(count)]
-    areas = (
-        replace(a, shape=shapely.transform(a.shape, lambda c, to=place: c + to)) for place in places for a in plan.areas
-    )
-    return replace(plan, areas=tuple(areas))
+MALL_LAP, MALL_LAPS = [[10.5, 12.5], [73.5, 12.5], [73.5, 47.5], [10.5, 47.5]], 23  # of the corridors of maps/mall
 
 
-def command_rows():
-    """Whole commands in a new process, on a simulated walk of 100 s at 50 Hz in maps/arcade."""
-    corners = [[27.8, 7.9], [27.8, 27.6], [6.8, 27.8], [6.8, 8.2], [53, 7.7], [53.2, 27.0]]
-    given = {"recorder": "indoor_location", "phone": {"rate": 50}, "fixes": {"period": 10.0}}
-    given |= {"plan": str(ROOT / "maps" / "arcade.geojson"), "route": [[6.8, 8.0], {"to": corners}]}
+def beacon_rows():
+    """Laps of an hour with a fix of 3 m every 20 s; errands of five minutes, with fixes of 2 m and without any."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        recording, written = hour(folder, "mall", MALL_LAP, MALL_LAPS)[1], folder / "written"
+        rows = [["laps of the corridors", *smoothed(recording, written, written / "fixes.csv")]]
+        for fixes in (UserFixes(period=40, sigma=2.0), None):
+            for seed in (1, 2, 3, 4):
+                written = folder / f"{seed}{fixes is None}"
+                write(simulate(replace(Scenario.load("mall"), seed=seed, user_fixes=fixes)), written)
+                given = written / "fixes.csv" if fixes else None
+                rows.append([f"errand, one beacon moved, seed {seed}", *smoothed(written, written, given)])
+    header = ["walk in `maps/mall.geojson`, nine beacons", "steps", "levels", "fixes", "CPU [s]"]
+    return table([*header, "error: median, 95 % [m]"], rows)
+
+
+def smoothed(recording, written, fixes):
+    """Cells of one walk: steps, levels, fixes, CPU time of the graph, errors. written: the folder of its truth."""
+    evidence = observe(read(recording, Options(plan=MAPS / "mall.geojson", fixes=fixes)))
+    took, estimate = _seconds(lambda: smooth(evidence.graph()))
+    [levels] = evidence.measurements
+    error = evaluate(estimate.trajectory, read_trajectory(written / "truth.csv", evidence.walk))["ce"]
+    counts = len(evidence.steps), len(levels), len(evidence.fixes)
+    return [*counts, f"{took:.2f}", f"{error['p50']:.2f}, {error['p95']:.2f}"]
+
+
+# Live
+
+LAG, STEP = 60.0, 0.5  # [s]
+DAY = 172_800  # steps in 24 hours
+SHARES = (0.1, 0.5, 1.0)  # of the walk, where the memory is looked at
+PERCENTILES = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9, "longest": 100.0}
+CROWD, CROWD_TIME, MINUTE = 20, 300.0, 60.0  # walkers at once; [s] how long they walk, of which the first is a row
+
+
+def live_rows():
+    """CPU time of a step, of the pushes and the pose; memory; cores that a crowd keeps busy."""
+    plan, rows, memory = FloorPlan.load(LOOP), [], []
+    for name, nav, events, steps in (
+        ("24 h between walls, fix every 30 steps", Navigator(plan, lag=LAG), held_by_walls(DAY, period=STEP), DAY),
+        ("no walls, fixes at 1 Hz", Navigator(lag=LAG), walk(20_000, 2), 20_000),
+        ("no walls, fix every 30 steps, without a lag", Navigator(lag=None), walk(10_000, EVERY), 10_000),
+        ("from samples at 100 Hz, between walls, fix every 15 s", Navigator(plan, lag=LAG), None, 7200),
+    ):
+        events = sampled_hour(nav) if events is None else live_events(*events)
+        took, looks = pushed(nav, events, steps)
+        rows.append([name, len(took), *(f"{1e3 * v:.2f}" for v in np.percentile(took, list(PERCENTILES.values())))])
+        status = nav.status
+        counts = [status.keyframes, f"{status.restarts} / {len(status.rebuilds)}"]
+        memory.append([name, *(f"{look:.0f}" for look in looks), *counts])
+    latency = table(["walk, lag 60 s", "steps", *(f"{name} [ms]" for name in PERCENTILES)], rows)
+    header = ["walk", *(f"MB at {share:.0%}" for share in SHARES), "keyframes", "restarts / rebuilds"]
+    return f"{latency}\n\n{table(header, memory)}\n\n{crowd_rows()}"
+
+
+def pushed(nav, events, steps):
+    """Push events and ask for the pose at each step: CPU time of each step [s], and memory at SHARES [MB].
+
+    steps: about how many there are. Reviews in idle moments are not counted.
+    """
+    took, since, most, memory = [], 0.0, nav.steps, []
+    looks = [int(share * steps) for share in SHARES[:-1]]
+    gc.collect()
+    gc.freeze()  # as `replay` and `serve` do; otherwise a full garbage collection takes 30 ms of some step
+    for event in events:
+        since += _seconds(nav.push, event)[0]
+        nav.review()  # an idle moment
+        if nav.steps <= most:  # more than ever: the last ones may have been taken back
+            continue
+        most = nav.steps
+        took.append(since + _seconds(lambda: nav.pose)[0])
+        since = 0.0
+        if len(took) % 100 == 0:
+            nav.finalized()
+        if looks and len(took) >= looks[0]:
+            memory.append(resident())
+            del looks[0]
+    return took, [*memory, resident()]
+
+
+def sampled_hour(nav):
+    """Events of an hour in the loop, as the phone's samples."""
+    laps = [{"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS)]
+    given = {"plan": str(LOOP), "route": [LAP[0], {"stand": 5}, *laps], "fixes": {"period": 15.0, "sigma": 3.0}}
+    scenario = Scenario.of(given)
+    made = simulate(scenario)
+    return events_of(replace(made.recording(), fixes=made.user_fixes, epoch=scenario.start))
+
+
+def crowd_rows():
+    """Many walkers in turn, step by step: cores that they keep busy in the first minute and after it, and memory."""
+    steps, fixes = held_by_walls(int(CROWD_TIME / STEP), period=STEP)
+    plan, before, parts = FloorPlan.load(LOOP), resident(), ("push", "pose", "review")
+    walkers = [(Navigator(plan, lag=LAG), live_events(steps, fixes[n % 5 :])) for n in range(CROWD)]
+    took = np.zeros((2, len(parts)))  # [s] in the first minute and after it
+    for n in range(len(steps)):
+        for nav, events in walkers:
+            works = partial(push_step, nav, events), lambda nav=nav: nav.pose, nav.review
+            took[int(n * STEP >= MINUTE)] += [_seconds(work)[0] for work in works]
+    each, rows = f"{(resident() - before) / CROWD:.1f}", []
+    spans = {"the first minute": MINUTE, "after it": CROWD_TIME - MINUTE}
+    for (when, seconds), busy in zip(spans.items(), took, strict=True):
+        rows.append([CROWD, when, *(f"{v / seconds:.2f}" for v in (*busy, busy.sum())), each])
+    header = ["walkers of steps and fixes, between walls", "when", *(f"{part}, cores" for part in parts)]
+    return table([*header, "all, cores", "MB each"], rows)
+
+
+def push_step(nav, events):
+    """Push the events up to the next step of a walker, if there is one."""
+    for event in events:
+        nav.push(event)
+        if isinstance(event, Steps):
+            return
+
+
+# Reading
+
+READ_ROUTE = ((0.0, 0.0), (400.0, 0.0), (400.0, 300.0))
+
+
+def reading_rows():
+    """Size and speed of reading, of a simulated walk of ten minutes as each recorder would have written it."""
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder)
-        write(simulate(Scenario.of(given)), out)
-        recording = out / "walk.txt"
-        start = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()"]
-        arguments = [
-            "smooth",
-            recording,
-            "--map",
-            ROOT / "maps/arcade.geojson",
-            "--fixes",
-            out / "fixes.csv",
-            "--out",
-            out / "result",
-        ]
-        whole = median_time(lambda: subprocess.run([*start, *arguments], check=True), 5)
-        help_ = median_time(lambda: subprocess.run([*start, "--help"], check=True, stdout=subprocess.DEVNULL), 5)
-        seconds = load(recording).accelerometer.time[-1]
-    rows = [[f"`pdr-graph smooth`, {seconds:.0f} s at 50 Hz with a map, start-up included", f"{whole:.2f} s"]]
-    rows += [["`pdr-graph --help`", f"{help_:.2f} s"]]
-    return table(["command", "median"], rows)
+        for name, path, size in written_by_recorders(Path(folder)):
+            use = read_trajectory if name.startswith("trajectory") else load
+            took = median_time(lambda use=use, path=path: use(path), RUNS)
+            rows.append([name, f"{size / 1e6:.1f}", f"{size / 1e6 / took:.0f}"])
+    return table(["format", "MB", "MB/s"], rows)
 
 
-def simulation_rows():
-    """An hour's walk about a loop, five sensors at 100 Hz; and writing its tables."""
-    lap = [[40, 0], [40, 30], [0, 30], [0, 0]]
-    route = [[0, 0], *({"to": lap} for _ in range(37))]
-    given = Scenario.of({"route": route, "gnss": {}, "phone": {"barometer_rate": 100}})
-    simulated = simulate(given)
-    alone = median_time(lambda: simulate(given), 3)
-    with tempfile.TemporaryDirectory() as folder:
-        writing = median_time(lambda: write(simulated, Path(folder)), 1)
-        size = sum(path.stat().st_size for path in Path(folder).rglob("*.csv")) / 1e6
-    minutes, steps = simulated.body.time[-1] / 60, len(simulated.body.landings)
-    rows = [[f"simulated: {minutes:.0f} min, {steps} steps, five sensors at 100 Hz", f"{alone:.1f} s"]]
-    rows += [[f"written as Sensor Logger has it, {size:.0f} MB", f"{writing:.1f} s"]]
-    return table(["an hour's walk", "time"], rows)
-
-
-def attitude_rows():
-    """An hour at 100 Hz, walked once about a loop and repeated, by every method of attitude."""
-    walk = simulate(Scenario.of({"route": [[0, 0], {"to": [[40, 0], [40, 30], [0, 30], [0, 0]]}]}))
-    signals = {}
-    for name in ("accelerometer", "gyroscope", "magnetometer"):
-        values = walk.signals[name].values
-        signals[name] = Signal(np.arange(HOUR) / 100, np.resize(values, (HOUR, 3)))
-    recording = Recording("an hour", 0.0, None, **signals)
-    methods = {**METHODS, "switching at rest": lambda r: switching(r, 0.05), "**VQF, offline (default)**": attitude_of}
-    times = {name: median_time(lambda m=method: m(recording), 3) for name, method in methods.items()}
-    attitude = table(["attitude of an hour at 100 Hz", "time"], [[name, f"{t:.2f} s"] for name, t in times.items()])
-    time_, samples = recording.accelerometer.time, recording.accelerometer.values
-    stages = {
-        "steps alone, `walking_steps`": lambda: walking_steps(time_, samples),
-        "steps, live, packets of 0.2 s, `StepDetector`": lambda: live_steps(samples),
-        "**recording to `Steps`, all stages**": lambda: detect_steps(recording),
-        "**the same live, packets of 0.1 s, `StepStream`**": lambda: live_gait(recording),
+def written_by_recorders(folder):
+    """Name, path and bytes of each format's file."""
+    track, s = simulated.walk_along(READ_ROUTE), recorders.sample(route=READ_ROUTE)
+    point = '<trkpt lat="{lat:.9f}" lon="{lon:.9f}">\n  <ele>542.3</ele>\n'
+    point += "  <time>{time:%Y-%m-%dT%H:%M:%SZ}</time>\n</trkpt>\n"
+    gpx = '<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+    plt = "{lat:.6f},{lon:.6f},0,492,39747.1124074074,{time:%Y-%m-%d,%H:%M:%S}\n"
+    poses = np.column_stack([track.time, *track.position.T, *track.position.T])
+    texts = {
+        "Indoor Location Competition": ("walk.txt", recorders.indoor_location(s, READ_ROUTE)),
+        "GetSensorData": ("log.txt", recorders.get_sensor_data(s)),
+        "Android GnssLogger": ("gnss_log.txt", recorders.gnss_logger(s)),
+        "phyphox": ("phyphox", recorders.phyphox(s)),
+        "phyphox, decimal commas": ("comma", recorders.phyphox(s, delimiter=";", decimal=",")),
+        "Sensor Logger": ("logger", recorders.sensor_logger(s)),
+        "IPIN21 folder": ("ipin21", recorders.ipin21(s)),
+        "Oxford step counter": ("hand.csv", recorders.oxford_steps(s)),
+        "GeoLife PLT": ("day.plt", positions(plt, "Geolife trajectory\n" * 6)),
+        "GPX": ("track.gpx", positions(point, gpx, "</trkseg></trk></gpx>")),
+        "trajectory CSV": ("t.csv", "time,x,y\n" + recorders.columns(*poses[:, :3].T, delimiter=",", form="{:.6f}")),
     }
-    times = {name: median_time(stage, 3) for name, stage in stages.items()}
-    rows = [[name, f"{t:.2f} s"] for name, t in times.items()]
-    return f"{attitude}\n\n{table(['gait of an hour at 100 Hz', 'time'], rows)}"
+    for name, (file, text) in texts.items():
+        files = text if isinstance(text, dict) else {"": text}
+        for part, content in files.items():
+            path = folder / file / part if part else folder / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content, encoding="utf-8")
+        yield name, folder / file, sum(len(content.encode()) for content in files.values())
 
 
-def live_steps(samples):
-    """All samples through the detector, twenty at a time."""
-    detector = StepDetector(0.01)
-    for first in range(0, len(samples), 20):
-        detector.update(samples[first : first + 20])
-    detector.finish()
+def positions(form, head="", tail="", count=50_000):
+    """Many rows of latitude, longitude and a UTC time."""
+    start = datetime(2023, 11, 14, tzinfo=UTC).timestamp()
+    rows = (
+        form.format(lat=49.45 + 1e-6 * n, lon=11.1, time=datetime.fromtimestamp(start + n, UTC)) for n in range(count)
+    )
+    return head + "".join(rows) + tail
 
 
-def live_gait(recording):
-    """All samples of accelerometer and gyroscope, ten at a time."""
-    gait = StepStream()
-    for first in range(0, HOUR, 10):
-        for sensor in ("accelerometer", "gyroscope"):
-            signal = recording.signals[sensor]
-            gait.push(sensor, signal.time[first : first + 10], signal.values[first : first + 10])
-        gait.advance()
-    gait.finish()
+# A lifelog, of observations that are drawn as those of a phone carried all day: steps, and fixes half of the time
+
+FIRST = datetime(2024, 5, 1, 7, tzinfo=UTC).timestamp()  # [s] Unix time of the first walk
+WALKS, APART = 3, 14_400.0  # on each day; [s] between them
+OUTSIDE, FIX, SIGMA = 600.0, 30.0, 4.0  # [s] outside, and as long inside again; between fixes outside; [m] of them
+MONTH, MONTH_STEPS = 30, 1_000_000  # days of one person, and steps in all of them
 
 
-def smoothers():
-    """The smoother's rows, and the machine that they were made on."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("gtsam", "numpy"))
-    return f"{smoother_rows()}\n\n{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
+def lifelog_rows():
+    """Time, memory and files of a month of one person, built by one process."""
+    with tempfile.TemporaryDirectory() as folder, alone() as process:
+        took, memory, size, again = process.submit(month, folder).result()
+    rows = [[f"{MONTH} days, {MONTH_STEPS} steps, one process", f"{took:.1f} s, {memory:.0f} MB of memory"]]
+    rows += [["the same again, nothing being new", f"{again:.2f} s"]]
+    rows += [["the store", f"{size[0] / 1e6:.0f} MB"], ["observations beside it", f"{size[1] / 1e6:.0f} MB"]]
+    return table(["a month", ""], rows)
+
+
+def month(folder):
+    """Time [s] and memory [MB] of a month, sizes of its files [B], and the time of building it again [s]."""
+    log = lifelog(Path(folder), 1, MONTH, MONTH_STEPS / MONTH)
+    _, took, memory = timed(log)
+    size = [log.stat().st_size, sum(file.stat().st_size for file in log.with_name("lifelog.db.d").rglob("*"))]
+    again = time.perf_counter()
+    build(log, observe=drawn)
+    return took, memory, size, time.perf_counter() - again
+
+
+def lifelog(folder, people, days, steps):
+    """A lifelog of some people, each with as many steps on each day."""
+    raw = folder / "raw"
+    raw.mkdir(parents=True)
+    entries = []
+    for person, day, number in np.ndindex(people, days, WALKS):
+        file = raw / f"{person}-{day}-{number}.txt"
+        file.write_text(f"{len(entries)} {day} {number} {round(steps / WALKS)}")
+        entries.append(Entry(content_hash(file), f"person {person:02}", str(file)))
+    with Store(folder / "lifelog.db", new=True) as log:
+        log.put(*entries)
+    return folder / "lifelog.db"
+
+
+def timed(log, **options):
+    """Days, time [s] that they take once all is observed, and most memory [MB]; ``build`` must be whole."""
+    began = time.perf_counter()
+
+    def progress(stage, done, total):
+        nonlocal began
+        if stage == "recordings":
+            began = time.perf_counter()
+
+    drawing = import_module(Path(__file__).stem).drawn  # by a name that is the same in every process
+    result = build(log, progress=progress, observe=drawing, **options)
+    took = time.perf_counter() - began
+    if result.failures or result.refusals:
+        raise SystemExit("\n".join([*result.failures, *result.refusals]))
+    return result.built, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def drawn(recording, *_):
+    """The observation of a recording, whose file has seed, day, number on that day, and steps."""
+    seed, day, number, count = map(int, recording.read_text().split())
+    random, zeros = np.random.default_rng(seed), np.zeros(count)
+    time_ = 0.55 * np.arange(1, count + 1)
+    length, turn = random.normal(0.7, 0.05, count), random.normal(0, 0.1, count)
+    sigmas = zeros + 0.07, zeros + 0.02
+    true = Steps(0.0, time_[-1] + 0.5, time_, zeros + 0.55, length, turn, zeros, *sigmas)
+    at = np.flatnonzero(np.diff(time_ // FIX, prepend=0) * (time_ % (2 * OUTSIDE) < OUTSIDE))
+    place = dead_reckon(true).position[at + 1] + random.normal(0, SIGMA, (len(at), 2))
+    length, turn = 0.95 * length + random.normal(0, 0.07, count), turn + random.normal(0, 0.02, count)
+    return Observation(
+        source=recording.stem,
+        epoch=FIRST + 86_400.0 * day + APART * number,
+        duration=true.end,
+        frame=enu(52.5, 13.4),
+        plan="",
+        floor="",
+        steps=replace(true, length=length, turn=turn),
+        looks=np.zeros(count + 1),
+        headings=Headings.none(),
+        fixes=Fixes(time_[at], place, np.full(len(at), SIGMA), ("",) * len(at), source=("GNSS",) * len(at)),
+    )
 
 
 if __name__ == "__main__":
     sections = {
-        "hour": profile_rows,
+        "hour": hour_rows,
         "rivals": rival_rows,
-        "smoother": smoothers,
         "scaling": scaling_rows,
         "walls": wall_rows,
         "beacons": beacon_rows,
-        "commands": command_rows,
-        "attitude": attitude_rows,
-        "simulation": simulation_rows,
-        "reading": lambda: table(["format", "MB", "MB/s"], reading_rows(median_time)),
         "live": live_rows,
+        "reading": reading_rows,
         "lifelog": lifelog_rows,
     }
-    chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
+    chosen = [a for a in sys.argv[1:] if a != "--write"]
     if not set(chosen) <= set(sections):
         raise SystemExit(f"usage: scripts/benchmark [{' | '.join(sections)}] [--write]")
     for name in chosen or sections:

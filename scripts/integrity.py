@@ -1,28 +1,39 @@
-"""Does a stated region hold what it says, whatever one of the sources does? Simulated walks x lies, and recordings.
+"""Does a stated region hold what it says, whatever one of the sources does? Of whole walks, and of the live pose.
 
-python scripts/integrity.py [WORDS] [--walks N] [--held-back] [--write] makes the rows whose "family: name" has one of
-some words, separated by commas: ``beacons:`` of a family, ``swapped,moved`` of rows, ``recordings`` of the real ones;
-without words, all. Tune on the walks of development; the published table has those held back.
+Simulated walks with honest sources and with one that is wrong, and real recordings.
 """
 
-import os
-import sys
 import warnings
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
-from integrity_recorded import recorded
-from integrity_rows import HELD_BACK, is_wanted, make_rows
-from integrity_scores import HEADER, cells, reliability, score
-from integrity_walks import INDOORS, LOOPS, OUTDOORS, measured, simulated_walk
-from tables import publish, table
+import numpy as np
+from conditions import (
+    INDOORS,
+    LOOPS,
+    OUTDOORS,
+    WAYPOINT_NOISE,
+    events,
+    graph_of,
+    ipin21_walks,
+    ipin2023_walks,
+    measured,
+    microsoft_walks,
+    nju_walks,
+    simulated_walk,
+)
+from tables import HELD_BACK, is_wanted, publish, table
 
-from pdr_graph import smooth
+from pdr_graph import smooth, verdict
+from pdr_graph.apps.report.evaluation import REGION_90, pair
+from pdr_graph.geometry import interpolate
+from pdr_graph.online.interface import trajectory_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.types import Estimate, Steps
 
 WALKS, FEWER = 80, 15  # of each family; of those in which a walk takes 10 to 60 s:
 LONG = ("GNSS, beacons", "beacons, GNSS", "beacons", "plan")
-DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
 @dataclass(frozen=True)
@@ -148,13 +159,263 @@ def scores_of(job):
     return {given: score(smooth(measured(walk, given).graph()), walk.truth) for given in needed}
 
 
-def some_rows(wanted, walks, first):
-    """Some tables: of simulated walks, or of the recordings."""
-    if wanted == ["recordings"]:
-        recorded(DATA)
-    else:
-        integrity(DATA, wanted, walks, first)
+# Scores
+
+TIMES, SLACK = 1.25, 0.3  # [-], [m]: no harm if the error is at most TIMES that without the source, plus SLACK
+RADII = 3.0  # stated 95 % radii beyond which an error is a broken promise
+LEAST_COVERAGE, MOST_BROKEN, LEAST_UNHARMED = 0.85, 0.01, 0.9  # targets
+HEADER = ["walks", "error [m]", "in 90 % region", "its radius [m]", "mean over 3 × r95", "worst place over 3 × r95"]
+HEADER += ["no harm", "not ok"]
 
 
-if __name__ == "__main__":
-    make_rows(some_rows, sys.argv[1:], __doc__, f"of each family; {WALKS}, of long ones {FEWER}")
+def _radii():
+    """Ratios of a Gaussian's two sigmas, and the radius that holds 95 % of it, in the larger one."""
+    ratio, angle = np.linspace(0, 1, 51), np.linspace(0, np.pi / 2, 401)
+    square = np.cos(angle) ** 2 + ratio[:, None] ** 2 * np.sin(angle) ** 2 + 1e-12
+    low, high = np.ones(len(ratio)), np.full(len(ratio), 3.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        inside = np.trapezoid(1 - np.exp(-0.5 * middle[:, None] ** 2 / square), angle) * 2 / np.pi
+        low, high = np.where(inside < 0.95, middle, low), np.where(inside < 0.95, high, middle)
+    return ratio, (low + high) / 2
+
+
+RATIO, RADIUS_95 = _radii()
+
+
+@dataclass(frozen=True)
+class Score:
+    """How an estimate is off along a walk.
+
+    error [m], inside (the 90 % region), size of that region as the radius of a circle of its area [m], radius that
+    holds 95 % [m]: ``(n,)``; probability: stated of the route; verdict: the state of the verdict.
+    """
+
+    error: np.ndarray
+    inside: np.ndarray
+    size: np.ndarray
+    radius: np.ndarray
+    probability: float
+    verdict: str
+
+    @property
+    def broken(self):
+        """The mean error is more than three times the mean stated 95 % radius."""
+        return self.error.mean() > RADII * self.radius.mean()
+
+    @property
+    def broken_somewhere(self):
+        """At some place the error is more than three times the 95 % radius that is stated there."""
+        return (self.error > RADII * self.radius).any()
+
+    def harmless(self, without):
+        """The walk is about as good as without the source, or better."""
+        return self.error.mean() <= TIMES * without.error.mean() + SLACK
+
+
+def score(estimate, truth, noise=0.0):
+    """The score of an estimate. noise: of the truth itself, per axis [m]."""
+    track = estimate.trajectory
+    pairs = pair(track, truth)
+    covariance = interpolate(pairs.time, track.time, track.covariance[:, :2, :2].reshape(-1, 4)).reshape(-1, 2, 2)
+    covariance = covariance + noise**2 * np.eye(2)
+    gap = pairs.estimate - pairs.truth
+    variance = np.linalg.eigvalsh(covariance)
+    small, large = np.sqrt(np.maximum(variance, 1e-12)).T
+    return Score(
+        error=np.hypot(*gap.T),
+        inside=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < REGION_90,
+        size=np.sqrt(REGION_90 * small * large),
+        radius=large * np.interp(small / large, RATIO, RADIUS_95),
+        probability=estimate.probability,
+        verdict=verdict(estimate).state,
+    )
+
+
+def cells(scores, without):
+    """Cells of a row from the scores of its walks; those that miss a target are bold. without: None, or scores."""
+    error, inside, size = (np.concatenate([getattr(s, name) for s in scores]) for name in ("error", "inside", "size"))
+    errors = " / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95]))
+    row = [len(scores), errors, share(inside, LEAST_COVERAGE), f"{np.median(size):.1f}"]
+    for broken in ([s.broken for s in scores], [s.broken_somewhere for s in scores]):
+        row.append(marked(f"{sum(broken)} of {len(broken)}", np.mean(broken) > MOST_BROKEN))
+    unharmed = None if without is None else [s.harmless(w) for s, w in zip(scores, without, strict=True)]
+    row.append("—" if unharmed is None else share(unharmed, LEAST_UNHARMED))
+    return [*row, share([s.verdict != "ok" for s in scores])]
+
+
+def share(holds, least=0.0):
+    """How often something holds; bold below the target."""
+    return marked(f"{100 * np.mean(holds):.0f} %", np.mean(holds) < least)
+
+
+def marked(text, missed):
+    return f"**{text}**" if missed else text
+
+
+BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
+RIGHT, CALIBRATED = 4.0, 0.05  # [m] mean error of a walk on the right route; target of the expected calibration error
+
+
+def reliability(groups):
+    """How often routes are right by what is stated of them. groups: by name, scores of walks with a plan."""
+    rows = []
+    for name, scores in groups.items():
+        stated = np.array([s.probability for s in scores])
+        right = np.array([s.error.mean() < RIGHT for s in scores])
+        place = np.clip(np.searchsorted(BINS, stated) - 1, 0, len(BINS) - 2)
+        calibration = 0.0
+        for n, (low, high) in enumerate(pairwise(BINS)):
+            here = place == n
+            if here.any():
+                calibration += here.mean() * abs(stated[here].mean() - right[here].mean())
+                shares = [f"{100 * values[here].mean():.0f} %" for values in (stated, right)]
+                rows.append([name, f"{100 * low:.0f}–{100 * high:.0f} %", here.sum(), *shares])
+        said = marked(f"{calibration:.3f}", calibration > CALIBRATED)
+        rows.append([name, "expected calibration error", len(scores), said, ""])
+    return table(["given", "stated", "walks", "mean stated", "right route"], rows)
+
+
+# Recordings
+
+PUBLISHED, CORRECTED, WRONG = "the published list", "the list put right", "another pair swapped as well"
+SWAPS = {
+    PUBLISHED: [],
+    CORRECTED: [("BLE2", "BLE3")],
+    WRONG: [("BLE2", "BLE3"), ("BLE1", "BLE4")],
+}
+
+
+def recorded(data):
+    """The table; of logs that have GNSS, harm is that of the beacons."""
+    rows = [*malls_by_help(data), *museum(data), *eight(data)]
+    for walk in nju_walks(data):
+        rows.append(["NJU campus", walk.name, *cells([scored(walk)], None)])
+    publish("results/integrity.md", "integrity recorded", table(["recordings", "given", *HEADER], rows))
+
+
+def scored(walk, plan=False, noise=0.0):
+    """The score of a walk, with its plan or without."""
+    return score(smooth(graph_of(walk, levels=walk.levels, floor=walk.floor if plan else None)), walk.truth, noise)
+
+
+def malls_by_help(data):
+    """Microsoft's fifteen walks by what is given."""
+    for given, walks in microsoft_walks(data):
+        without = [scored(walk, noise=WAYPOINT_NOISE) for walk in walks]
+        yield ["Microsoft", given, *cells(without, None)]
+        yield ["Microsoft", f"{given}, plan", *cells([scored(walk, True, WAYPOINT_NOISE) for walk in walks], without)]
+
+
+def museum(data):
+    """IPIN 2023, log by log and all together: GNSS alone, and with each list."""
+    alone = [(walk.name, scored(replace(walk, levels=None))) for walk in ipin2023_walks(data)]
+    lists = {
+        name: [scored(walk) for walk in ipin2023_walks(data, lambda listed, swaps=swaps: swapped(listed, swaps))]
+        for name, swaps in SWAPS.items()
+    }
+    for n, (name, one) in enumerate(alone):
+        short = f"IPIN 2023, {name.split('Training')[1].split('_')[0]}"
+        yield [short, "GNSS", *cells([one], None)]
+        for given, scores in lists.items():
+            yield [short, f"GNSS, beacons: {given}", *cells([scores[n]], [one])]
+    everything = [one for _, one in alone]
+    yield ["IPIN 2023, all", "GNSS", *cells(everything, None)]
+    for given, scores in lists.items():
+        yield ["IPIN 2023, all", f"GNSS, beacons: {given}", *cells(scores, everything)]
+
+
+def swapped(listed, pairs):
+    """A list with some pairs exchanged. pairs: of labels."""
+    position, floor = listed.position.copy(), list(listed.floor)
+    for labels in pairs:
+        one, other = (listed.label.index(label) for label in labels)
+        position[[one, other]] = position[[other, one]]
+        floor[one], floor[other] = floor[other], floor[one]
+    return replace(listed, position=position, floor=tuple(floor))
+
+
+def eight(data):
+    """IPIN21's figure of eight with each set of simulated fixes."""
+    for walk in ipin21_walks(data):
+        without = [scored(walk)]
+        yield ["IPIN21's eight", walk.name, *cells(without, None)]
+        yield ["IPIN21's eight", f"{walk.name}, plan", *cells([scored(walk, True)], without)]
+
+
+# The live pose
+
+LIVE_WALKS = 30  # of each row
+LAG = 60.0  # [s]
+LIVE_SEED = 50_000  # first seed of the walks of this table, beside those of others
+LIVE_ROWS = {  # what the navigator is given
+    OUTDOORS: [("GNSS",), ("GNSS: 10 m off",), ("GNSS: 3 times as sure",)],
+    INDOORS: [
+        ("GNSS", "beacons"),
+        ("GNSS", "beacons: a pair swapped"),
+        ("GNSS", "beacons: one moved"),
+        ("GNSS", "beacons: of another building"),
+        ("GNSS: 10 m off", "beacons"),
+        ("user fixes", "start"),
+        ("user fixes", "start: 8 m off"),
+    ],
+}
+LIVE_HEADER = ["", "given", "walks", "batch [m]", "in 90 %", "current pose [m]", "in 90 %", "its radius [m]"]
+LIVE_HEADER += ["smoothed, lag 60 s [m]", "in 90 %", "its radius [m]", "not ok"]
+
+
+@dataclass(frozen=True)
+class Live:
+    """Scores of a walk: of the batch, of the current poses, and of the walk smoothed with a lag."""
+
+    batch: Score
+    pose: Score
+    smoothed: Score
+
+
+def integrity_live(wanted=(), walks=None, first=HELD_BACK):
+    """The table. wanted: words of which a row's name has one; walks: of each row; first: seed of the first walk."""
+    jobs, lines = [], []
+    for setting, rows in LIVE_ROWS.items():
+        rows = [row for row in rows if is_wanted(f"{setting}: {', '.join(row)}", wanted)]
+        jobs += [(setting, row, LIVE_SEED + first + seed) for row in rows for seed in range(walks or LIVE_WALKS)]
+    found = {}
+    with ProcessPoolExecutor() as pool:
+        for (setting, row, _), one in zip(jobs, pool.map(live_scores_of, jobs), strict=True):
+            found.setdefault((setting, row), []).append(one)
+    for (setting, row), some in found.items():
+        lines.append([setting, ", ".join(row), len(some), *live_cells(some)])
+    publish("results/integrity-live.md", "integrity live", table(LIVE_HEADER, lines))
+
+
+def live_scores_of(job):
+    """The scores of one walk."""
+    setting, sources, seed = job
+    warnings.simplefilter("ignore")
+    walk = simulated_walk(setting, seed)
+    given = measured(walk, sources)
+    batch = score(smooth(given.graph()), walk.truth)
+    poses, estimate = followed(given)
+    causal = Estimate(poses, poses, None, {}, 0, float("nan"), True)
+    return Live(batch, score(causal, walk.truth), score(estimate, walk.truth))
+
+
+def followed(given):
+    """A walk through a navigator: its pose after each step, and the estimate at its end."""
+    nav, poses = Navigator(given.floor, lag=LAG), []
+    for event in events(given):
+        nav.push(event)
+        if isinstance(event, Steps) and (pose := nav.pose) is not None:
+            poses.append(pose)
+    return trajectory_of(poses), nav.finish()
+
+
+def live_cells(scores):
+    """Cells of a row from the scores of its walks; those that miss the target are bold."""
+    row = []
+    for name in ("batch", "pose", "smoothed"):
+        some = [getattr(one, name) for one in scores]
+        error, inside, size = (np.concatenate([getattr(s, n) for s in some]) for n in ("error", "inside", "size"))
+        row += [" / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95])), share(inside, LEAST_COVERAGE)]
+        row += [f"{np.median(size):.1f}"] * (name != "batch")
+    return [*row, share([one.smoothed.verdict != "ok" for one in scores])]

@@ -1,99 +1,74 @@
-"""Every table of docs/results/ and docs/simulation.md, and docs/accuracy.md from them.
+"""Make the tables of docs/results/ again, and docs/accuracy.md from them.
 
-Real recordings are in ../shared/data or $PDR_GRAPH_DATA.
+    scripts/reproduce [NAME ...] [--only WORDS [--walks N] [--development]] [--write]
+
+Without a NAME all are made. --only: rows of live, integrity and integrity-live whose name has one of the words (with
+commas between them), or tables of settings. --walks: simulated walks of each row. --development: simulated walks for
+tuning, not those of the published tables. Real recordings are in ../shared/data or $PDR_GRAPH_DATA.
 """
 
+import argparse
 import os
-import sys
-from pathlib import Path
 
 import accuracy_page
-import calibration_walk
-import cart
-import compass
-import covariance
-import drift
-import every_recording
-import fingerprints
-import floors
-import gps_outage
-import heading
+import gait
 import integrity
-import integrity_live
-import lifelog_chains
-import lifelog_days
-import lifelog_diary
-import lifelog_visits
+import lifelog
 import live
-import localization
-import map_matching
-import microsoft
-import outliers
-import own_fixes
-import protection
-import realism
+import recordings
 import settings
-import steps
-import tables
-import topology
-import wide_places
+from conditions import DATA
+from tables import HELD_BACK, timed
 
-DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-
-
-def lifelog():
-    """The six tables of the lifelog."""
-    lifelog_chains.lifelog_chains(DATA)
-    lifelog_days.lifelog_days(DATA)
-    lifelog_diary.lifelog_diary(DATA)
-    lifelog_visits.lifelog_visits()
-
-
+ROWS = {"live": lambda *rows: live.live(DATA, *rows), "integrity": lambda *rows: integrity.integrity(DATA, *rows)}
+ROWS |= {
+    "integrity-live": integrity.integrity_live,
+    "settings": lambda words, *_: settings.settings(DATA, words or None),
+}
 MADE = {  # in the order of the page
-    "recordings": lambda: every_recording.every_recording(DATA),
-    "heading": lambda: heading.heading(DATA),
-    "gps-outage": gps_outage.gps_outage,
-    "map-matching": map_matching.map_matching,
-    "wide-places": wide_places.wide_places,
-    "calibration-walk": calibration_walk.calibration_walk,
-    "cart": cart.cart,
-    "microsoft": lambda: microsoft.microsoft(DATA),
-    "ipin21": lambda: own_fixes.ipin21(DATA),
-    "gnss": lambda: own_fixes.gnss(DATA),
-    "lifelog": lifelog,
+    "microsoft": lambda: recordings.microsoft(DATA),
+    "recordings": lambda: recordings.every_recording(DATA),
     "live": lambda: live.live(DATA),
-    "covariance": lambda: covariance.covariance(DATA, microsoft.microsoft_walks(DATA)),
     "integrity": lambda: integrity.integrity(DATA),
-    "integrity-live": integrity_live.integrity_live,
-    "protection": lambda: protection.protection(DATA),
-    "outliers": lambda: outliers.outliers(DATA, dict(microsoft.microsoft_walks(DATA))["every second waypoint"]),
-    "topology": lambda: topology.topology(DATA),
-    "localization": lambda: localization.localization(DATA),
-    "fingerprints": lambda: fingerprints.fingerprints(DATA),
-    "floors": lambda: floors.floors(DATA),
-    "steps": lambda: steps.steps(DATA),
-    "compass": lambda: compass.compass(DATA),
-    "drift": lambda: drift.drift(DATA),
+    "integrity-live": lambda: integrity.integrity_live(),
+    "steps": lambda: gait.steps(DATA),
+    "compass": lambda: gait.compass(DATA),
+    "lifelog": lambda: lifelog.lifelog(),
     "settings": lambda: settings.settings(DATA),
-    "simulation": lambda: realism.simulation(DATA),
 }
 
 
 def busy():
-    """Processor time so far, that of ended children too [s]."""
+    """Return the processor time so far, that of ended children too [s]."""
     return sum(os.times()[:4])
 
 
-def main(arguments):
-    """Make the tables that are named, or all, and say how much processor time each took."""
-    if set(arguments) - set(MADE) - {"all", "--write"}:
-        raise SystemExit(f"usage: scripts/reproduce [all | {' | '.join(MADE)}] [--write]")
-    for name in [name for name in MADE if name in arguments and "all" not in arguments] or MADE:
+def main():
+    parser = argparse.ArgumentParser(prog="scripts/reproduce", usage=__doc__.split("\n\n")[1].strip())
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MADE))
+    parser.add_argument("--only", metavar="WORDS")
+    parser.add_argument("--walks", type=int)
+    parser.add_argument("--development", action="store_true")
+    parser.add_argument("--write", action="store_true", help="into the page, and the time into docs/results/index.md")
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(MADE):
+        parser.error(f"no table is named {' or '.join(sorted(unknown))}; there are {', '.join(MADE)}")
+    words = [word.strip() for word in (options.only or "").split(",") if word.strip()]
+    partial = bool(words or options.walks or options.development)
+    if partial and (not options.names or not set(options.names) <= set(ROWS)):
+        parser.error(f"some rows are only of {', '.join(ROWS)}")
+    if partial and options.write and options.names != ["settings"]:
+        parser.error("--write needs all rows and the walks of the published table")
+    for name in options.names or MADE:
         began = busy()
-        MADE[name]()
-        tables.timed("results/index.md", name, busy() - began)
-    accuracy_page.accuracy_page()
+        if partial:
+            ROWS[name](words, options.walks, 0 if options.development else HELD_BACK)
+        else:
+            MADE[name]()
+            timed("results/index.md", name, busy() - began)
+    if options.write:
+        accuracy_page.accuracy_page()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

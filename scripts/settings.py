@@ -1,6 +1,6 @@
 """How much each number of `pdr_graph.priors` matters: halved and doubled, on real and simulated walks.
 
-``scripts/settings.py TABLE... [--write]`` measures some tables, by default all that `CASES` has, and keeps the page's
+``scripts/reproduce settings --only TABLE,...`` measures some tables, by default all of `CASES`, and keeps the page's
 figures of the others. ``--write`` writes docs/results/settings.md, and the ranges of the tables measured to priors.py.
 """
 
@@ -11,13 +11,23 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from microsoft import METHODS, graph_of, helped_walks, recording_paths, walk_of, withheld_errors
-from outliers import scattered
-from recorded import gaps, helped, nju_walks
-from simulations import simulated
+from conditions import (
+    gaps,
+    graph_of,
+    helped,
+    helped_walks,
+    nju_walks,
+    plan_of,
+    recording_paths,
+    scattered,
+    simulated_recording,
+    walk_of,
+)
+from recordings import MICROSOFT_METHODS as METHODS
+from recordings import withheld_errors
 from tables import publish, published, table
 
-from pdr_graph import FloorPlan, priors, smooth
+from pdr_graph import priors, smooth
 from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -40,19 +50,14 @@ def malls(data, given):
 def outdoors(data):
     """A campus walk with the phone's fixes, and two simulated walks with a receiver's."""
     scenario = Scenario.load("outdoors")
-    return [*nju_walks(data), *(simulated(replace(scenario, seed=seed)) for seed in (1, 2))]
+    return [*nju_walks(data), *(simulated_recording(replace(scenario, seed=seed))[1] for seed in (1, 2))]
 
 
 def by_steps(data):
     """From the sensors' samples: steps are detected again."""
     for path in recording_paths(data)[::4]:
-        _, walk = walk_of(load(path), _floor(path.parent), path)
+        _, walk = walk_of(load(path), plan_of(path.parent), path)
         yield withheld_errors(helped(walk, np.array([0, len(walk.truth) - 1])), METHODS["graph"])
-
-
-@cache
-def _floor(folder):
-    return FloorPlan.load(folder)
 
 
 def on_fixes(data, method=METHODS["graph"]):
@@ -150,12 +155,12 @@ def change(before, after):
     return f"{after[0] - before[0]:+.2f} / {after[1] - before[1]:+.2f} / {after[2] - before[2]:+.0f}"
 
 
-def settings(data, names=None):
+def settings(data, names=()):
     """The page's table: all numbers, with the figures of the tables ``names``, by default of all that have a case."""
     cased = [name for of in CASES.values() for name in of]
     figures = {row["number"]: [row["halved"], row["doubled"]] for row in kept()}
     ranges = {}
-    for name in cased if names is None else names:
+    for name in names or cased:
         for entry, cells, ends in measured(name, data):
             figures[f"`{entry}`"], ranges[str(entry)] = cells, ends
     if "--write" in sys.argv:
@@ -200,9 +205,3 @@ def write_ranges(ranges):
         tail = lines[last.end_lineno - 1][last.end_col_offset :]
         lines[row : last.end_lineno] = [lines[row][:column] + f", still={ends}".encode() + tail]
     path.write_bytes(b"".join(lines))
-
-
-if __name__ == "__main__":
-    from reproduce import DATA
-
-    settings(DATA, [name for name in sys.argv[1:] if not name.startswith("-")] or None)

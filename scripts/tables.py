@@ -4,6 +4,7 @@ import re
 import sys
 from pathlib import Path
 
+HELD_BACK = 100_000  # first seed of the simulated walks of published tables; tune on those from 0 on
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 
@@ -18,6 +19,11 @@ def publish(document, name, text):
     print(text)
     if "--write" in sys.argv:
         _replace(DOCS / document, rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", f"{text}\n", name)
+
+
+def is_wanted(name, words):
+    """True if the name of a row has one of the words, or if there are none."""
+    return not words or any(word.lower() in name.lower() for word in words)
 
 
 def published(document, name):

@@ -8,6 +8,8 @@ import commands
 import pytest
 import simulated
 
+ELSEWHERE = {"PYTHONHASHSEED": "1", "TZ": "Asia/Kathmandu", "LC_ALL": "C", "OMP_NUM_THREADS": "2"}
+
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
@@ -15,12 +17,16 @@ def walk(tmp_path_factory):
 
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])
-def test_both_print_and_write_the_same(walk, tmp_path, command):
+def test_both_print_and_write_the_same(walk, tmp_path, monkeypatch, command):
+    """The new interpreter with another hash seed, time zone, locale and number of threads."""
     endings = {}
     for new in (False, True):
         folder = tmp_path / str(new)
         folder.mkdir()
         options = ("--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--no-report", "--out", "out")
+        if new:
+            for name, value in ELSEWHERE.items():
+                monkeypatch.setenv(name, value)
         endings[new] = commands.run(command, walk, *options, cwd=folder, new=new)
     assert endings[False] == endings[True]
     assert endings[True].code == 0

@@ -2,17 +2,21 @@
 
 import ast
 import re
-import sys
 from importlib import import_module
 from pathlib import Path
 
 import gtsam
+import numpy as np
 import pages
-import pytest
 from matplotlib.mathtext import MathTextParser
+from walks import steps_of
 
+from pdr_graph import FloorPlan, WalkGraph
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.gait.step_chunks import append_steps, gap, shifted
+from pdr_graph.geometry import dead_reckon
 from pdr_graph.priors import tables
+from pdr_graph.types import Closures, Fixes, Headings, Levels
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "factors.md"
@@ -20,16 +24,6 @@ TEXT = PAGE.read_text(encoding="utf-8")
 FILES = (ROOT / "pdr_graph").rglob("*.py")  # no two have one name
 MODULES = {path.stem: ".".join(path.relative_to(ROOT).with_suffix("").parts) for path in FILES}
 LARGEST = 60_000  # [bytes] of a picture
-QUICK = ("graph", "bridge", "wall", "turn", "beacon", "closure")  # to draw, and of all kinds of code
-
-
-@pytest.fixture
-def pictures(monkeypatch, tmp_path):
-    """scripts/factor_pictures.py, drawing into a folder of its own."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    yield import_module("factor_pictures")
-    for name in ("factor_pictures", "simulations", "recorded", "tables"):
-        sys.modules.pop(name, None)
 
 
 def test_constants_are_the_codes():
@@ -56,24 +50,35 @@ def test_equations_are_well_formed():
     assert all(text == text.strip() for text in inline)
 
 
-def test_pictures_are_shown_small_and_drawn_by_the_script(pictures):
+def test_pictures_are_shown_and_small():
     shown = set(re.findall(r"!\[[^]]+\]\(factors/([\w-]+)\.png\)", TEXT))
     files = {path.stem: path for path in (ROOT / "docs" / "factors").glob("*.png")}
-    assert shown == set(files) == set(pictures.PICTURES)
+    assert shown == set(files)
     assert max(path.stat().st_size for path in files.values()) <= LARGEST
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_pictures_can_be_drawn(pictures, monkeypatch, tmp_path, name):
-    (tmp_path / "maps").symlink_to(ROOT / "maps")
-    monkeypatch.setattr(pictures, "OUT", tmp_path / "factors")
-    pictures.PICTURES[name]()
-    assert 5_000 < (tmp_path / "factors" / f"{name}.png").stat().st_size <= LARGEST
+def graph_of_every_kind():
+    """Thirty steps with a gap and one measurement or two of each kind, in the hall of the arcade."""
+    first, then = steps_of(np.full(14, 0.7), np.full(14, 0.02)), steps_of(np.full(16, 0.7), np.full(16, -0.04))
+    steps = append_steps(append_steps(first, gap(first.end, first.end + 6)), shifted(then, first.end + 6))
+    track = dead_reckon(steps, heading=0.4)
+    place = track.position + np.array([8.0, 12.0])
+    at = [0, 4, 21, len(track) - 1]
+    source, sigma = ("", "GNSS", "GNSS", ""), np.array([1.0, 4.0, 4.0, 1.0])
+    fixes = Fixes(track.time[at], place[at], sigma, ("",) * 4, source=source)
+    heard = Levels(
+        track.time[[8, 26]], np.arange(2), np.full(2, -70.0), ("a", "b"), place[[8, 26]] + 2, np.full(2, 0.5)
+    )
+    headings = Headings(track.time[[11]], track.heading[[11]], np.array([0.3]))
+    closures = Closures.of([(steps.start, steps.end, 5.0)])
+    arcade = FloorPlan.load(ROOT / "maps" / "arcade.geojson")
+    whole = WalkGraph(steps, fixes, headings=headings, levels=heard, closures=closures, floor=arcade)
+    return whole.refined(whole.evaluate(whole.start))
 
 
-def test_every_kind_of_factor_is_on_the_page(pictures):
+def test_every_kind_of_factor_is_on_the_page():
     """Of a graph that has all that are on by default."""
-    whole = pictures.a_short_walk().to_gtsam()
+    whole = graph_of_every_kind().to_gtsam()
     kinds = {type(whole.at(n)).__name__ for n in range(whole.size())}
     assert "CustomFactor" in kinds
     assert len(kinds) >= 5

@@ -15,11 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 def script(monkeypatch):
     """The modules of the script."""
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    import conditions
     import integrity
-    import integrity_scores
-    import integrity_walks
 
-    return SimpleNamespace(rows=integrity, scores=integrity_scores, walks=integrity_walks)
+    return SimpleNamespace(scores=integrity, walks=conditions)
 
 
 def estimate_with(covariance, error):
@@ -34,7 +33,7 @@ def estimate_with(covariance, error):
 @pytest.mark.parametrize(("sigmas", "radius"), [((1, 1), 2.4477), ((1, 1e-4), 1.9600), ((1, 0.5), None)])
 def test_the_stated_radius_holds_95_percent_of_a_gaussian(script, monkeypatch, sigmas, radius):
     """The chi distribution of two degrees of freedom, the normal one, and a million draws of each ellipse."""
-    monkeypatch.setattr(script.scores, "verdict_of", lambda estimate: "")
+    monkeypatch.setattr(script.scores, "verdict", lambda estimate: SimpleNamespace(state="ok"))
     score = script.scores.score(*estimate_with(np.diag(np.square(sigmas)), [0.1, 0.0]))
     assert radius is None or score.radius == pytest.approx(np.full(5, radius), abs=4e-3)
     drawn = np.random.default_rng(0).normal(0, sigmas, (1_000_000, 2))
@@ -43,7 +42,7 @@ def test_the_stated_radius_holds_95_percent_of_a_gaussian(script, monkeypatch, s
 
 def test_a_walk_is_broken_beyond_three_radii(script, monkeypatch):
     """2.4477 m hold 95 % of a sigma of 1 m: 7.3 m off is within three of them, 7.4 m is not."""
-    monkeypatch.setattr(script.scores, "verdict_of", lambda estimate: "")
+    monkeypatch.setattr(script.scores, "verdict", lambda estimate: SimpleNamespace(state="ok"))
     near, far = (script.scores.score(*estimate_with(np.eye(2), [off, 0.0])) for off in (7.3, 7.4))
     assert not near.broken
     assert not near.broken_somewhere
@@ -56,7 +55,7 @@ def test_a_walk_is_broken_beyond_three_radii(script, monkeypatch):
 def test_a_lying_receiver_is_seen_in_the_table(script):
     """One walk by a receiver 10 m off: about 10 m wrong where the honest one is not, and out of its region."""
     honest, lie = (("GNSS",), ("GNSS: 10 m off",))
-    scores = script.rows.scores_of(("outdoors", 0, (honest, lie)))
+    scores = script.scores.scores_of(("outdoors", 0, (honest, lie)))
     assert 6 < scores[lie].error.mean() < 15
     assert scores[lie].error.mean() > scores[honest].error.mean() + 3
     assert scores[lie].inside.mean() < scores[honest].inside.mean()

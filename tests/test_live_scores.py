@@ -15,21 +15,17 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture
 def script(monkeypatch):
-    """The modules of the script."""
+    """The script."""
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     import live
-    import live_cases
-    import live_runs
-    import live_scores
 
-    return SimpleNamespace(table=live, cases=live_cases, runs=live_runs, scores=live_scores)
+    return live
 
 
-def run_of(script, place, walked, **columns):
-    """A run whose poses, one a second, are at ``place (n, 2)`` after ``walked (n,)`` metres. columns: of the asks."""
-    usual = {"state": "running", "restarts": 0, "fixes": 0, "headings": 0, "chunks": 0, "reached": 0.0}
+def run_of(script, place, walked):
+    """A run whose poses, one a second, are at ``place (n, 2)`` after ``walked (n,)`` metres."""
     asks = [
-        script.runs.Ask(
+        script.Ask(
             time=float(n),
             pose=Pose(float(n), *xy, 0.0, "", np.eye(3)),
             anchored=True,
@@ -38,11 +34,13 @@ def run_of(script, place, walked, **columns):
             tail=None,
             cpu=0.001,
             wall=0.002,
-            **{name: columns[name][n] if name in columns else value for name, value in usual.items()},
+            fixes=0,
+            headings=0,
+            chunks=0,
         )
         for n, xy in enumerate(np.asarray(place).tolist())
     ]
-    return script.runs.Run(asks, script.runs.trajectory_of([ask.pose for ask in asks]), [], [], [])
+    return script.Run(asks, script.trajectory_of([ask.pose for ask in asks]), [], [], [])
 
 
 def straight(count=10):
@@ -54,9 +52,9 @@ def straight(count=10):
 def test_a_pose_that_moves_3_m_beyond_its_steps_has_jumped_3_m(script):
     """Steps of a metre are no jump; a metre back after a step of one is one of none either."""
     place, walked = straight()
-    assert script.scores.jumps(run_of(script, place, walked))[0] == pytest.approx(np.zeros(10))
+    assert script.jumps(run_of(script, place, walked)) == pytest.approx(np.zeros(10))
     place[5:] += [3.0, 0.0]
-    size, _ = script.scores.jumps(run_of(script, place, walked))
+    size = script.jumps(run_of(script, place, walked))
     assert size == pytest.approx(np.where(np.arange(10) == 5, 3.0, 0.0))
 
 
@@ -66,46 +64,25 @@ def test_the_largest_jump_of_each_minute_counts(script):
     for row, size in ((10, 1.0), (30, 2.0), (70, 0.5)):
         place[row:] += [size, 0.0]
     run = run_of(script, place, walked)
-    assert script.scores.by_minute(run.shown, script.scores.jumps(run)[0]) == pytest.approx([2.0, 0.5])
-
-
-@pytest.mark.parametrize(
-    ("columns", "word"),
-    [
-        ({"restarts": [0, 1]}, "restart"),
-        ({"state": ["initialising heading", "running"]}, "direction"),
-        ({"state": ["initialising heading"] * 2}, "initialising"),
-        ({"fixes": [1, 1], "reached": [0.0, 2.0], "chunks": [1, 2]}, "fix"),
-        ({"fixes": [0, 1], "reached": [2.0, 2.0]}, "fix"),
-        ({"fixes": [0, 1], "reached": [2.0, 3.0], "chunks": [1, 2]}, "fix"),
-        ({"fixes": [0, 1], "chunks": [1, 2]}, "steps"),
-        ({"fixes": [1, 1], "reached": [2.0, 3.0], "chunks": [1, 2]}, "steps"),
-        ({"headings": [0, 1], "chunks": [1, 2]}, "compass"),
-        ({"chunks": [1, 2]}, "steps"),
-        ({}, "provisional"),
-    ],
-)
-def test_a_jump_has_the_cause_that_came_with_it(script, columns, word):
-    before, after = run_of(script, np.zeros((2, 2)), np.zeros(2), **columns).asks
-    assert script.scores.cause(before, after, np.array([[0.0, 1.0]])) == word
+    assert script.by_minute(run.shown, script.jumps(run)) == pytest.approx([2.0, 0.5])
 
 
 def test_a_place_beyond_the_walkable_area_is_outside(script):
     """By more than the 5 cm that a plan is exact to."""
     plan = SimpleNamespace(walkable=shapely.box(0, 0, 10, 2))
     place = np.array([[5.0, 1.0], [5.0, 2.04], [5.0, 2.1], [11.0, 1.0]])
-    assert script.scores.outside(place, plan).tolist() == [False, False, True, True]
-    assert not len(script.scores.outside(place, None))
+    assert script.outside(place, plan).tolist() == [False, False, True, True]
+    assert not len(script.outside(place, None))
 
 
 def test_the_jitter_of_a_constant_pose_is_zero(script):
     """And that of one that moves by 0.6 m half-way is 0.3 m, half of it."""
     place = np.zeros((70, 2))
     asks = run_of(script, place, np.zeros(70)).asks
-    assert script.scores.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.0])
+    assert script.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.0])
     place[40:] += [0.6, 0.0]
     asks = run_of(script, place, np.zeros(70)).asks
-    assert script.scores.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.3])
+    assert script.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.3])
 
 
 def test_a_minute_in_which_the_truth_does_not_move_is_a_stand(script):
@@ -113,8 +90,8 @@ def test_a_minute_in_which_the_truth_does_not_move_is_a_stand(script):
     time = np.arange(0.0, 120.0)
     x = np.interp(time, [0, 20, 80, 119], [0, 20, 20, 59])
     truth = Trajectory(time, np.stack([x, 0 * x], 1), np.zeros(120))
-    assert script.scores.standing(truth) == [(20.0, 80.0)]
-    assert script.scores.standing(truth[30:60]) == []
+    assert script.standing(truth) == [(20.0, 80.0)]
+    assert script.standing(truth[30:60]) == []
 
 
 def test_times_to_the_place_and_the_direction_need_two_in_a_row(script):
@@ -123,39 +100,39 @@ def test_times_to_the_place_and_the_direction_need_two_in_a_row(script):
     truth = Trajectory(time, np.zeros((6, 2)), np.zeros(6))
     far, turned = np.array([9, 0, 9, 4, 4, 4.0]), np.array([3, 0, 3, 3, 0.4, 0.4])
     causal = Trajectory(time, np.stack([far, 0 * far], 1), turned)
-    assert script.scores.time_to_near(causal, truth) == 3.0
-    assert script.scores.time_to_pointed(causal, truth) == 4.0
+    assert script.time_to_near(causal, truth) == 3.0
+    assert script.time_to_pointed(causal, truth) == 4.0
     unknown = Trajectory(time, np.zeros((6, 2)), np.full(6, np.nan))
-    assert np.isnan(script.scores.time_to_pointed(causal, unknown))
+    assert np.isnan(script.time_to_pointed(causal, unknown))
 
 
 def test_poses_without_a_place_are_not_scored(script):
     """The navigator's first steps, before any fix, are about (0, 0)."""
-    nav = script.runs.LoggingNavigator()
+    nav = script.LoggingNavigator()
     steps = walk_of_steps(script)
     for n, step in enumerate(steps):
         nav.push(step)
-        assert not script.runs.ask_of(nav, float(n), nav.pose, np.zeros(2)).anchored
+        assert not script.ask_of(nav, float(n), nav.pose, np.zeros(2)).anchored
     nav.push(Fixes(np.array([1.0]), np.array([[5.0, 5.0]]), np.array([1.0])))
-    assert script.runs.ask_of(nav, 10.0, nav.pose, np.zeros(2)).anchored
+    assert script.ask_of(nav, 10.0, nav.pose, np.zeros(2)).anchored
 
 
 def walk_of_steps(script):
     """Ten steps, one by one."""
-    walk = script.cases.simulated_walk("outdoors", 1)
-    given = script.cases.Given(walk.steps, Fixes.none(), walk.headings)
-    return [step for step in script.cases.events(given) if hasattr(step, "length")][:10]
+    walk = script.simulated_walk("outdoors", 1)
+    given = script.Given(walk.steps, Fixes.none(), walk.headings)
+    return [step for step in script.events(given) if hasattr(step, "length")][:10]
 
 
 def test_the_filter_knows_a_heading_only_when_the_front_end_has_given_it(script):
     """Of two prefixes, the later one has the compass; the pose of the earlier time is that without."""
-    case = script.cases.from_steps("indoors, fixes every 30 s", 60_000)
-    run = script.runs.followed(case)
+    case = script.from_steps("indoors, fixes every 30 s", 60_000)
+    run = script.followed(case)
     versions = [ask.headings for ask in run.current]
     assert versions[0] < versions[-1]
     time = np.array([ask.pose.time for ask in run.current])
     before = time[versions.index(versions[-1]) - 1]
-    unaware = script.runs.Run(run.asks, run.smoothed, run.chunks, run.headings[: versions[0]], run.fixes)
+    unaware = script.Run(run.asks, run.smoothed, run.chunks, run.headings[: versions[0]], run.fixes)
     early = time[time <= before]
     assert run.filtered(early) == pytest.approx(unaware.filtered(early))
     assert np.abs(run.filtered(time) - unaware.filtered(time)).max() > 0.01
@@ -163,10 +140,10 @@ def test_the_filter_knows_a_heading_only_when_the_front_end_has_given_it(script)
 
 def test_a_row_of_the_table_has_its_cells(script):
     """One walk of each kind of estimate, from the steps."""
-    group = script.cases.Group("simulated", "outdoors", ())
-    case = script.cases.from_steps("outdoors", 60_000)
-    run = script.runs.followed(case)
-    score = script.scores.pooled([script.scores.score_of(case, run, run.smoothed)])
-    assert len(script.table.accuracy_row(group, score, 1)) == len(script.table.ACCURACY)
-    assert len(script.table.behaviour_row(group, score)) == len(script.table.BEHAVIOUR)
-    assert "in 0 of 0 with a plan" in script.table.targets([score])
+    group = script.Group("simulated", "outdoors", ())
+    case = script.from_steps("outdoors", 60_000)
+    run = script.followed(case)
+    score = script.pooled([script.score_of(case, run, run.smoothed)])
+    assert len(script.accuracy_row(group, score, 1)) == len(script.ACCURACY)
+    assert len(script.behaviour_row(group, score)) == len(script.BEHAVIOUR)
+    assert "in 0 of 0 with a plan" in script.targets([score])

@@ -182,7 +182,7 @@ def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
     """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
     |a| in four bands of 0–5 Hz.
 
-    The weights are not published; ours are the output of ``scripts/train_lasso``.
+    The weights are not published; ours are of 60 simulated walkers (``scripts/train_lasso`` at commit 7d5000e).
     """
     return _plausible(lasso_features(steps, height) @ lasso_weights())
 

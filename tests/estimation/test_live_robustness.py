@@ -1,11 +1,10 @@
 """Live walks with late, few and wrong fixes and short windows: no exception, no divergence."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_walks import LOOP, held_by_walls, live_events, walk
 from test_live_smoother import walking
 from walks import drawn_from_the_model
 
@@ -14,11 +13,6 @@ from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-from live_speed import LOOP, said_events  # noqa: E402
-from synthetic_walks import held_by_walls, walk  # noqa: E402
 
 STEPS = 300
 SEEDS = [0, 1, 2, 3, 6, 23]
@@ -33,7 +27,7 @@ def disturbed(seed, on_plan):
     source = "gps" if random.random() < 0.5 else ""
     fixes = Fixes(fixes.time, position, fixes.sigma, (source,) * len(fixes))
     late = []
-    for event in said_events(steps, fixes):
+    for event in live_events(steps, fixes):
         if isinstance(event, Fixes) and random.random() < 0.3:
             late.append((int(random.integers(1, 60)), event))
         else:
@@ -58,7 +52,7 @@ def test_a_disturbed_walk_stays_finite_and_its_window_matches_the_solver(seed, l
 
 def silenced(silence, at):
     """Events of a walk on a plan: no data for so long [s] after a number of events, then all goes on later."""
-    events = list(said_events(*held_by_walls(STEPS)))
+    events = list(live_events(*held_by_walls(STEPS)))
     begin = next(event.end for event in reversed(events[:at]) if not isinstance(event, Fixes))
     yield from events[:at]
     yield gap(begin, begin + silence)

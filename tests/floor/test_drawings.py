@@ -318,6 +318,16 @@ def test_a_ros_map_reads_no_picture_elsewhere(tmp_path, name):
     refused(folder / "map.yaml", "map.yaml, image", None)
 
 
+def test_a_python_object_in_a_ros_map_is_not_made(tmp_path):
+    drawn.occupancy(tmp_path)
+    with (tmp_path / "map.yaml").open("a") as file:
+        file.write(
+            f"more: !!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path [{tmp_path}/made]]\n"
+        )
+    refused(tmp_path / "map.yaml", "map.yaml", None)
+    assert not (tmp_path / "made").exists()
+
+
 @pytest.mark.parametrize("module", ["skimage.measure", "yaml"])
 def test_a_ros_map_without_its_libraries_says_what_to_install(tmp_path, monkeypatch, module):
     drawn.occupancy(tmp_path)

@@ -1,14 +1,13 @@
 """Hostile streams: what cannot be used is counted and changes nothing, and memory and work stay bounded.
 
-The long runs, with latency and memory, are scripts/hostile_streams.py, scripts/random_silences.py and scripts/soak.py.
+A walk of 72 hours, with latency and memory, is scripts/soak.py.
 """
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_walks import held_by_walls, live_events
 
 from pdr_graph.estimation import fingerprinting
 from pdr_graph.estimation.factors import beacon_rssi
@@ -19,19 +18,51 @@ from pdr_graph.online.event_checks import SPAN
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Beacons, Fixes, Headings, Sightings, Steps
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-from live_speed import said_events  # noqa: E402
-from stream_attacks import bad_row, ranges_of  # noqa: E402
-from synthetic_walks import held_by_walls  # noqa: E402
+from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Sightings, Steps
 
 STEPS = 80
+VALUES = [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, -1e300, 1e-300, 1e9, 1e-5]
 
 
 def walk(count=STEPS):
-    return list(said_events(*held_by_walls(count, period=0.5)))
+    return list(live_events(*held_by_walls(count, period=0.5)))
+
+
+def unchecked(data, **columns):
+    """A table whose columns were changed after its checks."""
+    for name, value in columns.items():
+        getattr(data, name)[...] = value
+    return data
+
+
+def bad_row(random, end):
+    """A measurement of any kind at ``end`` [s] with one value that is not possible, unchecked."""
+    kind = random.integers(9)
+    time, one, place = np.array([end]), np.ones(1), np.full((1, 2), 10.0)
+    if kind < 3:
+        value = random.choice(VALUES if kind == 2 else VALUES[:3] + VALUES[5:7])
+        fix = Fixes(time, place, one, source=(random.choice(["", "gnss"]),))
+        return unchecked(fix, **{("time", "position", "sigma")[kind]: value})
+    if kind < 5:
+        value = random.choice(VALUES if kind == 4 else VALUES[:3] + VALUES[5:7])
+        return unchecked(Headings(time, one, one.copy()), **{("heading", "sigma")[kind - 3]: value})
+    if kind == 5:
+        return Levels(time, np.zeros(1, dtype=int), -60 * one, ("x",), place, np.array([random.choice(VALUES)]))
+    if kind == 6:
+        rssi = np.array([random.choice(VALUES[:3] + VALUES[5:7])])
+        return Levels(time, np.zeros(1, dtype=int), rssi, ("x",), place, one)
+    if kind == 7:
+        ranges = Ranges(time, np.zeros(1, dtype=int), 5 * one, one, ("x",), place, one.copy())
+        return unchecked(ranges, **{random.choice(["sigma", "position_sigma"]): random.choice(VALUES)})
+    return Scan("bluetooth", Sightings(time, ("b0",), np.array([random.choice(VALUES[:3] + VALUES[5:7])])))
+
+
+def ranges_of(random, time, anchors=20):
+    """A range to one of many anchors."""
+    labels, position = tuple(f"a{n}" for n in range(anchors)), np.linspace(0, 45, 2 * anchors).reshape(-1, 2)
+    one, many = np.ones(1), np.ones(anchors)
+    number = random.integers(0, anchors, 1)
+    return Ranges(np.array([time]), number, random.uniform(3, 20, 1), 0.5 * one, labels, position, 0.1 * many)
 
 
 def pushed(events, **options):
@@ -109,7 +140,7 @@ def test_fixes_at_100_hz_are_thinned():
     time = np.arange(0.5, 10.0, 0.01)
     place = np.tile(fixes.position[:1], (len(time), 1)) + np.random.default_rng(0).normal(0, 3, (len(time), 2))
     many = Fixes(time, place, np.full(len(time), 3.0))
-    nav = pushed([many[:300], *said_events(steps, many[300:])])
+    nav = pushed([many[:300], *live_events(steps, many[300:])])
     assert nav.status.fixes <= Fixes.most * len(time) * 0.01 / SPAN + 1
     assert nav.status.keyframes < 100
     assert said(nav, "fixes: ", "came more often than")
@@ -144,7 +175,7 @@ def test_a_walk_whose_direction_stays_open_leaves_the_window(monkeypatch):
     monkeypatch.setattr(live_ambiguity, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
     steps, fixes = held_by_walls(600, period=0.5)
     nav, most = Navigator(lag=20.0), 0
-    for event in said_events(steps, fixes[:1]):
+    for event in live_events(steps, fixes[:1]):
         nav.push(event)
         most = max(most, nav.status.keyframes)
     assert most < 20

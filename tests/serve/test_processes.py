@@ -103,7 +103,7 @@ def bodies():
 
 
 def test_the_walk_goes_on_after_kill_9(serving, bodies, tmp_path, tmp_path_factory):
-    """Of all processes, twice; `scripts/serve_load.py kills 50` does it fifty times."""
+    """Of all processes, twice."""
     other = Serving(tmp_path_factory.mktemp("undisturbed"))
     for body in bodies:
         assert other.post(body) in (200, 499)

@@ -108,7 +108,7 @@ def forward_shapes(attitude: Attitude, forward: Array, landings: Landings) -> Ar
 
 @cache
 def templates() -> Array:
-    """The templates of walking and of closing feet ``(POINTS, 2)``, made by ``scripts/templates``."""
+    """The templates of walking and of closing feet ``(POINTS, 2)`` (``scripts/templates`` at commit 7d5000e)."""
     with resources.files("pdr_graph.lab.papers").joinpath("templates.csv").open() as file:
         return np.loadtxt(file, delimiter=",", skiprows=1)
 

@@ -1,21 +1,28 @@
-"""Steps and strides on real recordings: counts, false steps, lengths by every model, what a profile adds."""
+"""The front end: step counts and lengths on real recordings, and headings of the compass."""
+
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import Walker, WalkGraph, detect_steps, smooth
-from pdr_graph.estimation.calibration import posterior_profile, prior_of
+from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
 from pdr_graph.gait import walker
+from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import StepFeatures
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.priors import STRIDES
-from pdr_graph.types import LONLAT, Fixes
+from pdr_graph.types import LONLAT
 
 OXFORD = {  # true counts of the data page
     "hand": ("user1_hand", 326),
@@ -32,6 +39,11 @@ DETECTORS = {
 QUIET = {"IPIN 2023": 60.0, "IPIN21": 4.0}  # [s] from the start
 LONG = 35.0  # [m]
 CHAINS = {"site1/B1": "5ddb8a0", "site1/F1": "5dd9ef", "site2/F1": "5dd36"}
+HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
+NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
+LIVE_WALKS, EARLY = 12, 45.0  # per hold; [s] since the first step
+SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 
 
 def steps(data):
@@ -40,7 +52,6 @@ def steps(data):
     quiet(data)
     walks = measured(data)
     strides(walks)
-    profiles(walks)
 
 
 def counts(data):
@@ -49,7 +60,7 @@ def counts(data):
     for name, true, path in oxford(data):
         attitude = attitude_of(load(path))
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
-        rows.append([name, true, *(beside(n, true) for n in found)])
+        rows.append([name, true, *(with_error(n, true) for n in found)])
     publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
 
 
@@ -60,7 +71,7 @@ def oxford(data):
         yield name, true, next(f for f in files if part in f.name)
 
 
-def beside(found, true):
+def with_error(found, true):
     """A count, and by how much it is off."""
     return f"{found} ({100 * (found / true - 1):+.1f} %)"
 
@@ -163,29 +174,119 @@ def bounce(walk):
     return np.sqrt(walk.features.amplitude) * walk.features.period
 
 
-def profiles(walks):
-    """The length of a chain's walk by the model alone, and with the profile that the rest of the chain taught."""
-    rows, plain, taught = [], [], []
-    for chain in CHAINS:
-        pieces = [walk for walk in walks if chain_of(walk) == chain]
-        for piece in pieces:
-            profile = None
-            for other in pieces:
-                profile = profile if other is piece else learnt(other, profile)
-            factor = 1 + profile.E_length
-            lengths = walker.inverted_pendulum(piece.features)[0]
-            plain.append(piece.ratio(lengths))
-            taught.append(piece.ratio(factor * lengths))
-            rows.append([piece.name, f"{piece.way:.0f}", f"{plain[-1]:.2f}", f"{factor:.2f}", f"{taught[-1]:.2f}"])
-    for name, of in (("mean", np.mean), ("spread", np.std)):
-        rows.append([f"**{name}**", "", f"{of(plain):.3f}", "", f"{of(taught):.3f}"])
-    header = ["walk", "way [m]", "model / true", "profile's 1 + E_length", "with profile / true"]
-    publish("results/steps.md", "profiles", table(header, rows))
+# Compass
 
 
-def learnt(measured_walk, known):
-    """The profile after another walk of the same person, with all its waypoints given."""
-    truth = measured_walk.truth
-    steps = detect_steps([measured_walk.gait], Walker(profile=known))
-    fixes = Fixes(truth.time, truth.position, np.full(len(truth), 0.5), ("",) * len(truth))
-    return posterior_profile(smooth(WalkGraph(steps, fixes, prior=prior_of(known))), steps, known)
+def recordings(data):
+    """Groups of hand-held walks, by name."""
+    return {
+        "Microsoft": sorted((data / "ms_indoor20").glob("site*/*/*.txt")),
+        "IPIN 2023": sorted((data / "ipin2023_track3").glob("*Trial*.txt")),
+        "NJU campus": [data / "nju_phyphox_outdoor"],
+    }
+
+
+def compass(data):
+    """The tables."""
+    groups = recordings(data)
+    rows = []
+    for name, paths in groups.items():
+        errors, sigmas = np.concatenate([heading_errors(path) for path in paths], axis=1)
+        size = np.degrees(np.abs(errors))
+        stated = f"{np.degrees(sigmas.min()):.0f}–{np.degrees(sigmas.max()):.0f}"
+        cells = [f"{np.median(size):.0f}", f"{size.max():.0f}", stated]
+        rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
+    header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
+    publish("results/compass.md", "compass", table(header, rows))
+    live_compass(groups)
+
+
+def heading_errors(path):
+    """Errors and sigmas of a walk's headings [rad]."""
+    walk, frame, truth = with_truth(path)
+    gaits = gait_signals(walk)
+    headings = magnetic_headings(gaits, frame, np.zeros(2))
+    return np.array([errors_of(headings.time, headings.heading, detect_steps(gaits), truth), headings.sigma])
+
+
+def with_truth(path):
+    """A recording, the frame of its truth, and the truth in it."""
+    walk = load(path)
+    truth = walk.truth if walk.truth is not None else walk.fixes[::12]
+    frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
+    return walk, frame, frame.place(truth)
+
+
+def errors_of(times, headings, steps, truth):
+    """Errors of headings [rad]: the walked way, turned as they say, against the truth."""
+    heading = np.cumsum(steps.turn)
+    way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
+    for time, said in zip(times, headings, strict=True):
+        near = np.abs(truth.time - time) < NEAR
+        walked_, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
+        turned = np.angle(np.sum(true * walked_.conj()))
+        since_start = np.interp(time, [steps.start, *steps.time], [0.0, *heading])
+        errors.append(wrap_angle(said - since_start - turned))
+    return np.array(errors)
+
+
+def live_compass(groups):
+    """The first headings of the live compass: when, and how honest, on real walks and simulated ones in five holds."""
+    rows = [live_row(name, [live_recorded(path) for path in paths]) for name, paths in groups.items()]
+    rows += [
+        live_row(f"simulated, {hold}", [live_simulated(hold, seed) for seed in range(LIVE_WALKS)]) for hold in HOLDS
+    ]
+    first = [
+        "first heading after [s]: median",
+        "90 %",
+        "error [deg]: median",
+        "largest",
+        "sigma: median",
+        "rms error / sigma",
+    ]
+    early = ["headings of the first 45 s", "error: largest [deg]", "rms error / sigma", "beyond 2 sigma"]
+    publish("results/compass.md", "live compass", table(["walks", "", "with a heading", *first, *early], rows))
+
+
+def live_row(name, walks):
+    """A row of the table from the headings of each walk: seconds since the first step, error and sigma [rad]."""
+    first, early = np.array([walk[0] for walk in walks if len(walk)]), np.concatenate(walks)
+    early = early[early[:, 0] < EARLY]
+    error, z = np.degrees(np.abs(first[:, 1])), first[:, 1] / first[:, 2]
+    later = early[:, 1] / early[:, 2]
+    when = [f"{np.percentile(first[:, 0], share):.0f}" for share in (50, 90)]
+    cells = [f"{np.median(error):.0f}", f"{error.max():.0f}", f"{np.degrees(np.median(first[:, 2])):.0f}"]
+    largest = f"{np.degrees(np.abs(early[:, 1]).max()):.0f}"
+    honest = [f"{np.sqrt(np.mean(later**2)):.2f}", f"{100 * np.mean(np.abs(later) > 2):.0f} %"]
+    return [name, len(walks), len(first), *when, *cells, f"{np.sqrt(np.mean(z**2)):.2f}", len(early), largest, *honest]
+
+
+def live_headings(recording, frame):
+    """The headings as they are reported: moment of the report [s], time [s], heading and sigma [rad]."""
+    compass, found = LiveCompass(), []
+    compass.locate(frame, np.zeros(2), recording.epoch)
+    gait = StepStream(listener=compass.update, preview=compass.preview)
+    for event in events_of(recording):
+        if isinstance(event, Samples):
+            push = compass.push if event.sensor == "magnetometer" else partial(gait.push, event.sensor)
+            push(event.time, event.values)
+            gait.advance()
+            found += [(event.time[-1], one.time, one.heading, one.sigma) for one in compass.advance()]
+    return np.array([row for row in found if np.isfinite(row[3])]).reshape(-1, 4)
+
+
+def live_recorded(path):
+    """Of a real walk: seconds since the first step, error and sigma of each heading."""
+    walk, frame, truth = with_truth(path)
+    (moment, time, heading, sigma), steps = live_headings(walk, frame).T, detect_steps(walk)
+    start = steps.time[0] - steps.duration[0]
+    return np.column_stack([moment - start, errors_of(time, heading, steps, truth), sigma])
+
+
+def live_simulated(hold, seed):
+    """The same of a simulated walk: 110 m with two corners, after three seconds of standing."""
+    route = [[0, 0], {"stand": 3}, {"to": [[40, 0], [40, 30], [0, 30]]}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": 50}}))
+    moment, time, heading, sigma = live_headings(walk.recording(*SENSORS), walk.frame).T
+    error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
+    return np.column_stack([moment - 3, error, sigma])

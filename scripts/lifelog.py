@@ -1,6 +1,10 @@
-"""Which shop fronts somebody lingered at: simulated days in a mall, and in a market hall with narrow aisles."""
+"""A lifelog beside the truth: stays of simulated days, and the shop fronts at which somebody stopped.
+
+Days of GPS are those of tests/lifelog/gps_days.py; days indoors are in a mall, and in a market hall with narrow aisles.
+"""
 
 import json
+import sys
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -9,16 +13,22 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
+from conditions import MAPS, ROOT
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
+from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import Stay
+from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session
 from pdr_graph.apps.lifelog.stays import stays_of
-from pdr_graph.apps.lifelog.store import RecordingOptions
+from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT
+from pdr_graph.apps.lifelog.store import RecordingOptions, Store
+from pdr_graph.apps.lifelog.timeline import STAY as STAY_ROW
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
@@ -27,7 +37,7 @@ from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import SHOP_FRONT, Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
-MALL = Path(__file__).resolve().parents[1] / "maps" / "mall.geojson"
+MALL = MAPS / "mall.geojson"
 ENTRANCE = {"mall": (42.0, 12.5), "market": (70.0, 25.0)}  # [m]
 SIGMA_ENTRANCE, STAND = 1.5, 3.0  # [m] per axis of a fix while one stands there, and for how long [s]
 VISITS, WAITS = 10, 2  # a day; who waits stands somewhere in an aisle, turned anywhere, and looks at nothing
@@ -39,10 +49,14 @@ NARROW = 4.0  # [m] of an aisle
 HEIGHT, HOLDS, PLATFORMS = (1.52, 1.95), ("hand", "trouser pocket"), ("android", "ios")
 BEACONS = 10.0  # [m] between those of the market along its aisles
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0])  # of stated probabilities
+OVERLAP = 0.5  # intersection over union from which two stays are one
+LENGTHS = {"5 to 15 min": (300.0, 900.0), "15 to 60 min": (900.0, 3600.0), "longer": (3600.0, np.inf)}
+PEOPLE, DAYS = range(1, 13), 4  # of the simulation; constants were chosen on the real days
 
 
-def lifelog_visits(days=20):
-    """The tables."""
+def lifelog(days=20):
+    """The tables of stays and of visits."""
+    publish("results/lifelog.md", "lifelog-simulated-days", simulated_days())
     with TemporaryDirectory() as folder:
         market = Path(folder) / "market.geojson"
         market.write_text(json.dumps(drawn_market()))
@@ -349,5 +363,89 @@ def by_day(seen):
     return table(["day", "plan", "who", "walked", "found", "right", "off [m]", "front: taken for"], rows)
 
 
-if __name__ == "__main__":
-    lifelog_visits()
+# Stays of days of GPS
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Stays ``(start, end)`` [s] of a diary beside others."""
+
+    ours: list
+    others: list
+
+    @property
+    def matched(self):
+        """Pairs (ours, other) of one stay."""
+        left, found = list(self.ours), []
+        for other in self.others:
+            best = max(left, key=lambda one: overlap(one, other), default=None)
+            if best is not None and overlap(best, other) >= OVERLAP:
+                found.append((best, other))
+                left.remove(best)
+        return found
+
+    @property
+    def times(self):
+        """Sum of ours and of the others [s]."""
+        return tuple(sum(end - start for start, end in stays) for stays in (self.ours, self.others))
+
+
+def overlap(one, other):
+    """Intersection over union of two stays."""
+    return (min(one[1], other[1]) - max(one[0], other[0])) / (max(one[1], other[1]) - min(one[0], other[0]))
+
+
+def diary_stays(recordings, log):
+    """The stays at places of a diary, joined over midnights, and its number of rows."""
+    add(log, recordings)
+    build(log)
+    with Store(log) as store:
+        days = diary(store, "me").days
+    found = []
+    for row in (row for day in days for row in day.entries if row.kind == STAY_ROW and row.place_number > 0):
+        if found and row.start - found[-1][1] < 1 and row.place_number == found[-1][2]:
+            found[-1] = (found[-1][0], row.end, row.place_number)
+        else:
+            found.append((row.start, row.end, row.place_number))
+    return [stay[:2] for stay in found], sum(len(day.entries) for day in days)
+
+
+def simulated_days(people=PEOPLE, days=DAYS):
+    """The stays of simulated days beside the true ones."""
+    made = [simulated_person(person, days) for person in people]
+    found = [comparison for comparison, _ in made]
+    rows = [lengths_row(name, bounds, found) for name, bounds in LENGTHS.items()]
+    ours, others = np.sum([comparison.times for comparison in found], axis=0)
+    matched, true, all_ = (
+        sum(map(len, own)) for own in zip(*((c.matched, c.others, c.ours) for c in found), strict=True)
+    )
+    text = table(["true stays", "number", "missed", "start and end off: median", "90 %"], rows)
+    text += f"\n\nF1 {2 * matched / (true + all_):.2f}; {all_ - matched} stays of {len(people) * days} days are at no "
+    text += f"true one of 5 min or more; time at places {100 * (ours / others - 1):+.1f} %; "
+    return text + f"{sum(count for _, count in made) / len(people) / days:.0f} rows a day."
+
+
+def lengths_row(name, bounds, found):
+    """The row of the true stays of some lengths."""
+    own = [stay for comparison in found for stay in comparison.others if is_between(stay, bounds)]
+    hit = [pair for comparison in found for pair in comparison.matched if is_between(pair[1], bounds)]
+    off = np.abs([np.subtract(one, other) for one, other in hit]) / 60
+    times = [f"{np.quantile(off, share):.1f} min" for share in (0.5, 0.9)]
+    return [name, str(len(own)), str(len(own) - len(hit)), *times]
+
+
+def is_between(stay, bounds):
+    return bounds[0] <= stay[1] - stay[0] < bounds[1]
+
+
+def simulated_person(person, days):
+    """Stays of a diary beside the true ones, and its number of rows."""
+    sys.path.append(str(ROOT / "tests" / "lifelog"))
+    from gps_days import gps_day, true_stays
+
+    made = [gps_day(person, number) for number in range(days)]
+    with TemporaryDirectory() as folder:
+        for number, day in enumerate(made):
+            day.write(Path(folder) / "raw" / f"{number}.plt")
+        ours, count = diary_stays([Path(folder) / "raw"], Path(folder) / "log")
+    return Comparison(ours, [stay[:2] for stay in true_stays(made, SHORTEST_VISIT)]), count

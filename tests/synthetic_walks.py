@@ -1,4 +1,6 @@
-"""Synthetic walks for benchmarks: the steps of a front end, and fixes."""
+"""Long synthetic walks for tests and benchmarks: steps, fixes, and both as events of a live walk."""
+
+from pathlib import Path
 
 import numpy as np
 
@@ -6,8 +8,9 @@ from pdr_graph import dead_reckon
 from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.types import Fixes, Steps
 
+LOOP = Path(__file__).resolve().parent.parent / "maps" / "loop.geojson"
 PERIOD = 0.53  # [s] per step
-LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] corners of the centre line of maps/loop
+LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] corners of the centre line of LOOP
 
 
 def walk(n, every):
@@ -48,3 +51,15 @@ def held_by_walls(n, period=PERIOD):
     at = np.arange(0, n, 30)
     fixes = Fixes(time_[at], place[at] + random.normal(0, 3, (len(at), 2)), np.full(len(at), 3.0), ("",) * len(at))
     return steps, fixes
+
+
+def live_events(steps, fixes):
+    """Yield each step as it ends, and each fix before the step in which it was taken."""
+    begin, fix = steps.start, 0
+    for k, end in enumerate(steps.time.tolist()):
+        while fix < len(fixes) and fixes.time[fix] <= end:
+            yield fixes[fix : fix + 1]
+            fix += 1
+        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
+        yield Steps(begin, end, **columns)
+        begin = end

@@ -1,28 +1,50 @@
-"""Every real recording by every method and with every kind of help: docs/results/recordings.md."""
+"""Real recordings with a reference: Microsoft's fifteen walks by method, and every recording by every method."""
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
-from lifelog_chains import as_one
-from lifelog_days import days, km, lengths, name, off
-from live_cases import campus, eight, mall, museum, on_campus
-from live_runs import followed
-from microsoft import HELP, graph_of
-from recorded import WAYPOINT_NOISE, errors_at, gaps, helped, ipin21_landmarks, nju_walk, withheld
-from steps import beside, oxford
+from conditions import (
+    HELP,
+    WAYPOINT_NOISE,
+    errors_at,
+    fixes_as_track,
+    gaps,
+    graph_of,
+    helped,
+    ipin21_landmarks,
+    microsoft_walks,
+    nju_walk,
+    places_as_fixes,
+    rest,
+    withheld,
+)
+from live import campus, eight, followed, mall, museum, on_campus
 from tables import publish, table
 
-from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, kalman_filter, smooth
+from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
+from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.reconstruct import estimate_walk
+from pdr_graph.apps.lifelog.sessions import Session
+from pdr_graph.apps.lifelog.store import RecordingOptions
+from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
+from pdr_graph.types import Fixes, Trajectory
 
+MICROSOFT_METHODS = {
+    "straight lines": lambda walk: fixes_as_track(walk.fixes),
+    "dead reckoning": lambda walk: smooth(WalkGraph(walk.steps, walk.fixes)).dead_reckoning,
+    "filter (causal)": lambda walk: kalman_filter(graph_of(walk)).trajectory,
+    "filter, smoothed (RTS)": lambda walk: kalman_smoother(graph_of(walk)).trajectory,
+    "graph": lambda walk: smooth(graph_of(walk)).trajectory,
+    "graph with map": lambda walk: smooth(graph_of(walk, floor=walk.floor)).trajectory,
+}
 PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
 COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]
 MALLS, CHAINS = "Microsoft, 15 walks", "Microsoft, 3 chains"
 MUSEUM, EIGHT, CAMPUS = "IPIN 2023, 3 trials", "IPIN21, eight", "NJU campus"
 MINUTE = 60  # positions at 1 Hz that NJU's students were given
 WORSE = 1.1  # times another method's mean error, from where the graph is called worse
-NO_STEPS, NO_PLACE = "no accelerometer", "no gyroscope, no fix"
 IN_SHORT = (
     (MALLS, "first only, plan"),
     (MALLS, "first and last"),
@@ -36,6 +58,46 @@ IN_SHORT = (
     (EIGHT, "simulated fixes, plan"),
     (CAMPUS, "GPS, one in 10 to 120 s"),
 )
+FLOORS, NO_PIECE = ("site1/B1", "site1/F1", "site2/F1"), "5dda0214"  # of the chains; a walk of site1/F1 an hour later
+
+
+def withheld_errors(walk, method):
+    """Errors [m] at the waypoints that were not given, whether each is inside its 90 % region, and wall crossings."""
+    track = method(walk)
+    inside = np.empty(0, dtype=bool)
+    if track.covariance is not None:
+        _, inside, _ = gaps(track, walk.truth, WAYPOINT_NOISE)
+    crossings = walk.floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
+    return circular_error(pair(track, walk.truth)), inside, crossings
+
+
+def percentiles_with_interval(groups, draws=2000):
+    """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
+    random = np.random.default_rng(0)
+    at = [50, 75, 95]
+    samples = [
+        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), at)
+        for _ in range(draws)
+    ]
+    low, high = np.percentile(samples, [2.5, 97.5], axis=0)
+    values = np.percentile(np.concatenate(groups), at)
+    return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
+
+
+def microsoft(data):
+    """CE at waypoints that were not given, by method and by what was given."""
+    rows = []
+    for given, walks in microsoft_walks(data):
+        for name, method in MICROSOFT_METHODS.items():
+            if given == "first only" and name == "straight lines":
+                continue
+            results = [withheld_errors(walk, method) for walk in walks]
+            errors, inside = [r[0] for r in results], np.concatenate([r[1] for r in results])
+            crossing = np.mean([r[2] for r in results])
+            coverage = f"{100 * inside.mean():.0f} %" if len(inside) else "—"
+            rows.append([given, name, *percentiles_with_interval(errors), coverage, f"{100 * crossing:.1f} %"])
+    header = ["given", "method", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region", "rows that cross a wall"]
+    publish("results/microsoft.md", "microsoft", table(header, rows))
 
 
 @dataclass(frozen=True)
@@ -77,11 +139,6 @@ def every_recording(data):
     publish("results/recordings.md", "summary", table(header, in_short(rows)))
     header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
     publish("results/recordings.md", "recordings", table(header, in_full(rows)))
-    publish(
-        "results/recordings.md",
-        "without places",
-        table(["recording", "reference", *METHODS], [*counted(data), *led(data)]),
-    )
     publish("results/recordings.md", "out of order", out_of_order(rows))
 
 
@@ -172,26 +229,6 @@ def pooled(rows):
         yield Row(group, help_, group, help_, errors, np.concatenate([one.inside for one in alike]))
 
 
-def counted(data):
-    """Steps of recordings without positions, at the end and live."""
-    for of, true, path in oxford(data):
-        recording = load(path)
-        nav = Navigator()
-        for event in events_of(recording):
-            nav.push(event)
-        nav.finish()
-        found = [beside(len(detect_steps(recording)), true), beside(nav.steps, true)]
-        yield [f"Oxford, {of}", f"{true} steps", found[0], NO_PLACE, NO_PLACE, found[1], NO_PLACE]
-
-
-def led(data):
-    """How far positions alone led."""
-    for path in days(data):
-        _, _, _, clean, gone = lengths(path)
-        none = [NO_STEPS] * 4
-        yield [name(path), f"cleaned: {km(clean)}", *none, f"{km(gone)} ({off(gone, clean)})"]
-
-
 def out_of_order(rows):
     """How often one method is better than another, and the rows where the graph is worse than one by a tenth."""
     lines, worse = [], []
@@ -214,3 +251,45 @@ def means(row, *methods):
     errors = np.array([row.errors[method] for method in methods])
     known = ~np.isnan(errors).any(axis=0)
     return errors[:, known].mean(axis=1) if known.any() else np.full(len(methods), np.nan)
+
+
+def observed(folder):
+    """Every walk of a floor, in order of time, with its waypoints."""
+    found = [(observe(path, RecordingOptions(plan=folder)), load(path)) for path in sorted(folder.glob("*.txt"))]
+    return sorted(found, key=lambda pair: pair[0].epoch)
+
+
+def whole_truth(pieces):
+    """The waypoints of all pieces, from the start of the first."""
+    first = pieces[0][0].epoch
+    time = np.concatenate([walk.truth.time + one.epoch - first for one, walk in pieces])
+    return Trajectory(
+        time, np.concatenate([walk.truth.position for _, walk in pieces]), np.zeros(len(time)), ("",) * len(time)
+    )
+
+
+def by_ends(pieces, plan, field):
+    """Return the pieces as a session, with the first waypoint of the first and the last waypoint of the last.
+
+    field: whether the magnetic field says how far the walker turned between two recordings.
+    """
+    ones = [replace(one, fixes=Fixes.none(), plan=one.plan if plan else "") for one, _ in pieces]
+    ones[0] = replace(ones[0], fixes=places_as_fixes(pieces[0][1].truth, [0]))
+    end = places_as_fixes(pieces[-1][1].truth, [-1])
+    both = Fixes.concatenate([ones[-1].fixes, end])
+    ones[-1] = replace(ones[-1], fixes=both)
+    ones = ones if field else [replace(one, ends=None, epoch=one.epoch) for one in ones]
+    return Session(tuple((str(n), one) for n, one in enumerate(ones)))
+
+
+def as_one(data):
+    """Each chain as one walk, by what is given beside its two ends: its name, that, the walk, and the waypoints that
+    were not given.
+    """
+    for floor in FLOORS:
+        pieces = [pair for pair in observed(data / "ms_indoor20" / floor) if NO_PIECE not in pair[1].source]
+        truth = whole_truth(pieces)
+        length = np.hypot(*np.diff(truth.position, axis=0).T).sum()
+        said = f"{floor}, {len(pieces)} recordings, {length:.0f} m"
+        for beside, plan, field in (("field", False, True), ("plan", True, False), ("plan, field", True, True)):
+            yield said, beside, estimate_walk(by_ends(pieces, plan, field), None, None), rest(truth, [0, -1])

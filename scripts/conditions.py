@@ -1,21 +1,34 @@
-"""Simulated walks and what each source measures of them, honest or with a lie, for the table of integrity."""
+"""The walks of the experiments: recordings, what is given of them, simulated walks, and what a source may do wrong.
 
+A walk is what the front end saw, what was measured beside it, and its truth.
+"""
+
+import os
 import zlib
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
-import topology
 from shapely.affinity import scale, translate
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, read_fixes
+from pdr_graph.apps.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
+from pdr_graph.estimation.floors import floors_along
 from pdr_graph.floor.cells import WALL, Area
+from pdr_graph.floor.network import Network
+from pdr_graph.frames import enu
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.geometry import interpolate, rotation, unit
-from pdr_graph.io.beacons import SURVEY_SIGMA
+from pdr_graph.geometry import interpolate, length_along, rotation, unit
+from pdr_graph.inertial.barometer import with_stair_lengths
+from pdr_graph.io.beacons import SURVEY_SIGMA, read_beacons
+from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.body import Body
+from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.sensors import (
     BLUETOOTH,
@@ -27,8 +40,205 @@ from pdr_graph.lab.simulation.sensors import (
     receptions,
 )
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory
+from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory, last_time, take
+from pdr_graph.walk import Options, read
 
+ROOT = Path(__file__).resolve().parents[1]
+MAPS = ROOT / "maps"
+DATA = Path(os.environ.get("PDR_GRAPH_DATA", ROOT.parent / "shared" / "data"))
+
+# Recordings
+
+SIGMA = 0.5  # [m] stated of a waypoint that is given
+START_SIGMA = 0.3  # [m] stated of IPIN21's known start
+WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the taps of Microsoft's surveyors
+HELP = {  # which waypoints are given
+    "every second waypoint": lambda n: np.unique(np.append(np.arange(0, n, 2), n - 1)),
+    "first and last": lambda n: np.array([0, n - 1]),
+    "first only": lambda n: np.array([0]),
+}
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk as the front end saw it, what was measured beside it, and its truth."""
+
+    name: str
+    steps: Steps
+    headings: Headings
+    fixes: Fixes
+    truth: Trajectory
+    floor: FloorPlan | None = None
+    levels: Levels | None = None
+
+
+def percentiles(errors):
+    return " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95]))
+
+
+def errors_at(track, truth):
+    """Errors of a track at each place of the truth ``(n,)`` [m]; NaN where it has none."""
+    pairs = pair(track, truth)
+    errors = np.full(len(truth), np.nan)
+    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
+    return errors
+
+
+def gaps(track, truth, noise=0.0):
+    """Of each place of the truth: distance from the estimate [m], whether it lies in the stated 90 % region, and how
+    large that is [m], the radius of a circle of its area. noise: of the truth itself, per axis [m].
+    """
+    pairs = pair(track, truth)
+    covariance = stated_covariance(track, pairs.time) + noise**2 * np.eye(2)
+    size = np.sqrt(REGION_90) * np.linalg.det(covariance) ** 0.25
+    return circular_error(pairs), in_region(pairs, covariance), size
+
+
+def fixes_as_track(fixes):
+    return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
+
+
+def places_as_fixes(truth, which):
+    """The places ``which`` of a truth as fixes."""
+    which = np.unique(np.arange(len(truth))[which])
+    return Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
+
+
+def rest(truth, which):
+    """The others."""
+    left = np.setdiff1d(np.arange(len(truth)), np.arange(len(truth))[which])
+    return Trajectory(truth.time[left], truth.position[left], truth.heading[left], ("",) * len(left))
+
+
+def helped(walk, which):
+    """A walk that is given some places of its truth and nothing else; the others are left to score it."""
+    return replace(walk, fixes=places_as_fixes(walk.truth, which), truth=rest(walk.truth, which), levels=None)
+
+
+def ipin21_walks(data):
+    """The figure of eight with the start alone and with each set of simulated fixes."""
+    folder = data / "ipin21_hcu"
+    walk, floor = load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
+    gaits, truth = gait_signals(walk), floor.frame.place(walk.truth)
+    steps = detect_steps(gaits)
+    paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
+    start = Fixes(truth.time[:1], truth.position[:1], np.array([START_SIGMA]), ("",))
+    sets = [("the start, alone", start), *((path.stem, read_fixes(path, walk, floor.frame)) for path in paths)]
+    for name, fixes in sets:
+        yield Walk(name, steps, magnetic_headings(gaits, floor.frame, fixes.position[0]), fixes, truth, floor)
+
+
+def ipin21_landmarks(data, truth):
+    """The rows of the figure of eight's truth when the walker was at the surveyed places."""
+    folder = data / "ipin21_hcu" / "eight"
+    at = np.loadtxt(folder / "ref.csv")[:, 0] / 1000 - load(folder).clock_origin
+    return np.unique([np.argmin(np.abs(truth.time - t)) for t in at])
+
+
+def ipin2023_walks(data, relisted=lambda listed: listed):
+    """Three walks in a museum with the phone's GNSS, and the beacons that it heard; relisted: changes their list."""
+    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
+        walk = load(path)
+        lon, lat = walk.fixes.position[0]
+        frame = enu(lat, lon)
+        gaits, fixes = gait_signals(walk), frame.place(walk.fixes)
+        headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
+        floors = floors_along(steps, walk.barometer, "", fixes, None)
+        steps = with_stair_lengths(steps, floors.climbs, floors.kinds)
+        listed = relisted(read_beacons(path.parent / "BLE_Locations.csv", walk))
+        heard = levels_along(walk.bluetooth, frame.place(listed), steps)
+        yield Walk(path.stem, steps, headings, fixes, frame.place(walk.truth), levels=heard)
+
+
+def nju_walk(data):
+    """A campus walk by its GPS, which is its truth as well."""
+    walk = load(data / "nju_phyphox_outdoor")
+    lon, lat = walk.fixes.position[0]
+    frame = enu(lat, lon)
+    fixes = frame.place(walk.fixes)
+    gaits = gait_signals(walk)
+    steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
+    return Walk("one in 1 s", steps, headings, fixes, fixes_as_track(fixes))
+
+
+def nju_walks(data):
+    """The campus walk with most positions withheld: these are its truth."""
+    whole = nju_walk(data)
+    for every in (10, 30, 60, 120):
+        yield withheld(whole, f"one in {every} s", np.arange(0, len(whole.fixes), every))
+
+
+def withheld(walk, name, which):
+    """A walk with the positions ``which`` of its receiver; the others are its truth."""
+    others = walk.fixes[np.setdiff1d(np.arange(len(walk.fixes)), np.arange(len(walk.fixes))[which])]
+    return replace(walk, name=name, fixes=walk.fixes[which], truth=fixes_as_track(others))
+
+
+def recording_paths(data):
+    """The files of the fifteen."""
+    paths = sorted((data / "ms_indoor20").glob("site*/*/*.txt"))
+    if not paths:
+        raise SystemExit(f"no recordings under {data} (set PDR_GRAPH_DATA)")
+    return paths
+
+
+@cache
+def recordings(data):
+    """The fifteen: each recording, and the walk with all its waypoints as truth and no fix."""
+    return [recording_at(path) for path in recording_paths(data)]
+
+
+@cache
+def recording_at(path):
+    """One recording, and the walk with all its waypoints as truth and no fix."""
+    return walk_of(load(path), plan_of(path.parent), path)
+
+
+@cache
+def plan_of(folder):
+    return FloorPlan.load(folder)
+
+
+def walk_of(recording, floor, path):
+    """A recording, and the walk that it is of."""
+    gaits = gait_signals(recording)
+    headings = magnetic_headings(gaits, floor.frame, np.zeros(2))
+    name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
+    return recording, Walk(name, detect_steps(gaits), headings, Fixes.none(), recording.truth, floor)
+
+
+def helped_walks(data, given):
+    """Each recording that has a waypoint left to be scored at, and its walk."""
+    both = [helped_walk(one, given) for one in recordings(data)]
+    return [(recording, walk) for recording, walk in both if len(walk.truth)]
+
+
+def helped_walk(one, given):
+    """A recording, and its walk with the waypoints that are given as fixes; the others are its truth."""
+    recording, walk = one
+    return recording, helped(walk, HELP[given](len(walk.truth)))
+
+
+def microsoft_walks(data):
+    """The walks by what is given of them."""
+    for given in HELP:
+        yield given, [walk for _, walk in helped_walks(data, given)]
+
+
+def graph_of(walk, **more):
+    return WalkGraph(walk.steps, walk.fixes, headings=walk.headings, **more)
+
+
+def scattered(fixes, share, random):
+    """Fixes of which some are each somewhere else, and which these are."""
+    wild = random.permutation(len(fixes)) < round(share * len(fixes))
+    off = random.uniform(NEAR, WIDE, (len(fixes), 1)) * unit(random.uniform(0, 2 * np.pi, len(fixes)))
+    return replace(fixes, position=fixes.position + wild[:, None] * off), wild
+
+
+# Simulated walks
+
+NEAR, WIDE = 50.0, 500.0  # [m] that an outlier is off
 PLANS = ("mall", "arcade", "campus")  # of maps/, one walk after the other
 WAYS = (140.0, 260.0)  # [m] walked: two to four minutes
 STANDS = 2  # stops of 5 to 15 s
@@ -42,7 +252,7 @@ HELD, USER, PERIOD = 0.5, 1.5, 30.0  # [m] sigma of a known start or end; [m], [
 SCAN, MAP_SIGMA, MAP_LENGTH, MAP_WHITE = 4.0, 3.0, 8.0, 0.5  # [s] radio map; [m] sigma, correlation; share of white
 ANCHORS, RANGE, NLOS, LATE = 4, 0.3, 0.2, 2.0  # anchors; [m] sigma; share without line of sight, [m] these are longer
 
-# Lies
+# What a source may do wrong
 FAR = 12.0  # [m] at least between two beacons that are swapped, or from a beacon to where it was moved
 BUILDING = 30.0  # [m] by which a list of another building is off
 OFF, JUMP, DELAY, FROZEN = 10.0, 20.0, 5.0, 60.0  # [m], [m], [s], [s] of a receiver
@@ -50,6 +260,111 @@ JUMPS, JUMP_TIME, TREMBLE, CONFIDENT = 3, 15.0, 0.2, 3.0  # jumps of so many s; 
 REBUILT, MOVED_MAP = 0.4, 12.0  # share of the floor; [m] by which its fingerprints are elsewhere
 COMPASS, MISPLACED, STRIDE, SHIFT = np.radians(40.0), 8.0, 1.4, 5.0  # [rad], [m], factor, [m]
 THICK, WIDEST = 0.3, 6.0  # [m] wall where the plan lacks a door; [m] to each side at most
+
+
+SPACING = 6.0  # [m] between the places where a walker may change sides
+SWAY = 0.35  # of the clearance, by which they keep off the middle of an aisle
+NEAREST = 0.45  # [m] to a wall
+STRAIGHT = 1.5  # log-odds of going straight on against turning back, at an intersection
+ATTEMPTS = 400
+WALKER_STRIDE = 0.06  # by which strides err besides the simulator's own differences, to be as far off as real ones
+DISTURBANCE = 14.0  # [µT] of the magnetic field by steel
+
+
+def simulated_recording(scenario, plan=None):
+    """Return the recording of a scenario as its recorder writes it, its walk, its frame, and its beacons or None.
+
+    The fixes of the walk are those of the receiver and of the user; its truth has a row a second.
+    """
+    made = simulate(scenario)
+    with TemporaryDirectory() as folder:
+        write(made, Path(folder))
+        inputs = read(Path(folder), Options(plan=plan))
+    recording, beacons = inputs.walk, inputs.beacons
+    shift = scenario.start - recording.clock_origin
+    users = [] if made.user_fixes is None else [made.user_fixes.shifted(shift)]
+    fixes = Fixes.concatenate([made.frame.place(recording.fixes), *users])
+    gaits = gait_signals(recording)
+    steps, headings = detect_steps(gaits), magnetic_headings(gaits, made.frame, fixes.position[0])
+    levels = levels_along(recording.bluetooth, beacons, steps) if beacons and recording.bluetooth else None
+    truth = made.truth[:: round(1 / np.median(np.diff(made.truth.time)))]
+    truth = Trajectory(truth.time + shift, truth.position, truth.heading)
+    floor = inputs.building.floors[0] if inputs.building else None
+    name = f"{scenario.name}, seed {scenario.seed}"
+    return recording, Walk(name, steps, headings, fixes, truth, floor, levels), made.frame, beacons
+
+
+@cache
+def loaded(path, label):
+    """A floor, whose network is found only once."""
+    return FloorPlan.load(path, label)
+
+
+def route_between_walls(floor, random, ways):
+    """Corners ``(k, 2)`` [m] of a random way of a length between `ways` along the network of a floor."""
+    network = floor.network
+    total = sum(map(_length, network.lines))
+    wanted = min(np.exp(random.uniform(*np.log(ways))), total)
+    for attempt in range(ATTEMPTS):
+        line = _wandered(network, wanted, random)
+        if _length(line) < wanted * (1 - attempt / ATTEMPTS):
+            continue
+        corners = _swayed(line, floor, random)
+        if corners is not None:
+            return corners
+    raise SystemExit(f"no way of {wanted:.0f} m on floor {floor.label}")
+
+
+def _wandered(network: Network, wanted, random):
+    """A line from one link to the next, never back, of a length if the network has it."""
+    length = np.array([_length(line) for line in network.lines])
+    link = int(random.choice(len(network), p=length / length.sum()))
+    node = int(network.links[link, random.integers(2)])
+    line = network.leaving(link, node)
+    line = _cut(line, random.uniform(0, 0.8) * length[link], length[link])
+    node = int(network.links[link].sum() - node)
+    while _length(line) < wanted:
+        ahead = [n for n in np.flatnonzero((network.links == node).any(axis=1)).tolist() if n != link]
+        if not ahead:
+            break
+        ways = [network.leaving(n, node) for n in ahead]
+        turns = np.array([_course(w, 0) for w in ways]) - _course(line, -1)
+        weight = np.exp(STRAIGHT * np.cos(turns))
+        chosen = int(random.choice(len(ahead), p=weight / weight.sum()))
+        link, node = ahead[chosen], int(network.links[ahead[chosen]].sum() - node)
+        line = np.concatenate([line, ways[chosen][1:]])
+    return _cut(line, 0.0, wanted)
+
+
+def _swayed(line, floor, random):
+    """Corners of a walk beside a line ``(m, 2)``, None if it comes too near to walls."""
+    smooth = shapely.simplify(shapely.linestrings(line), 0.3)
+    points = shapely.get_coordinates(shapely.segmentize(smooth, SPACING))
+    aside = random.standard_normal(points.shape) * SWAY * np.maximum(floor.distance.at(points)[0] - NEAREST, 0)[:, None]
+    for _ in range(6):
+        moved = points + aside
+        legs = np.stack([moved[:-1], moved[1:]], axis=1)
+        looked = moved[:-1, None] + np.linspace(0, 1, 40)[:, None] * (moved[1:] - moved[:-1])[:, None]
+        near = floor.distance.at(looked.reshape(-1, 2))[0].reshape(-1, 40).min(axis=1) < NEAREST
+        near |= floor.crosses_wall(*legs.transpose(1, 0, 2))
+        if not near.any():
+            return moved[np.append(True, np.hypot(*np.diff(moved, axis=0).T) > 0.5)]
+        aside[np.append(near, False) | np.append(False, near)] *= 0.5
+    return None
+
+
+def _length(line):
+    return float(length_along(line)[-1])
+
+
+def _course(line, leg):
+    return np.arctan2(*np.diff(line, axis=0)[leg][::-1])
+
+
+def _cut(line, begin, end):
+    along = length_along(line)
+    inside = (along > begin + 0.5) & (along < end - 0.5)
+    return interpolate(np.concatenate([[begin], along[inside], [min(end, along[-1])]]), along, line)
 
 
 @dataclass(frozen=True)
@@ -73,10 +388,10 @@ def simulated_walk(setting, seed):
     """Walk of a setting: another walker, phone and route for each seed."""
     random = np.random.default_rng((seed, 7))
     plan, corners, content = route_of(setting, seed, random, WAYS)
-    content |= {"seed": seed, "phone": {"rate": 50, "disturbance": topology.DISTURBANCE}}
+    content |= {"seed": seed, "phone": {"rate": 50, "disturbance": DISTURBANCE}}
     simulation = simulate(Scenario.of(content | {"route": with_stands(corners, random)}))
     gaits = gait_signals(simulation.recording())
-    steps, factor = detect_steps(gaits), np.exp(topology.STRIDE * random.standard_normal())
+    steps, factor = detect_steps(gaits), np.exp(WALKER_STRIDE * random.standard_normal())
     steps = replace(steps, length=factor * steps.length, sigma_length=factor * steps.sigma_length)
     headings = magnetic_headings(gaits, simulation.frame, corners[0])
     return SimulatedWalk(setting, seed, steps, headings, simulation.truth[::EVERY], simulation.body, plan)
@@ -89,9 +404,9 @@ def route_of(setting, seed, random, length):
     """
     if setting != INDOORS:
         return None, (route_outdoors if setting == OUTDOORS else nearly_closed)(random), {}
-    path = topology.MAPS / f"{PLANS[seed % len(PLANS)]}.geojson"
-    plan = topology.loaded(path, None)
-    return plan, topology.route(plan, random, length), {"plan": str(path), "floor": plan.label}
+    path = MAPS / f"{PLANS[seed % len(PLANS)]}.geojson"
+    plan = loaded(path, None)
+    return plan, route_between_walls(plan, random, length), {"plan": str(path), "floor": plan.label}
 
 
 def route_outdoors(random):
@@ -153,6 +468,21 @@ class Given:
             floor=self.floor,
             measurements=tables,
         )
+
+
+def events(given):
+    """Measurements in their time, and each step as it ends."""
+    tables = [given.fixes, given.headings, *(table for table in (given.levels, given.ranges) if table is not None)]
+    steps, begin = given.steps, -np.inf
+    for n in range(len(steps)):
+        columns = {name: v[n : n + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
+        start = steps.start if n == 0 else float(steps.time[n - 1])
+        yield Steps(start, float(steps.time[n]), **columns)
+        for data in tables:
+            rows = np.flatnonzero((last_time(data) > begin) & (last_time(data) <= steps.time[n]))
+            if len(rows):
+                yield take(data, rows)
+        begin = steps.time[n]
 
 
 def measured(walk, sources):
@@ -340,7 +670,7 @@ def without_door(walk, random):
 def another_floor(walk, random):
     """A plan of other corridors, stretched to the same outline."""
     others = [name for name in PLANS if name != PLANS[walk.seed % len(PLANS)]]
-    other = topology.loaded(topology.MAPS / f"{random.choice(others)}.geojson", None)
+    other = loaded(MAPS / f"{random.choice(others)}.geojson", None)
     size, wanted = np.diff(other.corners, axis=0)[0], np.diff(walk.plan.corners, axis=0)[0]
     east, north = walk.plan.corners[0] - other.corners[0]
     corner, factors = tuple(walk.plan.corners[0]), wanted / size
