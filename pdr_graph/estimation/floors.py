@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,23 +25,12 @@ from pdr_graph.inertial.barometer import DRAUGHT, RAMP, Climbs, climb_kinds, cli
 from pdr_graph.priors import CLIMB, LIVE_FLOORS, STOREYS
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
+if TYPE_CHECKING:
+    from pdr_graph.floor.building import Building
+
 SCALES = np.linspace(0.82, 1.18, 19)  # candidates of the scale of a plan's heights
 # "-2", "0"; "F1", "L2", "1F" and below them "B1", "B2F", with no floor 0 between
 NUMERIC = re.compile(r"(?P<basement>B?)(?P<letter>[FL]?)(?P<number>-?\d+)(?P<behind>F?)", re.IGNORECASE)
-
-
-class FloorHeights(Protocol):
-    """A building's floors: labels and heights."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels of the floors from the lowest up."""
-        ...
-
-    @property
-    def heights(self) -> Array:
-        """Heights ``(f,)`` [m] of the floors, ascending."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -127,7 +116,7 @@ class Floors:
 
 
 def floors_of(
-    steps: Steps, barometer: Signal | None, start: str, fixes: Fixes, building: FloorHeights | None
+    steps: Steps, barometer: Signal | None, start: str, fixes: Fixes, building: Building | None
 ) -> tuple[str, ...]:
     """The floor's label on each row of the trajectory: the start, every step's end, the end. "" where unknown.
 
@@ -137,9 +126,7 @@ def floors_of(
     return floors_along(steps, barometer, start, fixes, building).labels
 
 
-def floors_along(
-    steps: Steps, barometer: Signal | None, start: str, fixes: Fixes, building: FloorHeights | None
-) -> Floors:
+def floors_along(steps: Steps, barometer: Signal | None, start: str, fixes: Fixes, building: Building | None) -> Floors:
     """The floors of a walk, with climbs and storeys; arguments as of `floors_of`."""
     # Climbs and their kinds
     detected = _where_fixes_change(fixes) if barometer is None else climbs(barometer)
@@ -247,7 +234,7 @@ class LiveFloors:
     LIVE_FLOORS.interval after its last sample.
     """
 
-    def __init__(self, building: FloorHeights | None = None, start: str = ""):
+    def __init__(self, building: Building | None = None, start: str = ""):
         self.building, self.start = building, start
         self.label = start
         self.climbing = False

@@ -46,11 +46,8 @@ class NormalEquations:
         self._first = first_variables(at.state)
         count = sum(len(rows) for rows in at.state.arrays.values())
         self._bound = [self._variables(block) for block in at.blocks]
-        columns = [
-            (bound[:, a], bound[:, b]) for bound in self._bound for a, b in combinations(range(bound.shape[1]), 2)
-        ]
-        pairs = np.concatenate([np.empty((0, 2), dtype=np.intp), *map(np.column_stack, columns)])
-        self.elimination = Elimination(count, pairs[:, 0], pairs[:, 1])
+        pairs = [bound[:, two] for bound in self._bound for two in combinations(range(bound.shape[1]), 2)]
+        self.elimination = Elimination(count, *np.concatenate([np.empty((0, 2), dtype=np.intp), *pairs]).T)
         places = [self._rows(bound).ravel() for bound in self._bound]
         self._to_blocks = Sum(np.concatenate(places), 3 * len(self.elimination.codes))
         self._to_variables = Sum(np.concatenate([bound.ravel() for bound in self._bound]), count)

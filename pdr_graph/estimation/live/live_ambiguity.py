@@ -279,7 +279,7 @@ class LiveAmbiguity:
             belief = self.output.keyframe_belief()
             there = predict(belief, steps.whole, steps.start, begin, float(fixes.time[n]), ())
             sigma, apart = float(fixes.sigma[n]), fixes.position[n] - there.mean[:, :2]
-            if not measured(there, OF_POSITION, apart, sigma**2 * np.eye(2))[1].weight.any():
+            if not measured(there, OF_POSITION, apart, sigma**2 * np.eye(2))[2].any():
                 unexpected.append(n)
         return numbers[unexpected]
 

@@ -184,8 +184,8 @@ def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = state.covariance + FIXES_ALONE.wander**2 * max(time - state.time, 0.0) * np.eye(2)
         mixture = single_mode(np.append(state.mean, np.zeros(4)), covariance)
-        mixture, surprise = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
-        if surprise.weight[0] == 0.0:
+        mixture, _, weight = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
+        if weight[0] == 0.0:
             state = replace(state, beyond=state.beyond + 1)
         else:
             state = FixesAlone(max(time, state.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])
