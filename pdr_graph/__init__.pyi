@@ -11,8 +11,8 @@ from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph
 from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
-from .estimation.results import verdict as verdict
 from .estimation.smoother import smooth as smooth
+from .estimation.verdict import verdict as verdict
 from .floor.plan_files import Building as Building
 from .floor.plan_files import FloorPlan as FloorPlan
 from .frames import Frame as Frame

@@ -892,10 +892,6 @@ class Schedule(Table):
     search_share: float = number(0.4, "share", "of the walk's duration, the same")
     search_time: float = number(10.0, "s", "after which the result is adopted")
     longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept")
-    cost_interval: int = number(5, "keyframes", "between checks of the cost")
-    cost_base: float = number(8.0, "nats", "limit of the cost: twice that of correct walks")
-    cost_per_keyframe: float = number(0.4, "nats", "the same of each keyframe")
-    cost_per_fix: float = number(3.0, "nats", "the same of each fix")
     least_duration: float = number(
         25.0,
         "s",
@@ -920,10 +916,6 @@ class Schedule(Table):
     def search_delay(self, duration: float) -> float:
         """Time [s] until a walk of this duration [s] is sought on the plan again."""
         return max(self.search_interval, self.search_share * duration)
-
-    def cost_limit(self, keyframes: int, fixes: int) -> float:
-        """Cost above which a window with so many keyframes and fixes cannot be on the correct path."""
-        return self.cost_base + self.cost_per_keyframe * keyframes + self.cost_per_fix * fixes
 
 
 @dataclass(frozen=True)

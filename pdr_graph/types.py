@@ -292,6 +292,9 @@ class Fixes(Rows, row="fix"):
         return take(self, which)
 
 
+START = "start"  # source of the start heading of a user
+
+
 @dataclass(frozen=True)
 class Headings(Rows, row="heading"):
     """Measured walking directions: from a compass or the user.
@@ -325,6 +328,11 @@ class Headings(Rows, row="heading"):
     def concatenate(cls, parts: Sequence[Headings]) -> Headings:
         """The headings of all parts, in the order of the parts."""
         return concatenate([cls.none(), *parts])
+
+    @property
+    def stated(self) -> Mask:
+        """True ``(n,)`` for start headings that a user states."""
+        return np.array([source == START for source in self.source], dtype=bool)
 
     def shifted(self, seconds: float) -> Headings:
         """The headings at times that are `seconds` later."""
@@ -682,6 +690,11 @@ class Calibration(OneLineRepr):
     def _summary(self) -> list[str]:
         last = [f"{n} {v:.4g} ± {s:.2g}" for n, v, s in zip(self.names, self.value[-1], self.sigma[-1], strict=True)]
         return [count(len(self.start), "segment"), f"last: {', '.join(last)}"]
+
+
+DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
+FROZEN = "the receiver held its position while the walk went on: not used"
+LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,14 @@ from pdr_graph.errors import InputError, count
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.factors.heading_prior import START, heading_reports
+from pdr_graph.estimation.factors.heading_prior import heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
-from pdr_graph.estimation.results import FIRST_ONLY, POSITIONS_ALONE, missing_of, verdict
+from pdr_graph.estimation.results import POSITIONS_ALONE
 from pdr_graph.estimation.smoother import estimated, smooth
+from pdr_graph.estimation.verdict import FIRST_ONLY, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
@@ -40,6 +41,7 @@ from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, chec
 from pdr_graph.priors import INITIAL
 from pdr_graph.types import (
     LONLAT,
+    START,
     Array,
     Beacons,
     Contradiction,

@@ -15,7 +15,7 @@ import pdr_graph as pdr
 from pdr_graph.apps.cli import app, learn_radio_map
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.estimation.results import stride_determined, teaches_profile
+from pdr_graph.estimation.verdict import stride_determined, teaches_profile
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import DOUBTFUL, FAILED, Contradiction, Headings, Verdict
 

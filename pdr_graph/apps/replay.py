@@ -16,8 +16,9 @@ import numpy as np
 
 from pdr_graph.apps.report.output_files import REPORT, write
 from pdr_graph.errors import InputError, Stages, shows_progress
-from pdr_graph.estimation.factors.fixes import OUTSIDE, duplicates
-from pdr_graph.estimation.results import missing_of, outside_warnings
+from pdr_graph.estimation.factors.fixes import duplicates
+from pdr_graph.estimation.results import outside_warnings
+from pdr_graph.estimation.verdict import missing_of
 from pdr_graph.floor.plan_files import plan_fingerprint
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.beacons import beside, read_beacons
@@ -27,7 +28,7 @@ from pdr_graph.online.journal import Journal
 from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.priors import FIXES
 from pdr_graph.storage import fingerprint
-from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
+from pdr_graph.types import OUTSIDE, Fixes, FixReport, Mask, Recording, Trajectory
 from pdr_graph.walk import LIVE, Evidence, Options, Result, fixes_alone, read, read_plan, read_radio_map
 from pdr_graph.whole_files import output_folder
 

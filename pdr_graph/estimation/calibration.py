@@ -17,8 +17,8 @@ import shapely
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import verdict
 from pdr_graph.estimation.smoother import smooth
+from pdr_graph.estimation.verdict import verdict
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
 from pdr_graph.priors import FIXES, LINE, WALKER

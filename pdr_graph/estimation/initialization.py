@@ -20,7 +20,6 @@ from scipy.linalg import solveh_banded
 
 from pdr_graph.estimation.factors.base import huber_weight, rotated
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
-from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
 from pdr_graph.priors import FIXES, INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
@@ -171,7 +170,7 @@ def initial_walk(
             c[:, 0] = np.clip(scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
     poses = np.stack([track.real, track.imag, heading], axis=1)
 
-    chosen = np.flatnonzero(~of_start(headings.headings) | (uncertain >= INITIAL.ambiguous))
+    chosen = np.flatnonzero(~headings.headings.stated | (uncertain >= INITIAL.ambiguous))
     measured = take(headings.headings, chosen)
     weight = measured.sigma**-2.0
     if not len(measured) or weight.sum() ** -0.5 > uncertain:

@@ -70,10 +70,6 @@ class GaussianMixture:
         """The most probable hypothesis."""
         return int(np.argmax(self.log_weight))
 
-    def summary(self) -> tuple[Array, Array]:
-        """Mean ``(6,)`` of the most probable hypothesis, and covariance ``(6, 6)`` of the mixture about it."""
-        return self.about(self.mean[self.best])
-
     def expectation(self) -> tuple[Array, Array]:
         """Mean ``(6,)`` and covariance ``(6, 6)`` of the whole mixture; the mean of directions is circular."""
         weight = np.exp(self.log_weight)
@@ -96,18 +92,12 @@ class GaussianMixture:
         return GaussianMixture(self.mean[rows], self.covariance[rows], log_weight, self.origin[rows])
 
 
-@dataclass(frozen=True)
-class Surprise:
-    """Innovation of a measurement under each hypothesis ``(h,)`` [σ], and its weight ``(h,)``."""
-
-    sigmas: Array
-    weight: Array
-
-
 def measured(
     bank: GaussianMixture, H: Array, gap: Array, R: Array, share: float = 1.0
-) -> tuple[GaussianMixture, Surprise]:
+) -> tuple[GaussianMixture, Array, Array]:
     """Correct the mixture with a measurement, with Huber's weight up to the gate and weight 0 beyond.
+
+    Returns the mixture, and the innovation [σ] and the weight of the measurement under each hypothesis ``(h,)``.
 
     H: ``(d, 6)`` measurement matrix; gap: ``(h, d)`` innovation; R: ``(d, d)``; share: of its information that is
     independent of other measurements; it scales R for the gain, not for the gate.
@@ -126,7 +116,7 @@ def measured(
     mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
     covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
     log_weight -= np.logaddexp.reduce(log_weight)
-    return GaussianMixture(mean, covariance, log_weight, bank.origin), Surprise(sigmas, weight)
+    return GaussianMixture(mean, covariance, log_weight, bank.origin), sigmas, weight
 
 
 def heading_corrected(bank: GaussianMixture, H: Array, heading: float, variance: float) -> GaussianMixture:
@@ -205,7 +195,8 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     """
     expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
     run = list(moments(graph))
-    means, covariances = zip(*(moment.posterior.summary() for moment in run), strict=True)
+    mixtures = [moment.posterior for moment in run]
+    means, covariances = zip(*(mixture.about(mixture.mean[mixture.best]) for mixture in mixtures), strict=True)
     return _estimate(graph, run, np.array(means), np.array(covariances))
 
 
@@ -330,10 +321,10 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
     place, R = fixes.fixes.position[n], fixes.sigma[n] ** 2 * np.eye(2)
     share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
     bank = moment.posterior
-    updated, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+    updated, sigmas, weight = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
     best = updated.best
     distance = float(np.hypot(*(place - bank.mean[best, :2])))
-    meeting = Meeting(n, distance, float(surprise.sigmas[best]), float(surprise.weight[best]), reset=False)
+    meeting = Meeting(n, distance, float(sigmas[best]), float(weight[best]), reset=False)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == KALMAN.patience:
         # The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle
@@ -343,7 +334,7 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
         anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
         bank, refused = by_direction(anywhere), 0
         moment = Moment(moment.parent[winner], moment.motion[winner], anywhere, bank, moment.met)
-        updated, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+        updated, *_ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
         meeting = replace(meeting, weight=1.0, reset=True)
     return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
 

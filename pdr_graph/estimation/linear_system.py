@@ -24,6 +24,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -45,12 +46,8 @@ class NormalEquations:
         self._first = first_variables(at.state)
         count = sum(len(rows) for rows in at.state.arrays.values())
         self._bound = [self._variables(block) for block in at.blocks]
-        pairs = [
-            (bound[:, a].ravel(), bound[:, b].ravel())
-            for bound in self._bound
-            for a, b in [np.triu_indices(bound.shape[1], 1)]
-        ]
-        self.elimination = Elimination(count, *(np.concatenate(side) for side in zip(*pairs, strict=True)))
+        pairs = [bound[:, two] for bound in self._bound for two in combinations(range(bound.shape[1]), 2)]
+        self.elimination = Elimination(count, *np.concatenate([np.empty((0, 2), dtype=np.intp), *pairs]).T)
         places = [self._rows(bound).ravel() for bound in self._bound]
         self._to_blocks = Sum(np.concatenate(places), 3 * len(self.elimination.codes))
         self._to_variables = Sum(np.concatenate([bound.ravel() for bound in self._bound]), count)
@@ -187,7 +184,6 @@ def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
 ROOT = 48  # variables that are eliminated last, as one dense matrix
 FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
 SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
-NEIGHBOUR_QUANTILE = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
 INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
 INDETERMINATE_TEXT = "the factors do not determine all variables"
 
@@ -196,17 +192,13 @@ INDETERMINATE_TEXT = "the factors do not determine all variables"
 class Round:
     """Variables ``n`` that are eliminated together.
 
-    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.count`; own: ``(n,)`` slot of its
-    block; bound: ``(n, p)`` slots of the blocks of parents and variable, mirrored: of variable and parents; among:
-    ``(n, p, p)`` of parents with each other; to_slots, to_variables: sums of all contributions.
+    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.count`; slots: ``(n, 1 + p, 1 + p)`` of the
+    blocks of variable and parents with each other; to_slots, to_variables: sums of the contributions to parents.
     """
 
     eliminated: Index
     parents: Index
-    own: Index
-    bound: Index
-    mirrored: Index
-    among: Index
+    slots: Index
     to_slots: Sum
     to_variables: Sum
 
@@ -260,10 +252,11 @@ class Elimination:
         self.diagonal = self.slots(np.arange(count), np.arange(count))
         self.rounds = list[Round]()
         for chosen, parents in eliminated:
-            own, among = chosen[:, None], self.slots(parents[:, :, None], parents[:, None, :])
-            bound, mirrored, sums = self.slots(parents, own), self.slots(own, parents), Sum(among, len(self.codes))
-            to_variables, diagonal = Sum(parents, count + 1), self.diagonal[chosen]
-            self.rounds.append(Round(chosen, parents, diagonal, bound, mirrored, among, sums, to_variables))
+            family = np.column_stack([chosen, parents])
+            slots = self.slots(family[:, :, None], family[:, None, :])
+            self.rounds.append(
+                Round(chosen, parents, slots, Sum(slots[:, 1:, 1:], len(self.codes)), Sum(parents, count + 1))
+            )
         place = np.full(count + 1, -1)
         place[self.border] = np.arange(len(self.border))
         at = at_border[place[v[at_border]] >= 0]
@@ -313,7 +306,7 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
     rounds, edges = list[tuple[Index, Index]](), [u * (count + 1) + v]
     while np.count_nonzero(alive) > ROOT:
         degree = np.bincount(u, minlength=count)
-        few, *_ = np.quantile(degree[alive], [NEIGHBOUR_QUANTILE], method="lower")
+        few = np.sort(degree[alive])[(np.count_nonzero(alive) - 1) // 2]
         if few > SPARSE * np.count_nonzero(alive):
             break
         candidate = alive & (degree <= few)
@@ -360,9 +353,9 @@ class Factorization:
         self._steps = list[tuple[Array, Array, Array]]()  # of each round: F⁻¹, S F⁻¹, F⁻¹ (border, right-hand side)
         self.log_determinant = 0.0  # of the root of the matrix
         for batch in elimination.rounds:
-            inverse, logarithm = _inverse(blocks[batch.own], least[batch.eliminated])
+            inverse, logarithm = _inverse(blocks[batch.slots[:, 0, 0]], least[batch.eliminated])
             self.log_determinant += logarithm
-            bound, own = _joined(blocks[batch.bound][:, :, None]), columns[batch.eliminated]
+            bound, own = _joined(blocks[batch.slots[:, 1:, :1]]), columns[batch.eliminated]
             share, solved = bound @ inverse, inverse @ own
             self._steps.append((inverse, share, solved))
             if bound.size:
@@ -416,11 +409,11 @@ class Factorization:
         for batch, (inverse, share, solved) in zip(elimination.rounds[::-1], self._steps[::-1], strict=True):
             turned, above = share.transpose(0, 2, 1), to_border[batch.parents].reshape(*share.shape[:2], len(corner))
             of_border = solved[:, :, :-1]
-            across = -(_joined(blocks[batch.among]) @ share + above @ of_border.transpose(0, 2, 1))
+            across = -(_joined(blocks[batch.slots[:, 1:, 1:]]) @ share + above @ of_border.transpose(0, 2, 1))
             beside = -(turned @ above + of_border @ corner)
-            blocks[batch.own] = inverse - turned @ across - of_border @ beside.transpose(0, 2, 1)
+            blocks[batch.slots[:, 0, 0]] = inverse - turned @ across - of_border @ beside.transpose(0, 2, 1)
             parts = across.reshape(*batch.parents.shape, 3, 3)
-            blocks[batch.bound], blocks[batch.mirrored] = parts, parts.transpose(0, 1, 3, 2)
+            blocks[batch.slots[:, 1:, 0]], blocks[batch.slots[:, 0, 1:]] = parts, parts.transpose(0, 1, 3, 2)
             to_border[batch.eliminated] = beside
         elimination.fill_in(blocks, to_border)
         return blocks

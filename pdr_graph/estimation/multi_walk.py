@@ -59,12 +59,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
     for walk_steps in steps[1:]:
         between = gap(whole.end, walk_steps.start, 0.0, ANY_TURN, ANYWHERE_SPEED)
         whole = append_steps(append_steps(whole, between), walk_steps)
-    floors = [graph.floors for graph in graphs]
-    labels = [
-        *floors[0][:-1],
-        *(label for labels_of_walk in floors[1:] for label in labels_of_walk[:-1]),
-        floors[-1][-1],
-    ]
+    labels = [*(label for graph in graphs for label in graph.floors[:-1]), graphs[-1].floors[-1]]
     bound = [
         replace(table, walk=np.full_like(table.walk, n))
         for n, graph in enumerate(graphs)

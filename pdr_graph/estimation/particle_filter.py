@@ -23,7 +23,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,18 +82,12 @@ class LimitsSteps(Structural):
         ...
 
 
-class Repeatable(Structural):
-    """A kind whose instances are not rows of its columns alone."""
-
-    @abstractmethod
-    def repeated(self, which: Index, keyframe: Index) -> Self:
-        """The instances ``which (n,)``, any of them several times, bound to other keyframes ``(n,)``."""
-        ...
-
-
 def _repeated(kind: Any, which: Index, keyframe: Index) -> Any:
-    """As `Repeatable.repeated`; of other kinds, all columns and tables with a row for each instance."""
-    if isinstance(kind, Repeatable):
+    """The instances ``which (n,)``, any of them several times, bound to other keyframes ``(n,)``.
+
+    Of kinds without such a method, all columns and tables with a row for each instance are taken.
+    """
+    if hasattr(kind, "repeated"):
         return kind.repeated(which, keyframe)
     changed: dict[str, Any] = {"keyframe": keyframe}
     for name, column in vars(kind).items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import shapely
@@ -13,8 +13,10 @@ from pdr_graph.errors import count
 from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.network import Network, derived_network, drawn_network
-from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask, OneLineRepr
+
+if TYPE_CHECKING:
+    from pdr_graph.frames import Frame
 
 FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is not on this plan
 

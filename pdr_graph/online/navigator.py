@@ -18,16 +18,15 @@ import numpy as np
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
-from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.registry import kind_of
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
-from pdr_graph.estimation.results import verdict
+from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
@@ -51,6 +50,7 @@ from pdr_graph.online.status import (
 from pdr_graph.priors import FIXES, INITIAL, REPORTS
 from pdr_graph.types import (
     LONLAT,
+    START,
     Array,
     Beacons,
     Estimate,

@@ -12,7 +12,6 @@ import numpy as np
 from pdr_graph.errors import count
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.results import (
-    ROUTE,
     calibration_warnings,
     contradiction_warnings,
     placement_warnings,
@@ -20,6 +19,7 @@ from pdr_graph.estimation.results import (
     used_fixes,
     wall_crossings,
 )
+from pdr_graph.estimation.verdict import ROUTE
 from pdr_graph.floor.building import Building
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.event_checks import AHEAD

@@ -10,8 +10,8 @@ import shapely
 
 from pdr_graph import Building, FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
-from pdr_graph.estimation.results import verdict
 from pdr_graph.estimation.smoother import estimated
+from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker

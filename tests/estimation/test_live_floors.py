@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from test_floors import Plan, along, fixes, flights, in_order
 
-from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live.live_floors import LiveFloors
+from pdr_graph.estimation.floors import LiveFloors, floors_along
 from pdr_graph.priors import LIVE_FLOORS
 from pdr_graph.types import Fixes, Steps
 

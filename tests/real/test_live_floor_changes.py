@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import detect_steps
-from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live.live_floors import LiveFloors
+from pdr_graph.estimation.floors import LiveFloors, floors_along
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of

@@ -30,7 +30,7 @@ from pdr_graph.apps.lifelog.stays import (
 )
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import ROUTE, teaches_profile, verdict
+from pdr_graph.estimation.verdict import ROUTE, teaches_profile, verdict
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile, Walker

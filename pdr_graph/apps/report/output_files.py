@@ -16,7 +16,8 @@ from pdr_graph.apps.report.evaluation import circular_error, coverage, evaluate,
 from pdr_graph.apps.report.sources import position_sources
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
-from pdr_graph.estimation.results import is_located, is_usual, teaches_profile
+from pdr_graph.estimation.results import is_located, is_usual
+from pdr_graph.estimation.verdict import teaches_profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.io import gpx, writers
 from pdr_graph.types import Estimate, Trajectory

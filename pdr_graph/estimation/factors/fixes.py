@@ -19,7 +19,7 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate, pose_rotation
 from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
-from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
+from pdr_graph.types import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE, Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
     import gtsam
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
-DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
-FROZEN = "the receiver held its position while the walk went on: not used"
-LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,12 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.priors import COMPASS, PARTICLES, PRICES
-from pdr_graph.types import Array, Headings, Index, Mask, Steps, take
+from pdr_graph.types import START, Array, Headings, Index, Steps, take
 
 if TYPE_CHECKING:
     import gtsam
 
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
-
-START = "start"  # source of the start heading of a user
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class HeadingFactor(Measurement):
         """Keyframes ``(h,)`` of the headings that have one, what is assumed of these headings, and their numbers."""
         which = np.flatnonzero(self.keyframe >= 0)
         headings = take(self.headings, which)
-        started = of_start(headings)
+        started = headings.stated
         heading = wrap_angle(headings.heading - np.where(started, 0.0, self.off))
         sigma = np.where(started & self.wrong_start, ANY_HEADING, headings.sigma)
         return self.keyframe[which], replace(headings, heading=heading, sigma=sigma), self.number[which]
@@ -94,7 +92,7 @@ class HeadingFactor(Measurement):
 
         Compass headings share most of their error (`gait.compass`).
         """
-        started, bound, found = of_start(self.headings), self.keyframe >= 0, list[Proposal]()
+        started, bound, found = self.headings.stated, self.keyframe >= 0, list[Proposal]()
         if np.any(bound & ~started):
             for side, angle in (("left", COMPASS.off), ("right", -COMPASS.off)):
                 kind = (self.name, f"off to the {side}")
@@ -110,7 +108,7 @@ class HeadingFactor(Measurement):
 
     def decisions(self) -> dict[str, AnyArray]:
         """Whether the start heading is wrong, if there is one."""
-        return {"wrong_start": np.array([self.wrong_start])} if of_start(self.headings).any() else {}
+        return {"wrong_start": np.array([self.wrong_start])} if self.headings.stated.any() else {}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Take over whether the start heading is wrong."""
@@ -156,11 +154,6 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     (angle,) = np.degrees(hypothesis.parameter)
     text = f"the compass is {hypothesis.kind[1].replace('off', f'off by about {angle:.0f}°')}"
     return Wording(HeadingFactor.name, text, "magnets and iron near the phone")
-
-
-def of_start(headings: Headings) -> Mask:
-    """True ``(h,)`` for start headings that a user states."""
-    return np.array([source == START for source in headings.source], dtype=bool)
 
 
 def heading_reports(headings: Headings, heading: Array, weight: Array) -> tuple[HeadingReport, ...]:

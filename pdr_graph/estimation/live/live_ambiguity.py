@@ -36,7 +36,7 @@ from pdr_graph.estimation.live.live_output import (
 )
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
-from pdr_graph.estimation.live.window import CLOSE, UNLIMITED, Decisions, Interval, Path, numbered
+from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, numbered
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
@@ -165,7 +165,7 @@ def try_path(
 
 def _optimized(graph: LiveGraph, rounds: int) -> float:
     """The cost of the path at its optimum, with the price of the regions that it leads through."""
-    price = graph.associate_walls(UNLIMITED)
+    price = graph.associate_walls()
     graph.solve(rounds)
     return graph.at.cost + price
 
@@ -187,7 +187,7 @@ class LiveAmbiguity:
         self.questions = self.batch, self.trial, self.sources, self.place
         self.next_batch = self.next_search = self.next_comparison = -np.inf
         self.solved, self.batch_reviewed = False, False
-        self._restarting = self._carried = False  # the past is dropped at the next solution; but for its calibration
+        self._restarting = False  # the past is dropped at the next solution, but for its calibration
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
         self.restarts = 0
         self.history, self.findings = History(), Findings()
@@ -226,14 +226,14 @@ class LiveAmbiguity:
     def batch_question(self) -> Callable[[], BatchSolution]:
         """The question for the batch of the window."""
         graph = self.graph
-        c = self._first_calibration(self._carried)[0] if self._restarting else None
+        c = self._first_calibration()[0] if self._restarting else None
         return partial(solve_batch, graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
 
     def adopt_batch(self, solution: BatchSolution) -> None:
         """Restart from a solution of the batch."""
         graph, window, output = self.graph, self.graph.window, self.output
         if self._restarting:
-            graph.c_prior, self._restarting = self._first_calibration(self._carried), False
+            graph.c_prior, self._restarting = self._first_calibration(), False
         graph.decisions = graph.decisions | solution.decisions
         graph.place_on(solution.path)
         long = window.duration > SCHEDULE.longest_ambiguous
@@ -246,27 +246,21 @@ class LiveAmbiguity:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
         self.next_comparison = -np.inf if output.sure else self.next_comparison
-        graph.associate_walls(UNLIMITED)  # or a search without walls would move the walk off the solution
+        graph.associate_walls()  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
         graph.solve(SCHEDULE.rounds)
 
-    def restart(self, carried: bool = True) -> None:
-        """Solve the window anew, since measurements contradict the walk; the information from before it is dropped.
-
-        carried: but for the calibration.
-        """
+    def restart(self) -> None:
+        """Solve the window anew, since measurements contradict the walk; of the past only the calibration is kept."""
         self.restarts += 1
-        self._restarting, self._carried = True, carried
-        self.output.sure = self.solved = False
+        self._restarting, self.output.sure, self.solved = True, False, False
         self.batch.cancel()
         self.trial.cancel()
         self.next_batch = -np.inf
 
-    def _first_calibration(self, carried: bool) -> tuple[Array, Array]:
-        """Mean ``(3,)`` and covariance ``(3, 3)`` of the window's first calibration; carried: by the walk so far."""
+    def _first_calibration(self) -> tuple[Array, Array]:
+        """Mean ``(3,)`` and covariance ``(3, 3)`` of the window's first calibration, by the walk so far."""
         graph = self.graph
-        if not carried:
-            return np.array(graph.prior.mean), graph.prior.covariance
         first, change = graph.window.segments[0], np.diag(np.square(graph.prior.change))
         return graph.window.c[first], graph.calibration_covariance()[0] + change
 
@@ -285,7 +279,7 @@ class LiveAmbiguity:
             belief = self.output.keyframe_belief()
             there = predict(belief, steps.whole, steps.start, begin, float(fixes.time[n]), ())
             sigma, apart = float(fixes.sigma[n]), fixes.position[n] - there.mean[:, :2]
-            if not measured(there, OF_POSITION, apart, sigma**2 * np.eye(2))[1].weight.any():
+            if not measured(there, OF_POSITION, apart, sigma**2 * np.eye(2))[2].any():
                 unexpected.append(n)
         return numbers[unexpected]
 
@@ -365,27 +359,19 @@ class LiveAmbiguity:
         """Let the particles do a little; when they reach a keyframe, compare them with the path.
 
         The path of most particles is tried where it differs, and once that of the batch, before any of the walk leaves
-        the window. Else the walk restarts if its cost is too high for a correct path, and there are fixes to find
-        another.
+        the window.
         """
         graph, window, particles = self.graph, self.graph.window, self.output.particles
         if particles is None or not particles.process(busy):
             return
         at = int(np.searchsorted(window.times, particles.times[-1] - CLOSE))
         alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
-        fixes, open_to_batch = len(graph.log.position_times()), self.trial.idle and not self.batch_reviewed
+        open_to_batch = self.trial.idle and not self.batch_reviewed
         if alternative is not None and self.trial.idle:
             self._try(lambda: (alternative, {}), SCHEDULE.rounds)
         elif open_to_batch and graph.has_position and window.complete and window.duration > SCHEDULE.review_after:
             self.batch_reviewed = True
             self.ask_batch_for_alternative()
-        elif (
-            window.count % SCHEDULE.cost_interval == 0
-            and window.times[-1] >= self.next_batch
-            and fixes > 1
-            and graph.cost > SCHEDULE.cost_limit(len(window.keyframes), fixes)
-        ):
-            self.restart(carried=False)
 
     def ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""
@@ -495,7 +481,7 @@ class LiveAmbiguity:
             graph.solve()
             return
         self.trial.cancel()
-        graph.c_prior = self._first_calibration(carried=True)
+        graph.c_prior = self._first_calibration()
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
             window.c[interval.segment] = review.path.calibration(interval.end)

@@ -23,7 +23,6 @@ from pdr_graph.estimation.linear_system import NormalEquations, Solution
 from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
 from pdr_graph.estimation.live.window import (
     CLOSE,
-    UNLIMITED,
     WAITING,
     Collector,
     Decisions,
@@ -274,7 +273,7 @@ class LiveGraph:
     def move_to(self, path: Path) -> None:
         """Move the window to a path, with the walls there."""
         self.place_on(path)
-        self.associate_walls(UNLIMITED)  # or the walls of the path that is left would pull at the first solution
+        self.associate_walls()  # or the walls of the path that is left would pull at the first solution
         self.solve()
 
     def restart(self, lag: float) -> None:
@@ -287,8 +286,8 @@ class LiveGraph:
         self.log.version += 1  # the decisions may have changed
         self.moved()
 
-    def associate_walls(self, pieces: int) -> float:
-        """Associate the last ``pieces`` with walls; returns the price of the regions they lead through."""
+    def associate_walls(self, pieces: int | None = None) -> float:
+        """Associate the last ``pieces``, or all, with walls; returns the price of the regions they lead through."""
         price, changed = self.window.associate_walls(pieces)
         if changed:
             self.moved()
@@ -349,6 +348,7 @@ class LiveGraph:
             self.finalized.hinge = window.pose[0].copy()
         for store in (self.log, *self.collectors):
             store.forget(until)
+        self.decisions = (self.log.longer or self.log).present(self.decisions)
         self._arrivals = [time for time in self._arrivals if time >= until]
         if due:
             self.finalized.finalize(window.times[0], edge)

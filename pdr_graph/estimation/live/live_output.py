@@ -36,10 +36,9 @@ from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.geometry import horizontal_sigma, pose_rotation
 from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
-from pdr_graph.types import Array, Calibration, Fixes, Headings, Index, Steps, take
+from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
-TIME_ROUNDING = 1e-6  # [s] between two times; less is rounding
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,8 @@ def predict(
 
     whole, start: of the steps, see `intervals`.
     """
-    moments = np.unique([*(fix.time for fix in fixes if begin + TIME_ROUNDING < fix.time <= end), end])
-    if moments[-1] < begin + TIME_ROUNDING:
+    moments = np.unique([*(fix.time for fix in fixes if begin + INSTANT < fix.time <= end), end])
+    if moments[-1] < begin + INSTANT:
         return mixture
     pieces = intervals(whole, start, begin, moments)
     mean_c = mixture.mean[mixture.best, 3:]
@@ -137,7 +136,7 @@ def after_headings(
     H = np.zeros((1, 6))
     for time, heading, sigma in zip(headings.time.tolist(), headings.heading, headings.sigma, strict=True):
         turned, variance = np.zeros(3), sigma**2  # since then, as a function of (R_s, R_d, b)
-        if time <= now - TIME_ROUNDING:
+        if time <= now - INSTANT:
             pieces = intervals(whole, start, max(time, start), np.array([now]))
             turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 2].sum()
         H[0, 2], H[0, 3:] = 1.0, -turned
@@ -185,8 +184,8 @@ def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = state.covariance + FIXES_ALONE.wander**2 * max(time - state.time, 0.0) * np.eye(2)
         mixture = single_mode(np.append(state.mean, np.zeros(4)), covariance)
-        mixture, surprise = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
-        if surprise.weight[0] == 0.0:
+        mixture, _, weight = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
+        if weight[0] == 0.0:
             state = replace(state, beyond=state.beyond + 1)
         else:
             state = FixesAlone(max(time, state.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])

@@ -23,7 +23,6 @@ from pdr_graph.priors import LIVE_PATHS, SEARCH
 from pdr_graph.types import Array
 
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
-SEED = 0
 
 
 class ParallelParticleFilter:
@@ -37,7 +36,7 @@ class ParallelParticleFilter:
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs = deque[Callable[[], bool]]()  # each returns True if it closes a keyframe
         self.elsewhere: GaussianMixture | None = None
-        self._filter = ParticleFilter(prior, SEED, fewest=LIVE_PATHS.fewest, most=LIVE_PATHS.most, at_once=1)
+        self._filter = ParticleFilter(prior, seed=0, fewest=LIVE_PATHS.fewest, most=LIVE_PATHS.most, at_once=1)
         wider = LIVE_PATHS.spread**2 * belief.covariance[0]
         # To the last digit
         state = self._filter.random.multivariate_normal(belief.mean[0], wider, LIVE_PATHS.most, check_valid="ignore").T

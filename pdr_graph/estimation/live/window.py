@@ -205,7 +205,6 @@ def later_steps(steps: Steps, before: float) -> Steps:
     return Steps(start=float(steps.time[count - 1]), end=steps.end, final_turn=steps.final_turn, **later)
 
 
-UNLIMITED = 10**9  # more pieces or intervals than any window has
 Others = Mapping[str, Mapping[int, Array]]  # estimates ``(3,)`` of further variables, by symbol and number
 
 
@@ -342,15 +341,15 @@ class Window:
         field_of = np.array([-1 if field is None else number[field] for field in fields], dtype=np.intp)
         return walls_of_fields(list(number), field_of, self.prior)
 
-    def associate_walls(self, pieces: int) -> tuple[float, bool]:
-        """Associate the last ``pieces`` with the walls along the estimate.
+    def associate_walls(self, pieces: int | None = None) -> tuple[float, bool]:
+        """Associate the last ``pieces``, by default all, with the walls along the estimate.
 
         Returns the price of their regions, and True if any piece has other walls than before.
         """
         if not self.intervals:
             return 0.0, False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
-        first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces, count[-1]))))
+        first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces or count[-1], count[-1]))))
         if (floors := self.floors(first)) is None:
             return 0.0, False
         chain, last, changed = self.chain(first), self.intervals[first:], False
@@ -533,6 +532,17 @@ class MeasurementLog:
             return decisions
         row, old = np.nonzero(numbers[:, None] == decisions["number"])
         return {**{column: values[old] for column, values in decisions.items()}, "number": row}
+
+    def present(self, decisions: Decisions) -> Decisions:
+        """The decisions about rows that are still there."""
+        kept = {
+            name: np.isin(decisions[name]["number"], of)
+            for name, of in self.all_numbers(np.inf).items()
+            if "number" in decisions.get(name, {})
+        }
+        return decisions | {
+            name: {column: rows[of] for column, rows in decisions[name].items()} for name, of in kept.items()
+        }
 
     def position_times(self) -> Array:
         """Times ``(n,)`` [s] of the rows that determine positions."""
