@@ -49,8 +49,9 @@ from typing import Any
 import numpy as np
 import shapely
 
+from pdr_graph.apps.report import page
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
 from pdr_graph.inertial.sensor_stream import Health
@@ -192,9 +193,6 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-CELL_LAYERS = {"room": CLOSED, "door": (DOOR,), "stairs": ("stairs",)}  # layers and the kinds of cells in them
-
-
 def plan_layers(building: Building | None) -> dict[str, Any]:
     """The plan as a GeoJSON FeatureCollection; without a plan, an empty one.
 
@@ -228,16 +226,9 @@ def lonlat(position: Array, frame: Frame) -> Array:
 
 def _drawn(floor: FloorPlan) -> Iterator[tuple[dict[str, str], shapely.Geometry]]:
     """The shapes of a floor [m] with their properties."""
-    areas = [area for area in floor.areas if area.is_polygon and area.kind not in (LINK, BEACON)]
-    yield {"layer": "ground"}, shapely.union_all([area.shape for area in areas])
-    solid = shapely.geometrycollections([area.shape for area in areas if area.kind in SOLID])
-    yield {"layer": "border"}, shapely.union_all(shapely.boundary(shapely.get_parts(solid)))
-    yield {"layer": "walkable"}, floor.walkable
-    for layer, kinds in CELL_LAYERS.items():
-        shapes = [cell.polygon for cell in floor.cells.cells if cell.kind in kinds]
-        yield {"layer": layer}, shapely.union_all(shapes)
-    yield {"layer": "wall"}, floor.cells.barriers
-    yield {"layer": "link"}, shapely.union_all([area.shape for area in floor.of_kind(LINK)])
+    for layer in page.plan_layers(floor):
+        parts = shapely.get_parts(layer.shape)
+        yield {"layer": layer.name}, shapely.union_all(shapely.boundary(parts) if layer.name == "border" else parts)
     for area in floor.of_kind(BEACON):
         yield {"layer": "beacon", "text": area.name}, shapely.point_on_surface(area.shape)
     for area in floor.of_kind(*SOLID, *CLOSED, *OPEN):
