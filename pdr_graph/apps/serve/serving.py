@@ -57,7 +57,7 @@ class Settings:
 
 
 def read_inputs(options: Mapping[str, Any]) -> Building | None:
-    """The plan of live estimates. Raises InputError if a file of the options cannot be used, before a phone connects."""
+    """The plan of live estimates, None without. Raises InputError if a file of the options cannot be used."""
     return navigator_of(Options(**options, method=LIVE)).keywords["floor"]
 
 
