@@ -14,25 +14,14 @@ import numpy as np
 from pdr_graph.apps.serve import positions, sensor_messages
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.live_walk import LOG, RECORDINGS, Session, read_session
-from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER, USED_COLUMNS
 from pdr_graph.errors import InputError, count
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
 from pdr_graph.online.journal import read_body, read_entries
 
-TABLE_FILES = {  # name in a message: table of an export, and its columns
-    "accelerometer": ("Accelerometer", "z,y,x"),
-    "gravity": ("Gravity", "z,y,x"),
-    "gyroscope": ("Gyroscope", "z,y,x"),
-    "magnetometer": ("Magnetometer", "z,y,x"),
-    "accelerometeruncalibrated": ("AccelerometerUncalibrated", "z,y,x"),
-    "gyroscopeuncalibrated": ("GyroscopeUncalibrated", "z,y,x"),
-    "magnetometeruncalibrated": ("MagnetometerUncalibrated", "z,y,x"),
-    "barometer": ("Barometer", "pressure"),
-    "location": ("Location", "latitude,longitude,horizontalAccuracy"),
-    "bluetooth": ("Bluetooth", "id,rssi"),
-}
+COLUMNS = {**USED_COLUMNS, "bluetooth": ("id", "rssi")}  # name in a message: columns of its table
 
 
 def write_recording(folder: Path) -> Path:
@@ -74,14 +63,14 @@ def _write_export(file: Path, folder: Path, session: Session) -> None:
                 sensor_messages.signals_of(columns, signs, session.platform, android)
             for sample in sorted(message.payload, key=lambda sample: sample.time):
                 name, time = sample.name.lower(), int(sample.time)
-                if name not in TABLE_FILES:
+                if name not in COLUMNS:
                     continue
-                title, header = TABLE_FILES[name]
                 start = start or time
-                if name not in tables:
-                    tables[name] = files.enter_context((Path(scratch) / f"{title}.csv").open("w", encoding="utf-8"))
-                    tables[name].write(f"time,seconds_elapsed,{header}\n")
-                cells = ",".join(_cell(getattr(sample.values, column)) for column in header.split(","))
+                if name not in tables:  # as the app names it: AccelerometerUncalibrated.csv
+                    title = f"{name.capitalize().replace('uncalibrated', 'Uncalibrated')}.csv"
+                    tables[name] = files.enter_context((Path(scratch) / title).open("w", encoding="utf-8"))
+                    tables[name].write(f"time,seconds_elapsed,{','.join(COLUMNS[name])}\n")
+                cells = ",".join(_cell(getattr(sample.values, column)) for column in COLUMNS[name])
                 tables[name].write(f"{time},{(time - start) * sensor_messages.NANOSECOND:.6f},{cells}\n")
         if not tables:
             raise InputError(folder, "", "no samples", "a session with samples")

@@ -278,7 +278,8 @@ class Subscriber:
 
     def __init__(self, hub: Hub, sees: Callable[[str], bool]):
         self._hub, self.sees = hub, sees
-        self._poses, self._paths, self._forgotten = dict[str, None](), dict[str, None](), dict[str, None]()
+        # ids of walkers with news of each kind, in the order in which these are sent, the oldest first
+        self._pending = {kind: dict[str, None]() for kind in ("forgotten", "pose", "path")}
         self._sent = dict[str, tuple[int, int]]()  # revision and number of finalised points
         self._changed = asyncio.Event()
         for id_, walker in hub.walkers.items():
@@ -287,11 +288,9 @@ class Subscriber:
 
     def note(self, id_: str, user: str, kind: str) -> None:
         """Note that there is news of a walker."""
-        if not self.sees(user):
-            return
-        pending = {"pose": self._poses, "path": self._paths, "forgotten": self._forgotten}
-        pending[kind][id_] = None
-        self._changed.set()
+        if self.sees(user):
+            self._pending[kind][id_] = None
+            self._changed.set()
 
     def wake(self) -> None:
         """End a `wait`."""
@@ -308,29 +307,21 @@ class Subscriber:
     def events(self) -> Iterator[Event]:
         """Yield the pending events; each is made when it is asked for."""
         self._changed.clear()
-        while self._forgotten:
-            id_, _ = self._forgotten.popitem()
-            self._sent.pop(id_, None)
-            yield "forgotten", {"id": id_}
-        while self._poses:
-            walker = self._hub.walkers.get(_first(self._poses))
-            if walker is not None:
-                yield "pose", walker.pose
-        while self._paths:
-            id_ = _first(self._paths)
-            walker = self._hub.walkers.get(id_)
-            if walker is not None:
-                revision, count = self._sent.get(id_, (-1, 0))
-                path = walker.path(count if revision == walker.revision else 0)
-                self._sent[id_] = walker.revision, len(walker.finalised["time"])
-                yield "path", path
-
-
-def _first(pending: dict[str, None]) -> str:
-    """Remove and return the oldest key."""
-    key = next(iter(pending))
-    del pending[key]
-    return key
+        for kind, pending in self._pending.items():
+            while pending:
+                id_ = next(iter(pending))
+                del pending[id_]
+                walker = self._hub.walkers.get(id_)
+                if kind == "forgotten":
+                    self._sent.pop(id_, None)
+                    yield kind, {"id": id_}
+                elif walker is not None and kind == "pose":
+                    yield kind, walker.pose
+                elif walker is not None:
+                    revision, count = self._sent.get(id_, (-1, 0))
+                    path = walker.path(count if revision == walker.revision else 0)
+                    self._sent[id_] = walker.revision, len(walker.finalised["time"])
+                    yield kind, path
 
 
 class Hub:
