@@ -32,7 +32,7 @@ try: asyncio.run(fetch(sys.argv[1], upload, Path("recording.zip")))
 except CloudError as error: print(error, file=sys.stderr); sys.exit(2)
 """
 PHONE = """
-import asyncio, sys; from pdr_graph.apps.serve.phyphox_polling import *
+import asyncio, sys; from pdr_graph.apps.serve.pulling import *
 try: list(messages_of(asyncio.run(PhyphoxPhone(sys.argv[1]).poll()), 0))
 except PhoneError as error: print(error, file=sys.stderr); sys.exit(2)
 """

@@ -14,7 +14,7 @@ from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, rotation, unit
-from pdr_graph.io.beacons import SURVEY_SIGMA
+from pdr_graph.io.tables import SURVEY_SIGMA
 from pdr_graph.lab.simulation.body import Body
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.sensors import (

@@ -27,8 +27,8 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smo
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
+from pdr_graph.io.tables import read_beacons
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
 from pdr_graph.lab.simulation.simulate import simulate

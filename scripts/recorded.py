@@ -11,8 +11,8 @@ from pdr_graph.estimation.floors import floors_along
 from pdr_graph.frames import enu
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.inertial.barometer import with_stair_lengths
-from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
+from pdr_graph.io.tables import read_beacons
 from pdr_graph.types import Fixes, Headings, Levels, Steps, Trajectory
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given

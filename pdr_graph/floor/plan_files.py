@@ -27,9 +27,9 @@ from pdr_graph.floor.formats import (
     ros_map,
     several_files,
 )
-from pdr_graph.floor.formats.drafting import check_size
 from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
 from pdr_graph.floor.formats.geojson import features_of, read_json
+from pdr_graph.floor.formats.line_drawing import check_size
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 

@@ -88,8 +88,7 @@ def serve(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
-    from pdr_graph.apps.serve.phyphox_polling import PhyphoxPhone
-    from pdr_graph.apps.serve.pulling import Sources, broker_of
+    from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
     from pdr_graph.apps.serve.study import StudyReports
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}

@@ -25,8 +25,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
-from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.live_walk import Session
+from pdr_graph.apps.serve.live_walk import Session, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.reception import Limits, Reception
