@@ -22,7 +22,7 @@ import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.apps.lifelog.cache import write
-from pdr_graph.apps.serve import positions, sensor_messages
+from pdr_graph.apps.serve import sensor_messages
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.publishing import path_columns, pose_json
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER, USED_COLUMNS, Intake
@@ -350,7 +350,7 @@ def _cell(value: Any) -> str:
 
 def _write_track(file: Path, folder: Path, session: Session) -> None:
     """Write the positions as GPX, with their accuracies."""
-    fixes = [positions.parse(session.protocol, body)[1] for body in _messages(folder, ordered=False)]
+    fixes = [sensor_messages.parse_positions(session.protocol, body)[1] for body in _messages(folder, ordered=False)]
     rows = np.concatenate([np.column_stack([part.time, part.position, part.sigma]) for part in fixes])
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     points = gpx.Points(rows[:, 1:3], rows[:, 0], RADIUS_68 * rows[:, 3])
