@@ -18,8 +18,7 @@ from pdr_graph.floor.formats.drawing import storey_of
 from pdr_graph.floor.plan import FAR_FROM_PLAN
 from pdr_graph.frames import Frame, projected
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.io.likely_causes import CLOCK_MARGIN
-from pdr_graph.io.tables import check_clock
+from pdr_graph.io.tables import CLOCK_MARGIN, check_clock
 from pdr_graph.types import Array, Beacons, Fixes, OneLineRepr, Recording, Trajectory
 
 # Chosen by hand

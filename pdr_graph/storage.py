@@ -1,4 +1,4 @@
-"""Lossless encoding of typed dataclasses without pickle; SQLite files.
+"""Lossless encoding of typed dataclasses without pickle.
 
 One format serves the events of a journal and the blobs of a lifelog:
 
@@ -11,24 +11,18 @@ be missing, as in bytes of older versions.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import math
-import os
-import sqlite3
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 import msgspec
 import numpy as np
-
-from pdr_graph.errors import InputError, check_not_special
 
 FORMAT = 2  # of the bytes; 1 was JSON with the arrays behind it
 HEADER = struct.Struct("<IB")  # checksum, format
@@ -187,130 +181,3 @@ def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:
 def write_text(path: Path, text: str) -> None:
     r"""Write a text as UTF-8; bytes of a file name that are not UTF-8 become escapes, which JSON reads back: \udcff."""
     path.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-
-LOCK_TIMEOUT = 1.0  # [s] to wait for another process to close the file
-OWNER_ONLY = 0o600  # positions are private; SQLite gives its journal the mode of the file itself
-SQLITE_ERRORS = {
-    sqlite3.SQLITE_FULL: errno.ENOSPC,
-    sqlite3.SQLITE_READONLY: errno.EROFS,
-    sqlite3.SQLITE_IOERR: errno.EIO,
-    sqlite3.SQLITE_CANTOPEN: errno.ENOENT,
-    sqlite3.SQLITE_TOOBIG: errno.EFBIG,
-}
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of file. name: in messages, as "journal"; application, version: numbers in its header.
-
-    remedy: advice for a file of an older version without upgrade; repair: for a damaged one; upgrades: by version, the
-    statements that upgrade a file to the next version.
-    """
-
-    name: str
-    application: int
-    version: int
-    remedy: str
-    upgrades: Mapping[int, Sequence[str]] = field(default_factory=dict)
-    repair: str = ""
-
-
-def create_or_open(
-    path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
-) -> sqlite3.Connection:
-    """Open or create a database with exclusive access, and upgrade it to this version.
-
-    schema: statements that create the tables of a new file; rows: its first rows, by the statement that inserts them.
-
-    Raises InputError if the file is of another kind or a newer version, damaged or in use; OSError if the disk fails.
-    """
-    _recognise(path, kind)
-    with explained(path, kind):
-        os.close(os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY))
-        database = sqlite3.connect(path, LOCK_TIMEOUT, isolation_level=None, check_same_thread=False)
-    try:
-        with explained(path, kind):
-            database.execute("PRAGMA locking_mode = EXCLUSIVE")
-            database.execute("BEGIN EXCLUSIVE")
-            version = database.execute("PRAGMA user_version").fetchone()[0]
-            if version:
-                _upgrade(database, kind, version)
-            else:
-                _make(database, kind, schema, rows)
-            database.execute("COMMIT")
-            database.execute("PRAGMA journal_mode = DELETE")  # of a file of an older version too
-        return database
-    except BaseException:
-        database.close()
-        raise
-
-
-@contextmanager
-def explained(path: Path, kind: Kind) -> Iterator[None]:
-    """Translate errors of SQLite: InputError about the content of the file, OSError about the disk."""
-    try:
-        yield
-    except sqlite3.ProgrammingError:
-        raise
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter where a message names a damaged table
-        code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF  # without the details
-        if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
-        if code in SQLITE_ERRORS:
-            raise OSError(SQLITE_ERRORS[code], f"{error}", str(path)) from None
-        raise InputError(path, "", f"a damaged {kind.name} ({error})", f"one that is whole{kind.repair}") from None
-
-
-def _recognise(path: Path, kind: Kind) -> None:
-    """Check the header before SQLite opens the file, since it would modify another program's database.
-
-    Raises InputError if the file is of another kind or version, or truncated.
-    """
-    if not path.exists():
-        return
-    check_not_special(path, f"a {kind.name}, or a name that is not taken")
-    if not path.stat().st_size:
-        return  # the process was killed before it wrote anything
-    version, application, _ = header(path)
-    if application != kind.application:
-        raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")
-    if version != kind.version and version not in kind.upgrades:
-        remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"
-        raise InputError(path, "format", f"{version}", f"{kind.version}, which this version reads: {remedy}")
-    if is_cut(path) and not path.with_name(f"{path.name}-wal").exists():  # where the rest may be
-        raise InputError(path, "", f"a damaged {kind.name} ({path.stat().st_size} bytes)", "one of all its pages")
-
-
-def header(path: Path) -> tuple[int, int, int]:
-    """Version, application and size [bytes] in the header of a database; zeros for another file."""
-    with path.open("rb") as file:
-        content = file.read(100)
-    if not content.startswith(b"SQLite format 3\0"):
-        return 0, 0, 0
-    page, pages, version, application = struct.unpack_from(">16xH10xI28xI4xI", content.ljust(100, b"\0"))
-    return version, application, page * pages
-
-
-def is_cut(path: Path) -> bool:
-    """True if a database has fewer bytes than its header says."""
-    return path.stat().st_size < header(path)[2]
-
-
-def _make(
-    database: sqlite3.Connection, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
-) -> None:
-    for statement in schema:
-        database.execute(statement)
-    for statement, values in rows.items():
-        database.executemany(statement, values)
-    database.execute(f"PRAGMA application_id = {kind.application}")
-    database.execute(f"PRAGMA user_version = {kind.version}")
-
-
-def _upgrade(database: sqlite3.Connection, kind: Kind, version: int) -> None:
-    """Upgrade a file to the present version, in the transaction that is open."""
-    for older in range(version, kind.version):
-        for statement in kind.upgrades[older]:
-            database.execute(statement)
-        database.execute(f"PRAGMA user_version = {older + 1}")

@@ -34,9 +34,17 @@ from pdr_graph.gait.steps import GaitSignals, detect_steps, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.inertial.barometer import with_stair_lengths
-from pdr_graph.io.beacons import ANCHOR_SIGMA, SURVEY_SIGMA, beside, drawn_beacons, read_beacons, read_ranges
 from pdr_graph.io.loading import load
-from pdr_graph.io.tables import read_fixes, read_trajectory
+from pdr_graph.io.tables import (
+    ANCHOR_SIGMA,
+    SURVEY_SIGMA,
+    beside,
+    drawn_beacons,
+    read_beacons,
+    read_fixes,
+    read_ranges,
+    read_trajectory,
+)
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
 from pdr_graph.priors import INITIAL
 from pdr_graph.types import (

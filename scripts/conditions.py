@@ -25,8 +25,8 @@ from pdr_graph.frames import enu
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, length_along, rotation, unit
 from pdr_graph.inertial.barometer import with_stair_lengths
-from pdr_graph.io.beacons import SURVEY_SIGMA, read_beacons
 from pdr_graph.io.loading import load
+from pdr_graph.io.tables import SURVEY_SIGMA, read_beacons
 from pdr_graph.lab.simulation.body import Body
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario

@@ -47,8 +47,8 @@ from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import interpolate
-from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
+from pdr_graph.io.tables import read_beacons
 from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
 from pdr_graph.online.interface import Pose, Samples, events_of, trajectory_of
 from pdr_graph.online.navigator import Navigator

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.serve.publishing import plan_layers
 from pdr_graph.floor import plan_files
-from pdr_graph.floor.formats import own_format
+from pdr_graph.floor.formats import geojson
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.io.tables import read_trajectory
@@ -27,7 +27,7 @@ from pdr_graph.walk import Options, read
 def folder(tmp_path_factory):
     """A walk, its fixes, and its plan in metres."""
     folder = simulated.arcade(tmp_path_factory.mktemp("walk"), recorder="indoor_location")
-    own_format.write(folder / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
+    geojson.write(folder / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
     return folder
 
 
@@ -55,7 +55,7 @@ def test_a_walk_is_the_same_on_a_plan_in_metres_but_for_the_compass(folder, tmp_
 
 def test_recorded_positions_are_left_out_with_a_note(tmp_path):
     write(simulate(simulated.scenario(ROUTE, gnss={}, recorder="phyphox", place=[135.0, 35.0])), tmp_path / "walk")
-    own_format.write(tmp_path / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
+    geojson.write(tmp_path / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
     inputs = read(tmp_path / "walk", Options(plan=tmp_path / "local.geojson"))
     assert len(inputs.fixes) == 0
     assert any("fixes inside the recording were left out: no latitude in the plan" in note for note in inputs.notes)

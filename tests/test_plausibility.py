@@ -12,7 +12,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
-from pdr_graph.io.likely_causes import clock_hint
+from pdr_graph.io.tables import clock_hint
 from pdr_graph.plausibility import Plausibility
 from pdr_graph.types import Fixes, Recording, Signal
 from pdr_graph.walk import Options, read

@@ -36,7 +36,7 @@ LIMITED = {
         "thread.submit(asyncio.run, greet()).result()",
     ): "greet ends after CONNECT_TIMEOUT + 1 s",
     ("apps/lifelog/workers.py", "future.result()"): "the future is done",
-    ("apps/lifelog/workers.py", "pool.shutdown(wait=True)"): "its processes were killed",
+    ("apps/lifelog/workers.py", "executor.shutdown(wait=True)"): "its processes were killed",
     ("apps/serve/application.py", "websocket.accept()"): "the handshake was read by uvicorn before",
     ("apps/serve/estimators.py", "connection.recv_bytes()"): "the end of the serving process closes the connection",
     (
@@ -53,11 +53,11 @@ LIMITED = {
     ("apps/serve/study.py", "process.wait()"): "the process was killed",
     ("apps/serve/study.py", "self._changed.wait()"): "for the next upload, until the server ends and cancels it",
     (
-        "storage.py",
-        "sqlite3.connect(path, LOCK_TIMEOUT, isolation_level=None, check_same_thread=False)",
-    ): "LOCK_TIMEOUT is its timeout",
+        "recovery.py",
+        "sqlite3.connect(path, LOCK_CALL, isolation_level=None, check_same_thread=False)",
+    ): "LOCK_CALL is its timeout, and _begin ends after LOCK_TIMEOUT",
     ("apps/lifelog/store.py", "sqlite3.connect(':memory:')"): "it is in memory",
-    ("recovery.py", "sqlite3.connect(address, storage.LOCK_TIMEOUT, uri=True)"): "LOCK_TIMEOUT is its timeout",
+    ("recovery.py", "sqlite3.connect(address, LOCK_CALL, uri=True)"): "LOCK_CALL is its timeout",
 }
 
 

@@ -21,7 +21,7 @@ from pdr_graph.estimation.results import outside_warnings
 from pdr_graph.estimation.verdict import missing_of
 from pdr_graph.floor.plan_files import plan_fingerprint
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.io.beacons import beside, read_beacons
+from pdr_graph.io.tables import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal

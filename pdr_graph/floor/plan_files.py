@@ -18,18 +18,18 @@ from pdr_graph.floor.formats import (
     cad_segments,
     dxf,
     floor_picture,
+    geojson,
     imdf,
     ipin21_polygons,
     microsoft,
     osm_indoor,
-    own_format,
     pdf_page,
     ros_map,
     several_files,
 )
-from pdr_graph.floor.formats.drafting import check_size
 from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
 from pdr_graph.floor.formats.geojson import features_of, read_json
+from pdr_graph.floor.formats.line_drawing import check_size
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
@@ -180,7 +180,7 @@ def _read_file(path: Path) -> Drawing:
     if osm_indoor.recognizes(features):
         drawing = osm_indoor.read(path, features, notes)
     else:
-        read_format = ipin21_polygons.read if ipin21_polygons.recognizes(features) else own_format.read
+        read_format = ipin21_polygons.read if ipin21_polygons.recognizes(features) else geojson.read
         drawing = read_format(path, collection, features, notes)
     return replace(drawing, repairs=tuple(repairs))
 

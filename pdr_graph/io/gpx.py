@@ -5,11 +5,14 @@ lxml parses ten times as fast as gpxpy. Files are untrusted: document types, ent
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
@@ -69,16 +72,24 @@ ACCURACY_TAGS = {"accuracy": 1.0, "horizontalaccuracy": 1.0, "hdop": 5.3}
 
 def track_point(element: etree._Element) -> tuple[str, float, float, float]:
     """Time as text, "" without one, latitude and longitude [deg] and 68 % radius [m] of a point, NaN if not stated."""
-    time, values = "", dict[str, str]()
+    time, accuracy = "", math.nan
+    values: dict[str, str] = {}
     for inner in element.iterdescendants():
-        name = str(inner.tag).rpartition("}")[2]  # the tag of a processing instruction is no text
+        name = _local_name(inner.tag)
         if name == "time":
             time = time or (inner.text or "").strip()
-        elif name.lower() in ACCURACY_TAGS:
-            values.setdefault(name.lower(), inner.text or "")
-    radii = (factor * float_of(values[name]) for name, factor in ACCURACY_TAGS.items() if name in values)
-    accuracy = next((radius for radius in radii if not np.isnan(radius)), np.nan)
+        elif name in ACCURACY_TAGS:
+            values.setdefault(name, inner.text or "")
+    if values:
+        radii = (factor * float_of(values[name]) for name, factor in ACCURACY_TAGS.items() if name in values)
+        accuracy = next((radius for radius in radii if not math.isnan(radius)), math.nan)
     return time, float_of(element.get("lat")), float_of(element.get("lon")), accuracy
+
+
+@lru_cache(maxsize=256)
+def _local_name(tag: Any) -> str:
+    """The name of an element without its namespace, in lower case; that of a processing instruction is no text."""
+    return str(tag).rpartition("}")[2].lower()
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,99 @@
-"""Readers of tables of fixes, truth and trajectories, and of trajectories in TUM's format; errors name the line."""
+"""Readers of tables: fixes, truth, trajectories (TUM's format too), beacons, anchors and ranges to these."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
-from pdr_graph.io.likely_causes import CLOCK_MARGIN, NUMBER, clock_hint, header_hint, number_hint
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import float_of, iso_time
-from pdr_graph.types import FARTHEST, FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
+from pdr_graph.types import (
+    DAY_LENGTH,
+    FARTHEST,
+    FINEST,
+    LONLAT,
+    Array,
+    Beacons,
+    Fixes,
+    Mask,
+    Ranges,
+    Recording,
+    Trajectory,
+    minor_number,
+)
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.cells import Area
+
+
+CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
+FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
+NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
+
+
+def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:
+    """The likely cause of times that miss the recording, as the end of a message; empty if none is evident.
+
+    found, expected: first and last time of the file and of the recording [s].
+    """
+    (first, last), (start, end) = found, expected
+    offset = (first + last - start - end) / 2
+    hours, open_ = round(offset / 1800) / 2, (end - start) / 2 + CLOCK_MARGIN
+    direction = "late" if offset > 0 else "early"
+    if 0 < abs(hours) <= 14.0 and abs(offset - 3600 * hours) <= open_:  # largest time zone [h]
+        inside = start - CLOCK_MARGIN <= first - 3600 * hours and last - 3600 * hours <= end + CLOCK_MARGIN
+        return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
+    if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
+        return " (Unix times, while the recorder's clock counts from another moment?)"
+    for unit, factor in {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}.items():
+        if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:
+            return f" ({unit}? seconds are expected)" if unit != "milliseconds" else " (milliseconds?)"
+    if last < FIRST_UNIX_TIME <= start:
+        return " (seconds from the start instead of the recorder's clock?)"
+    days = round(offset / DAY_LENGTH)
+    if days and abs(offset - DAY_LENGTH * days) <= open_ and min(first, start) > FIRST_UNIX_TIME:
+        return f" (exactly {abs(days)} days {direction}: another date?)"
+    return ""
+
+
+def header_hint(header: Sequence[str], required: Sequence[Sequence[str]]) -> str:
+    """The likely cause of a header without the columns that are expected. required: alternative sets of columns."""
+    if all(re.fullmatch(NUMBER, name) for name in header):
+        return " (is the header missing?)"
+    if len(header) == 1 and len(header[0].split()) > 1:
+        return " (columns between spaces? write commas)"
+    if {"lng", "long", "latitude", "longitude"} & set(header):
+        return " (lat and lon are the names of latitude and longitude)"
+    if "accuracy" in header and any("sigma" in names for names in required):
+        return " (sigma is a phone's accuracy divided by 1.51)"
+    closest = min(required, key=lambda names: len(set(names) - set(header)))
+    absent = [name for name in closest if name not in header]
+    if len(absent) == len(closest):
+        return ""
+    return f" ({', '.join(absent)} {'is' if len(absent) == 1 else 'are'} missing)"
+
+
+def number_hint(cell: str) -> str:
+    """The likely cause of a cell that is no number."""
+    if "°" in cell or re.fullmatch(r"[\d.]+\s*[NSEW]", cell):
+        return " (degrees and minutes? write decimal degrees, south and west negative)"
+    if re.fullmatch(r"[-+]?\d+(?:\.\d+)?\s*[a-zA-Z]+", cell):
+        return " (a unit in the cell? write it nowhere)"
+    if re.fullmatch(r"\d+,\d+", cell):
+        return " (a decimal comma? write a point)"
+    if re.fullmatch(r"\d{1,4}[./-]\d{1,2}[./-]\d{1,4}.*", cell) or re.fullmatch(r"\d{1,2}:\d{2}(:\d{2})?.*", cell):
+        return " (a date or a clock time? write seconds or ISO 8601, 2024-05-01T12:00:00Z)"
+    return ""
 
 
 def read_fixes(
@@ -239,3 +317,90 @@ def read_tum(where: str, text: str) -> Trajectory:
     if np.abs(table[:, 4:7]).max(initial=0.0) < 1e-9:
         heading = np.full(len(table), np.nan)
     return Trajectory(table[:, 0], table[:, 1:3], heading, ("",) * len(table))
+
+
+BEACON_LIST = "BLE_Locations.csv"  # the list that the organisers of IPIN competitions put in the folder of a log
+SURVEY_SIGMA = 1.0  # [m] per axis, of a position without a stated sigma; chosen by hand
+
+
+def beside(recording: Path) -> Path | None:
+    """The path of the BEACON_LIST in the folder of a recording file; None without one."""
+    path = recording.parent / BEACON_LIST
+    return path if recording.is_file() and path.is_file() else None
+
+
+def read_beacons(path: str | Path, recording: Recording | None = None, unstated: float = SURVEY_SIGMA) -> Beacons:
+    """Read a table of beacons.
+
+    Columns are ``beacon,x,y[,sigma][,floor]`` in the output frame, ``beacon,lat,lon[,sigma][,floor]``, or IPIN's
+    ``bleID,Lat,Lon,floor``. ``beacon`` is the address as in the recording, or a name that ends in the minor number of
+    an iBeacon, such as BLE3. Without a recording the names stay as in the list. unstated: sigma of places without a
+    stated one [m].
+
+    Raises InputError naming the line.
+    """
+    required = [("x", "y"), ("lat", "lon")]
+    numbers, words = read_table(Path(path), required, optional=("sigma",), words=("beacon", "bleid", "floor"))
+    geodetic = "lat" in numbers
+    if geodetic:
+        check_geodetic(path, numbers)
+    label = words["beacon"] if any(words["beacon"]) else words["bleid"]
+    position = np.stack([numbers[n] for n in (("lon", "lat") if geodetic else ("x", "y"))], axis=1)
+    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(label), np.nan)), nan=unstated)
+    before = set[str]()
+    for n, name in enumerate(label):
+        if not name or name in before:
+            found = f"{name[:40]!r} twice" if name else "no name"
+            raise InputError(path, f"data row {n + 1}", found, "one row for each beacon, with its name")
+        before.add(name)
+    epsg = LONLAT if geodetic else None
+    # minimum sigma [m] per axis; chosen by hand
+    return Beacons(_names(label, recording), position, np.maximum(sigma, 1e-3), words["floor"], label, epsg)
+
+
+def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:
+    """The beacons drawn in a plan, named by their id, mac, uuid or name. drawn: areas and the label of their floor."""
+    names = ([a.properties.get(key) for key in ("id", "mac", "uuid")] for a, _ in drawn)
+    label = tuple(str(next(filter(None, each), a.name)) for each, (a, _) in zip(names, drawn, strict=True))
+    position = np.array([shapely.get_coordinates(area.shape).mean(axis=0) for area, _ in drawn])
+    sigma = np.full(len(label), unstated)
+    return Beacons(_names(label, recording), position, sigma, tuple(floor for _, floor in drawn), label)
+
+
+def _names(label: Sequence[str], recording: Recording | None) -> tuple[str, ...]:
+    """The transmitter in the recording for each label, by address or minor number; else the label itself."""
+    received = None if recording is None else recording.bluetooth
+    by_address, by_number = dict[str, str](), dict[str, str]()
+    if received is not None:
+        by_address = {name.lower(): name for name in received.transmitter}
+        by_number = dict(zip(received.minor, received.transmitter, strict=False))
+    return tuple(by_address.get(name.lower()) or by_number.get(minor_number(name), name) for name in label)
+
+
+RANGE_SIGMA = 0.3  # [m] of a range with line of sight, if the table has no sigma; chosen by hand
+ANCHOR_SIGMA = 0.1  # [m] per axis of an anchor's place whose list states none: tape or laser; chosen by hand
+MAXIMUM_RANGE = 1000.0  # [m]; a larger distance is in other units
+
+
+def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
+    """Read a table of ranges ``time,anchor,range[,sigma]``, sorted by time.
+
+    time: on the recorder's clock [s]; anchor: a name in the list of anchors; range, sigma: [m]. anchors: in the frame
+    of the walk. Raises InputError naming the row, also if no range lies within the recording.
+    """
+    numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",), recording=recording)
+    time, distance = numbers["time"] - recording.clock_origin, numbers["range"]
+    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=RANGE_SIGMA)
+    least_most = f"metres, from 0 to {MAXIMUM_RANGE:.0f}"
+    check_rows(path, (distance < 0) | (distance > MAXIMUM_RANGE), distance, "range", least_most)
+    check_rows(path, sigma <= 0, sigma, "sigma", "a standard deviation above 0 m")
+    number = {label.lower(): m for m, label in enumerate(anchors.label)}
+    anchor = np.array([number.get(name.lower(), -1) for name in words["anchor"]], dtype=np.intp)
+    if (anchor < 0).any():
+        unknown = words["anchor"][int(np.argmax(anchor < 0))]
+        expected = f"one of {', '.join(anchors.label)[:80]}"
+        raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", expected)
+    order = np.argsort(time, kind="stable")
+    check_clock(path, time, recording)
+    measured = time[order], anchor[order], distance[order], sigma[order]
+    return Ranges(*measured, anchors.label, anchors.position, anchors.sigma)

@@ -14,7 +14,7 @@ from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import interpolate
-from pdr_graph.io.beacons import beside, read_beacons
+from pdr_graph.io.tables import beside, read_beacons
 from pdr_graph.priors import BEACONS
 from pdr_graph.types import Beacons, Recording, Sightings
 

@@ -16,7 +16,7 @@ from pdr_graph.estimation.factors.base import Loss, extract
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import BEACON
-from pdr_graph.io.beacons import drawn_beacons
+from pdr_graph.io.tables import drawn_beacons
 
 STAYS = 0.02  # [m]
 OPTIMISERS = {

@@ -13,9 +13,8 @@ from pdr_graph import InputError
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.cells import DOOR, WALL
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.drafting import UNCLEAR, drawing_of_lines
 from pdr_graph.floor.formats.floor_picture import skew_of
-from pdr_graph.floor.formats.line_drawing import Lines, areas_of
+from pdr_graph.floor.formats.line_drawing import UNCLEAR, Lines, areas_of, drawing_of_lines
 from pdr_graph.floor.plan_files import Building
 
 pytest.importorskip("ezdxf")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.beacons import RANGE_SIGMA, read_ranges
+from pdr_graph.io.tables import RANGE_SIGMA, read_ranges
 from pdr_graph.types import Beacons, Recording, Signal
 
 TABLE = "time,anchor,range,sigma\n102.5,b,7.5,\n101.0,A,3.25,0.1\n"

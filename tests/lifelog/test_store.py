@@ -15,7 +15,7 @@ import days_standin as standin
 import numpy as np
 import pytest
 
-from pdr_graph import InputError
+from pdr_graph import InputError, recovery
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day, rows_of
 from pdr_graph.apps.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
@@ -244,11 +244,33 @@ def test_a_store_of_format_5_is_upgraded_and_loses_nothing(tmp_path):
 
 
 def test_one_process_at_a_time_opens_a_store(tmp_path):
-    script = "import sys, pathlib; from pdr_graph.apps.lifelog.store import Store; Store(pathlib.Path(sys.argv[1]))"
+    script = "import sys, pathlib; from pdr_graph import recovery; from pdr_graph.apps.lifelog.store import Store; "
+    script += "recovery.LOCK_TIMEOUT = 1.0; Store(pathlib.Path(sys.argv[1]))"
     with Store(tmp_path / "log", new=True):
         other = subprocess.run([sys.executable, "-c", script, tmp_path / "log"], capture_output=True, text=True)
     assert "found a lifelog that another process writes" in other.stderr.splitlines()[-1]
     Store(tmp_path / "log").close()
+
+
+def test_a_store_that_a_build_writes_is_opened_when_the_build_ends(tmp_path):
+    """`lifelog show` waits for 30 s instead of saying that the store is locked."""
+    with Store(tmp_path / "log", new=True) as log:
+        put(log, a_day(tmp_path))
+    writing = """import pathlib, sys, time
+from pdr_graph.apps.lifelog.store import Store
+with Store(pathlib.Path(sys.argv[1]), thorough=True) as log:
+    print("open", flush=True)
+    end = time.monotonic() + 4
+    while time.monotonic() < end:
+        log.put_versions({"pdr_graph": str(time.time())})
+"""
+    command = [sys.executable, "-c", writing, tmp_path / "log"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as build:
+        assert build.stdout.readline() == "open\n"
+        assert recovery.LOCK_TIMEOUT >= 30.0
+        with Store(tmp_path / "log") as log:
+            assert list(log.days()) == [("me", DATE)]
+            assert build.wait(30) == 0
 
 
 def test_a_damaged_trajectory_is_refused(tmp_path):

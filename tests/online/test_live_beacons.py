@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, evaluate
-from pdr_graph.io.beacons import drawn_beacons
+from pdr_graph.io.tables import drawn_beacons
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, Scan, events_of

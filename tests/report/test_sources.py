@@ -7,7 +7,7 @@ import pytest
 from walks import fixes_at, fixes_on, square_walk
 
 from pdr_graph import dead_reckon, smooth
-from pdr_graph.apps.report.sources import position_sources
+from pdr_graph.apps.report.content import position_sources
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.types import Contradiction, Fixes, Levels
 

@@ -11,8 +11,7 @@ import simulated
 
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.serve import live_walk
-from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session
+from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session, finish
 from pdr_graph.errors import InputError
 from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import events_of

@@ -24,11 +24,11 @@ TOKEN = "a-token-for-tests-01234"
 
 
 class Serving:
-    """A server on a free port."""
+    """A server on a free port. before: Python code that runs first."""
 
-    def __init__(self, folder, *options):
+    def __init__(self, folder, *options, before=""):
         self.output = folder.with_name(f"{folder.name}.txt")
-        self.command = [sys.executable, "-c", SERVE, "serve", "--port", "0", "--out", str(folder), *options]
+        self.command = [sys.executable, "-c", before + SERVE, "serve", "--port", "0", "--out", str(folder), *options]
         self.start()
 
     def start(self):

@@ -12,6 +12,12 @@ from test_processes import Serving, _children
 
 STOPPED = 20.0  # [s] on a machine under load; alone it takes two
 DRIP = "a byte of the body each 0.2 s"
+SILENT_NAMES = """import socket, time
+def silent(host, *_, **__):
+    print("asked for a name", flush=True)
+    time.sleep(600)
+socket.getaddrinfo = silent
+"""
 
 
 BY_SIGNAL = {signal.SIGTERM: (0, -signal.SIGTERM), signal.SIGINT: (0, 130, -signal.SIGINT)}  # exit codes
@@ -76,3 +82,15 @@ def test_a_server_stops_while_a_broker_is_silent(tmp_path):
         broker.settimeout(STOPPED)
         with broker.accept()[0]:
             stops(running)
+
+
+def test_a_server_stops_while_a_name_server_is_silent(tmp_path):
+    """A look-up runs in a thread that cannot be interrupted, and for which Python waits five minutes."""
+    running = Serving(tmp_path / "out", "--phyphox", "http://phone.example:8080", before=SILENT_NAMES)
+    with ExitStack() as stack:
+        stack.callback(running.kill_if_alive)
+        end = time.monotonic() + STOPPED
+        while "asked for a name" not in running.printed():
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        stops(running)

@@ -342,9 +342,6 @@ def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 
 lifelog.command("serve")(serve_lifelog)
 
-
-lifelog.command("serve")(serve_lifelog)
-
 correct = App(
     no_args_is_help=True,
     rich_markup_mode=None,

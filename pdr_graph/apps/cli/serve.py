@@ -88,13 +88,12 @@ def serve(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
-    from pdr_graph.apps.serve.phyphox_polling import PhyphoxPhone
-    from pdr_graph.apps.serve.pulling import Sources, broker_of
+    from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
     from pdr_graph.apps.serve.study import StudyReports
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
     options |= {"floor": floor, "lag": lag_seconds(lag)}
-    inputs = serving.check_options(options)
+    building = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
     secured = host not in LOCAL_HOSTS or token is not None or bool(user) or file.exists()
@@ -103,10 +102,8 @@ def serve(
     for url in phyphox or ():
         PhyphoxPhone(url)  # refuses what is no address
     sources = Sources(tuple(phyphox or ()), broker_of(mqtt, mqtt_topic) if mqtt else None, reports)
-    settings = serving.Settings(
-        out, options, store, workers, tokens, checked_tiles(tiles), sources=sources, inputs=inputs
-    )
-    app = serving.build(settings)
+    settings = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
+    app = serving.build(settings, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
 
 

@@ -27,7 +27,7 @@ from pdr_graph.apps.lifelog.store import ZONE, Entry, Store, StoredDay
 from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, pack
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
-from pdr_graph.io.beacons import BEACON_LIST
+from pdr_graph.io.tables import BEACON_LIST
 from pdr_graph.storage import decode, encode, fingerprint
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.io.beacons import beside
 from pdr_graph.io.loading import READERS, load
 from pdr_graph.io.source import Source
+from pdr_graph.io.tables import beside
 from pdr_graph.plausibility import check_floors
 
 DEFAULT_PERSON = "me"

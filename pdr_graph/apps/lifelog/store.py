@@ -18,13 +18,11 @@ from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from pdr_graph import storage
 from pdr_graph.apps.lifelog.day import DAY_SCHEMA, TABLES, Day, Rows, day_of, profile_of
 from pdr_graph.apps.lifelog.facts import Correction, Guess
 from pdr_graph.errors import InputError, count
 from pdr_graph.gait.walker import Profile
-from pdr_graph.recovery import DataLossWarning, Row, checked
-from pdr_graph.storage import Kind
+from pdr_graph.recovery import DataLossWarning, Kind, Row, explained, open_database
 from pdr_graph.types import OneLineRepr
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
@@ -41,19 +39,6 @@ PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}) ON CONFLICT DO U
     probability = excluded.probability, latitude = excluded.latitude, longitude = excluded.longitude
     WHERE {COMPARED.format("excluded.")} > {COMPARED.format("guess.")}"""
 SUMMED = ("setting", "phone", "recording", "correction", "guess", "day")  # with a column of checksums in version 5
-LIFELOG = Kind(
-    "lifelog",
-    0x5044524C,  # "PDRL"
-    6,
-    REMEDY,
-    {
-        2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''"),
-        3: (*FACTS, "ALTER TABLE recording ADD zone TEXT DEFAULT ''"),
-        4: (*(f"ALTER TABLE {table} ADD sum INTEGER" for table in SUMMED), "CREATE TABLE total (name TEXT)"),
-        5: (*(f"ALTER TABLE {table} DROP COLUMN sum" for table in SUMMED), "DROP TABLE total"),
-    },
-    repair=": pdr-graph lifelog build recovers what is left of it",
-)
 STORE_SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
     "CREATE TABLE version (name TEXT PRIMARY KEY, value TEXT)",  # of the programs that built it last
@@ -180,8 +165,7 @@ class Store:
         if not new and not path.exists():
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
-        begins = {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())}
-        self._database, loss = checked(path, LIFELOG, STORE_SCHEMA, begins, _rows_kept, pages=thorough)
+        self._database, loss = open_database(path, LIFELOG, pages=thorough)
         if loss:
             advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
             warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
@@ -353,7 +337,7 @@ class Store:
         self.close()
 
     def _all(self, statement: str, *values: Any) -> list[Any]:
-        with storage.explained(self.path, LIFELOG):
+        with explained(self.path, LIFELOG):
             return self._database.execute(statement, values).fetchall()
 
     def _write(self, statement: str, *rows: Sequence[Any]) -> int:
@@ -377,7 +361,7 @@ class Store:
     @contextmanager
     def _transaction(self) -> Iterator[Execute]:
         """A transaction, rolled back on any error."""
-        with storage.explained(self.path, LIFELOG):
+        with explained(self.path, LIFELOG):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database.execute
@@ -416,3 +400,21 @@ def _rows_kept(read: Callable[..., list[Row]]) -> tuple[dict[str, list[Row]], st
                 kept[_insert(table, len(rows[0]), f" ({columns})")] = rows
                 counts.append(f"{count(len(rows), 'row')} of {table}")
     return kept, f"recovered: {', '.join(counts)}; a build makes the days again"
+
+
+LIFELOG = Kind(
+    "lifelog",
+    0x5044524C,  # "PDRL"
+    6,
+    STORE_SCHEMA,
+    {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())},
+    {
+        2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''"),
+        3: (*FACTS, "ALTER TABLE recording ADD zone TEXT DEFAULT ''"),
+        4: (*(f"ALTER TABLE {table} ADD sum INTEGER" for table in SUMMED), "CREATE TABLE total (name TEXT)"),
+        5: (*(f"ALTER TABLE {table} DROP COLUMN sum" for table in SUMMED), "DROP TABLE total"),
+    },
+    REMEDY,
+    ": pdr-graph lifelog build recovers what is left of it",
+    _rows_kept,
+)

@@ -19,8 +19,7 @@ from pdr_graph.errors import InputError, count, expect, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
-from pdr_graph.io.likely_causes import clock_hint
-from pdr_graph.io.tables import read_trajectory
+from pdr_graph.io.tables import clock_hint, read_trajectory
 from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.apps.report.content import position_sources
 from pdr_graph.apps.report.evaluation import circular_error, coverage, evaluate, pair
-from pdr_graph.apps.report.sources import position_sources
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.results import is_located, is_usual

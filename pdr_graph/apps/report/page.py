@@ -33,7 +33,7 @@ from pdr_graph.types import Array, Index, Trajectory
 # Colours and margin of all pictures and reports
 SOLID_FILL, BORDER, EDGES, OUTDOORS, WALKABLE_COLOUR = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
 ROOM, OPENING, STAIRS_COLOUR = "#f4f6f0", "#e8c9a8", "#ebe3c8"
-CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS_COLOUR))  # colours of kinds of cells
+CELLS = (("room", CLOSED, ROOM), ("door", (DOOR,), OPENING), ("stairs", ("stairs",), STAIRS_COLOUR))  # layers of cells
 BAND, TRUTH, RADIO = "#7fb0f0", "#111111", "#7b4fa6"  # and those of `notebook_html`: BLUE track, GREY, RED fixes
 OTHER = "#b0458a"  # other routes
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
@@ -89,6 +89,7 @@ def thinned(rows: int, most: int = MAXIMUM_ROWS) -> Index:
 class PlanLayer:
     """A layer of a drawn plan. shape: polygons or lines [m]; width: of the stroke [m]."""
 
+    name: str
     shape: shapely.Geometry
     fill: str = "none"
     stroke: str = "none"
@@ -100,15 +101,15 @@ def plan_layers(floor: FloorPlan) -> list[PlanLayer]:
     areas = [area for area in floor.areas if area.is_polygon and area.kind not in (LINK, BEACON)]
     together, thin = shapely.geometrycollections, 0.05  # [m]
     return [
-        PlanLayer(shapely.union_all([area.shape for area in areas]), SOLID_FILL),
-        PlanLayer(together([area.shape for area in areas if area.kind in SOLID]), "none", BORDER, thin),
-        PlanLayer(floor.walkable, WALKABLE_COLOUR, EDGES, thin),
+        PlanLayer("ground", shapely.union_all([area.shape for area in areas]), SOLID_FILL),
+        PlanLayer("border", together([area.shape for area in areas if area.kind in SOLID]), "none", BORDER, thin),
+        PlanLayer("walkable", floor.walkable, WALKABLE_COLOUR, EDGES, thin),
         *(
-            PlanLayer(together([c.polygon for c in floor.cells.cells if c.kind in kinds]), fill)
-            for kinds, fill in CELLS
+            PlanLayer(name, together([c.polygon for c in floor.cells.cells if c.kind in kinds]), fill)
+            for name, kinds, fill in CELLS
         ),
-        PlanLayer(floor.cells.barriers, "none", EDGES, 0.12),
-        PlanLayer(together([area.shape for area in floor.of_kind(LINK)]), "none", BORDER, 0.02),
+        PlanLayer("wall", floor.cells.barriers, "none", EDGES, 0.12),
+        PlanLayer("link", together([area.shape for area in floor.of_kind(LINK)]), "none", BORDER, 0.02),
     ]
 
 

@@ -49,8 +49,9 @@ from typing import Any
 import numpy as np
 import shapely
 
+from pdr_graph.apps.report import page
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
 from pdr_graph.inertial.sensor_stream import Health
@@ -192,9 +193,6 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-CELL_LAYERS = {"room": CLOSED, "door": (DOOR,), "stairs": ("stairs",)}  # layers and the kinds of cells in them
-
-
 def plan_layers(building: Building | None) -> dict[str, Any]:
     """The plan as a GeoJSON FeatureCollection; without a plan, an empty one.
 
@@ -228,16 +226,9 @@ def lonlat(position: Array, frame: Frame) -> Array:
 
 def _drawn(floor: FloorPlan) -> Iterator[tuple[dict[str, str], shapely.Geometry]]:
     """The shapes of a floor [m] with their properties."""
-    areas = [area for area in floor.areas if area.is_polygon and area.kind not in (LINK, BEACON)]
-    yield {"layer": "ground"}, shapely.union_all([area.shape for area in areas])
-    solid = shapely.geometrycollections([area.shape for area in areas if area.kind in SOLID])
-    yield {"layer": "border"}, shapely.union_all(shapely.boundary(shapely.get_parts(solid)))
-    yield {"layer": "walkable"}, floor.walkable
-    for layer, kinds in CELL_LAYERS.items():
-        shapes = [cell.polygon for cell in floor.cells.cells if cell.kind in kinds]
-        yield {"layer": layer}, shapely.union_all(shapes)
-    yield {"layer": "wall"}, floor.cells.barriers
-    yield {"layer": "link"}, shapely.union_all([area.shape for area in floor.of_kind(LINK)])
+    for layer in page.plan_layers(floor):
+        parts = shapely.get_parts(layer.shape)
+        yield {"layer": layer.name}, shapely.union_all(shapely.boundary(parts) if layer.name == "border" else parts)
     for area in floor.of_kind(BEACON):
         yield {"layer": "beacon", "text": area.name}, shapely.point_on_surface(area.shape)
     for area in floor.of_kind(*SOLID, *CLOSED, *OPEN):
@@ -287,7 +278,8 @@ class Subscriber:
 
     def __init__(self, hub: Hub, sees: Callable[[str], bool]):
         self._hub, self.sees = hub, sees
-        self._poses, self._paths, self._forgotten = dict[str, None](), dict[str, None](), dict[str, None]()
+        # ids of walkers with news of each kind, in the order in which these are sent, the oldest first
+        self._pending = {kind: dict[str, None]() for kind in ("forgotten", "pose", "path")}
         self._sent = dict[str, tuple[int, int]]()  # revision and number of finalised points
         self._changed = asyncio.Event()
         for id_, walker in hub.walkers.items():
@@ -296,11 +288,9 @@ class Subscriber:
 
     def note(self, id_: str, user: str, kind: str) -> None:
         """Note that there is news of a walker."""
-        if not self.sees(user):
-            return
-        pending = {"pose": self._poses, "path": self._paths, "forgotten": self._forgotten}
-        pending[kind][id_] = None
-        self._changed.set()
+        if self.sees(user):
+            self._pending[kind][id_] = None
+            self._changed.set()
 
     def wake(self) -> None:
         """End a `wait`."""
@@ -317,29 +307,21 @@ class Subscriber:
     def events(self) -> Iterator[Event]:
         """Yield the pending events; each is made when it is asked for."""
         self._changed.clear()
-        while self._forgotten:
-            id_, _ = self._forgotten.popitem()
-            self._sent.pop(id_, None)
-            yield "forgotten", {"id": id_}
-        while self._poses:
-            walker = self._hub.walkers.get(_first(self._poses))
-            if walker is not None:
-                yield "pose", walker.pose
-        while self._paths:
-            id_ = _first(self._paths)
-            walker = self._hub.walkers.get(id_)
-            if walker is not None:
-                revision, count = self._sent.get(id_, (-1, 0))
-                path = walker.path(count if revision == walker.revision else 0)
-                self._sent[id_] = walker.revision, len(walker.finalised["time"])
-                yield "path", path
-
-
-def _first(pending: dict[str, None]) -> str:
-    """Remove and return the oldest key."""
-    key = next(iter(pending))
-    del pending[key]
-    return key
+        for kind, pending in self._pending.items():
+            while pending:
+                id_ = next(iter(pending))
+                del pending[id_]
+                walker = self._hub.walkers.get(id_)
+                if kind == "forgotten":
+                    self._sent.pop(id_, None)
+                    yield kind, {"id": id_}
+                elif walker is not None and kind == "pose":
+                    yield kind, walker.pose
+                elif walker is not None:
+                    revision, count = self._sent.get(id_, (-1, 0))
+                    path = walker.path(count if revision == walker.revision else 0)
+                    self._sent[id_] = walker.revision, len(walker.finalised["time"])
+                    yield kind, path
 
 
 class Hub:

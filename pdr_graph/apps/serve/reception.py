@@ -20,7 +20,7 @@ from typing import Any
 from starlette.exceptions import HTTPException
 
 from pdr_graph.apps.lifelog.cache import write
-from pdr_graph.apps.serve import positions, sensor_messages
+from pdr_graph.apps.serve import sensor_messages
 from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.live_walk import (
     LOG,
@@ -154,7 +154,7 @@ class Reception:
             key, identity = message.sessionId, message.messageId
             label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
         else:
-            device, fixes = positions.parse(protocol, body)
+            device, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
             key = label = one_line(device or name or "phone")[:64]

@@ -6,8 +6,10 @@ import asyncio
 import contextlib
 import logging
 import multiprocessing
+import os
 import socket
 import sys
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import asynccontextmanager
@@ -23,8 +25,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
-from pdr_graph.apps.serve.finishing import finish
-from pdr_graph.apps.serve.live_walk import Session
+from pdr_graph.apps.serve.live_walk import Session, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.reception import Limits, Reception
@@ -36,21 +37,12 @@ SESSIONS, TOKENS = "sessions", "tokens.json"
 
 
 @dataclass(frozen=True)
-class LiveInputs:
-    """Options of live estimates whose files can be used, and the plan."""
-
-    options: Options
-    building: Building | None
-
-
-@dataclass(frozen=True)
 class Settings:
     """Options of the server.
 
     folder: of sessions and tokens; options: of the estimates, fields of `Options`; store: lifelog of finished sessions;
     workers: estimating processes, 0 for a thread; tokens: by user, none if every request is the owner's; tiles: address
-    of a tile server for the page; sources: what the server fetches by itself; inputs: those of the options, None: not
-    read yet.
+    of a tile server for the page; sources: what the server fetches by itself.
     """
 
     folder: Path
@@ -61,24 +53,20 @@ class Settings:
     tiles: str | None = None
     limits: Limits = field(default_factory=Limits)
     sources: Sources = field(default_factory=Sources)
-    inputs: LiveInputs | None = None
 
 
-def check_options(options: Mapping[str, Any]) -> LiveInputs:
-    """Read the inputs of live estimates. Raises InputError if a file cannot be used, before a phone connects."""
-    checked = Options(**options, method=LIVE)
-    return LiveInputs(checked, navigator_of(checked).keywords["floor"])
+def read_inputs(options: Mapping[str, Any]) -> Building | None:
+    """The plan of live estimates, None without. Raises InputError if a file of the options cannot be used."""
+    return navigator_of(Options(**options, method=LIVE)).keywords["floor"]
 
 
-def build(settings: Settings) -> Starlette:
-    """The application, whose lifespan starts and stops everything. Raises InputError if an input cannot be used."""
-    inputs = settings.inputs or check_options(settings.options)
-    options, plan = inputs.options, plan_layers(inputs.building)
+def build(settings: Settings, building: Building | None = None) -> Starlette:
+    """The application, whose lifespan starts and stops everything. building: of `read_inputs`."""
     hub = Hub()
     pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=20)
 
     async def finishing(session: Session) -> str:
-        arguments = (reception.root / session.id, settings.store, options.plan)
+        arguments = (reception.root / session.id, settings.store, settings.options.get("plan"))
         try:
             return await asyncio.get_running_loop().run_in_executor(pool, finish, *arguments)
         except (RuntimeError, OSError) as error:  # the pool was shut down, or its process was killed
@@ -103,6 +91,7 @@ def build(settings: Settings) -> Starlette:
             await end_all(finishers, STOPPING, force=True)
 
     access, study = Access(settings.tokens), settings.sources.study
+    plan = plan_layers(building)
     return application(Server(hub, access, plan, settings.tiles, reception, study), lifespan)
 
 
@@ -125,16 +114,19 @@ class Protocol(H11Protocol):
 
 
 class Uvicorn(uvicorn.Server):
-    """A server whose streams end when it does: else it waits for them."""
+    """A server whose streams end when it does: else it waits for them. Then the process has STOPPING seconds."""
 
     def __init__(self, config: uvicorn.Config, end_streams: Callable[[], None]):
         super().__init__(config)
         self._end_streams = end_streams
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End streams, then all else."""
+        """End streams, then all else; a thread that waits for a silent name server would keep the process."""
         self._end_streams()
         await super().shutdown(sockets)
+        end = threading.Timer(STOPPING, os._exit, (0,))
+        end.daemon = True
+        end.start()
 
 
 def is_news(record: logging.LogRecord) -> bool:
@@ -143,8 +135,9 @@ def is_news(record: logging.LogRecord) -> bool:
 
 
 def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = lambda port: None) -> None:
-    """Serve until Ctrl-C or SIGTERM. ready: called with the port when it accepts connections; port 0: any free one.
+    """Serve until Ctrl-C or SIGTERM, by which the process ends too.
 
+    ready: called with the port when it accepts connections; port 0: any free one.
     Raises InputError if the address cannot be used.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

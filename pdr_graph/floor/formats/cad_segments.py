@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import LARGEST_COORDINATE, MOST_SEGMENTS, UNCLEAR, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing, check_file_size
+from pdr_graph.floor.formats.line_drawing import LARGEST_COORDINATE, MOST_SEGMENTS, UNCLEAR, drawing_of_lines, holds
 from pdr_graph.io import delimited
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import float_of

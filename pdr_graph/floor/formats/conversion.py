@@ -14,7 +14,7 @@ import shapely
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor import plan_files
-from pdr_graph.floor.formats import own_format
+from pdr_graph.floor.formats import geojson
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.frames import enu
@@ -60,7 +60,7 @@ def convert(
         (areas,) = drawing.floors.values()
         drawing = replace(drawing, floors={floor: tuple(replace(area, floors=()) for area in areas)}, heights={})
     FloorPlan.of(source, drawing)  # checks it
-    own_format.write(target, drawing)
+    geojson.write(target, drawing)
     return drawing
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import (
+from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
+from pdr_graph.floor.formats.line_drawing import (
     IGNORED,
     LARGEST_COORDINATE,
     MOST_SEGMENTS,
@@ -20,7 +21,6 @@ from pdr_graph.floor.formats.drafting import (
     drawing_of_lines,
     holds,
 )
-from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.types import Array
 
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")

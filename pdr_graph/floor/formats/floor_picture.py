@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing, required_library
-from pdr_graph.floor.formats.line_drawing import Lines, areas_of
+from pdr_graph.floor.formats.line_drawing import Lines, areas_of, metres_per_unit
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 

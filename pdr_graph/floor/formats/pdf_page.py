@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNCLEAR, drawing_of_lines
 from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.floor.formats.floor_picture import drawing_of_picture
+from pdr_graph.floor.formats.line_drawing import MOST_SEGMENTS, UNCLEAR, drawing_of_lines
 from pdr_graph.types import Array
 
 LARGEST_CONTENT = 30_000_000  # [bytes] a plan of 200 000 segments has some 5 MB

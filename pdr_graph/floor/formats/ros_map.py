@@ -11,10 +11,9 @@ import shapely
 from scipy import ndimage
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing, check_file_size, required_library
 from pdr_graph.floor.formats.floor_picture import Picture, opened, outlines
-from pdr_graph.floor.formats.line_drawing import areas_within
+from pdr_graph.floor.formats.line_drawing import areas_within, metres_per_unit
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 

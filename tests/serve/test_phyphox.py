@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from phyphox_phone import Phone, serving
 
-from pdr_graph.apps.serve import phyphox_polling
-from pdr_graph.apps.serve.phyphox_polling import (
+from pdr_graph.apps.serve import pulling
+from pdr_graph.apps.serve.pulling import (
     HISTORY,
     Input,
     PhoneError,
@@ -154,8 +154,8 @@ def test_messages_are_those_of_sensor_logger(phone, polled):
 
 
 def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
-    monkeypatch.setattr(phyphox_polling, "POLL_INTERVAL", 0.02)
-    monkeypatch.setattr(phyphox_polling, "FIRST_RETRY", 0.02)
+    monkeypatch.setattr(pulling, "POLL_INTERVAL", 0.02)
+    monkeypatch.setattr(pulling, "FIRST_RETRY", 0.02)
     phone.start(0.0, UNIX)
     walk(phone, 0, 1)
     received, said = [], []
