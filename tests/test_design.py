@@ -64,23 +64,23 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2617),
+    ".": (15, 2600),
     "apps": (3, 149),
-    "apps/cli": (7, 1036),
+    "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
-    "apps/lifelog": (28, 5279),
+    "apps/lifelog": (28, 5281),
     "apps/lifelog/past": (8, 1001),
-    "apps/report": (9, 1371),
-    "apps/serve": (16, 2478),
-    "estimation": (16, 2703),
+    "apps/report": (8, 1372),
+    "apps/serve": (13, 2436),
+    "estimation": (17, 2781),
     "estimation/ambiguity": (6, 374),
-    "estimation/factors": (15, 2245),
-    "estimation/live": (11, 1749),
-    "floor": (9, 1072),
-    "floor/formats": (18, 1771),
+    "estimation/factors": (15, 2239),
+    "estimation/live": (10, 1638),
+    "floor": (9, 1073),
+    "floor/formats": (16, 1771),
     "gait": (9, 1281),
     "inertial": (5, 411),
-    "io": (20, 1607),
+    "io": (18, 1612),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
@@ -88,8 +88,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (33, 5802),
-    "online.navigator": (64, 11290),
+    "estimation.smoother": (30, 5147),
+    "online.navigator": (63, 11152),
 }
 
 
