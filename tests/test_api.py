@@ -31,7 +31,7 @@ FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
-Journal(path, database, make, loss=)
+Journal(path, log, make)
 LONLAT
 Measurement()
 Mode(probability, x, y, heading, covariance)
