@@ -534,15 +534,14 @@ class MeasurementLog:
         return {**{column: values[old] for column, values in decisions.items()}, "number": row}
 
     def present(self, decisions: Decisions) -> Decisions:
-        """The decisions about rows that are still there."""
-        kept = {
-            name: np.isin(decisions[name]["number"], of)
-            for name, of in self.all_numbers(np.inf).items()
-            if "number" in decisions.get(name, {})
-        }
-        return decisions | {
-            name: {column: rows[of] for column, rows in decisions[name].items()} for name, of in kept.items()
-        }
+        """The decisions about rows that are still there; without the kinds of which no row is."""
+        left = dict(decisions)
+        for name, numbers in self.all_numbers(np.inf).items():
+            if "number" in decisions.get(name, {}):
+                of_kind = left.pop(name)
+                if (kept := np.isin(of_kind["number"], numbers)).any():
+                    left[name] = {column: rows[kept] for column, rows in of_kind.items()}
+        return left
 
     def position_times(self) -> Array:
         """Times ``(n,)`` [s] of the rows that determine positions."""
