@@ -126,7 +126,7 @@ def walk_of_steps(script):
 
 def test_the_filter_knows_a_heading_only_when_the_front_end_has_given_it(script):
     """Of two prefixes, the later one has the compass; the pose of the earlier time is that without."""
-    case = script.from_steps("indoors, fixes every 30 s", 60_000)
+    case = script.from_steps("indoors, fixes every 30 s", 60_001)
     run = script.followed(case)
     versions = [ask.headings for ask in run.current]
     assert versions[0] < versions[-1]

@@ -15,7 +15,7 @@ from pdr_graph import InputError
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.evaal.trial import PositionFormat
 from pdr_graph.apps.replay import navigator_of
-from pdr_graph.apps.serve.serving import Settings, build
+from pdr_graph.apps.serve.serving import Settings, build, read_inputs
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu, projected
 from pdr_graph.walk import Options
@@ -205,7 +205,8 @@ def test_a_plan_without_labels_has_every_floor(refusal, walk, tmp_path, options)
 
 def refusal_of_a_server(folder, plan, floor=None):
     try:
-        build(Settings(folder / "server", {"plan": Path(plan), "floor": floor}))
+        options = {"plan": Path(plan), "floor": floor}
+        build(Settings(folder / "server", options), read_inputs(options))
     except InputError as error:
         assert not (folder / "server").exists()
         return str(error)

@@ -458,18 +458,23 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
     return np.ascontiguousarray(inverse.transpose(2, 0, 1)), -float(np.log(p * q * r).sum())
 
 
+COVARIANCES_AT_ONCE = 2000  # pieces: all of a long walk would take most of its memory
+
+
 def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> Array:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
     step given both ends. at, solution: the walk at the optimum, and its linear system there.
     """
-    start = pose_rotation(at.pose_i[:1, 2])
-    first = start @ solution.joint(("x", np.zeros(1, dtype=np.intp))) @ start.transpose(0, 2, 1)
-    i, of_piece = np.unique(at.pieces.interval[which], return_inverse=True)
-    joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))[of_piece]
-    placed = at.poses_of(which)
-    D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
-    R = pose_rotation(at.pose_i[i[of_piece], 2])
-    within = R @ at.chain.bridge.spread[which] @ R.transpose(0, 2, 1)
-    return np.concatenate([first, D @ joint @ D.transpose(0, 2, 1) + within])
+    start, covariance = pose_rotation(at.pose_i[:1, 2]), np.empty((1 + len(which), 3, 3))
+    covariance[:1] = start @ solution.joint(("x", np.zeros(1, dtype=np.intp))) @ start.transpose(0, 2, 1)
+    for n in range(0, len(which), COVARIANCES_AT_ONCE):
+        part = which[n : n + COVARIANCES_AT_ONCE]
+        i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
+        joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))[of_piece]
+        placed, R = at.poses_of(part), pose_rotation(at.pose_i[i[of_piece], 2])
+        D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
+        spread = R @ at.chain.bridge.spread[part] @ R.transpose(0, 2, 1)
+        covariance[1 + n : 1 + n + len(part)] = D @ joint @ D.transpose(0, 2, 1) + spread
+    return covariance
