@@ -21,7 +21,7 @@ from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.floor.network import Network
-from pdr_graph.frames import enu
+from pdr_graph.frames import frame_of
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, length_along, rotation, unit
 from pdr_graph.inertial.barometer import with_stair_lengths
@@ -138,8 +138,7 @@ def ipin2023_walks(data, relisted=lambda listed: listed):
     """Three walks in a museum with the phone's GNSS, and the beacons that it heard; relisted: changes their list."""
     for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
         walk = load(path)
-        lon, lat = walk.fixes.position[0]
-        frame = enu(lat, lon)
+        frame = frame_of(walk.fixes)
         gaits, fixes = gait_signals(walk), frame.place(walk.fixes)
         headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
         floors = floors_along(steps, walk.barometer, "", fixes, None)
@@ -152,8 +151,7 @@ def ipin2023_walks(data, relisted=lambda listed: listed):
 def nju_walk(data):
     """A campus walk by its GPS, which is its truth as well."""
     walk = load(data / "nju_phyphox_outdoor")
-    lon, lat = walk.fixes.position[0]
-    frame = enu(lat, lon)
+    frame = frame_of(walk.fixes)
     fixes = frame.place(walk.fixes)
     gaits = gait_signals(walk)
     steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])

@@ -44,7 +44,7 @@ from tables import HELD_BACK, is_wanted, publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, kalman_filter, smooth
 from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
-from pdr_graph.frames import Frame, enu
+from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
@@ -303,8 +303,7 @@ def museum(data):
     folder = data / "ipin2023_track3"
     for walk in ipin2023_walks(data):
         recording = load(folder / f"{walk.name}.txt")
-        lon, lat = recording.fixes.position[0]
-        frame = enu(lat, lon)
+        frame = frame_of(recording.fixes)
         beacons = frame.place(read_beacons(folder / "BLE_Locations.csv", recording))
         name = walk.name.removeprefix("IPIN2023_T3_Training")
         yield Case(name, "GNSS", replace(walk, levels=None), recording, frame)
@@ -319,8 +318,7 @@ def campus(data):
 def on_campus(data, walk):
     """Of NJU's walk with some of its positions."""
     recording = load(data / "nju_phyphox_outdoor")
-    lon, lat = recording.fixes.position[0]
-    return Case("NJU campus", walk.name, walk, recording, enu(lat, lon))
+    return Case("NJU campus", walk.name, walk, recording, frame_of(recording.fixes))
 
 
 def eight(data):
