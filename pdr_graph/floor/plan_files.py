@@ -30,6 +30,7 @@ from pdr_graph.floor.formats import (
 from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
 from pdr_graph.floor.formats.geojson import features_of, read_json
 from pdr_graph.floor.formats.line_drawing import check_size
+from pdr_graph.io.source import is_zip
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
@@ -154,7 +155,7 @@ def read(path: Path, scale: float | None = None) -> Drawing:
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
     check_not_special(path, "a floor plan")
-    if several_files.is_zip(path):
+    if is_zip(path):
         with several_files.unpacked(path) as folder:
             return read(folder, scale)
     if (reader := drawing_format(path)) is not None:

@@ -219,13 +219,18 @@ class _BoundedReads:
         return self._file.read(size)
 
 
+def is_zip(path: Path) -> bool:
+    """True for a zip archive, whatever its name."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(4) in (b"PK\x03\x04", b"PK\x05\x06")
+
+
 def _open_zip(path: Path, most_files: int) -> zipfile.ZipFile | None:
     """The open archive; None if the file is not a zip."""
-    if not path.is_file():
+    if not is_zip(path):
         return None
-    with path.open("rb") as stream:
-        if stream.read(4) not in (b"PK\x03\x04", b"PK\x05\x06"):
-            return None
     try:
         with path.open("rb") as file:
             zipfile.ZipFile(cast("BinaryIO", _BoundedReads(file, path, most_files))).close()

@@ -6,6 +6,7 @@ import json
 import sys
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,16 +39,11 @@ from pdr_graph.apps.cli.options import (
 )
 from pdr_graph.apps.cli.serve import serve
 from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result, print_summary
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line, printable, shows_progress
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
-
-
-from collections import Counter
-
-from pdr_graph.errors import count
 
 
 class Commands(TyperGroup):

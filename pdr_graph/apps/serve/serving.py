@@ -22,7 +22,7 @@ from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pdr_graph.apps.replay import navigator_of
-from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
+from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
 from pdr_graph.apps.serve.live_walk import Session, finish
@@ -172,7 +172,7 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
 
 def addresses(host: str, port: int) -> list[str]:
     """The addresses under which a phone reaches the server."""
-    if host in LOCAL_HOSTS or host not in ("0.0.0.0", "::"):
+    if host not in ("0.0.0.0", "::"):
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}"]
     return [f"http://{own}:{port}" for own in own_addresses()]
 
