@@ -117,6 +117,11 @@ def tables_of(payload: Sequence[Sample]) -> tuple[dict[str, Array], dict[str, in
     return tables, ignored
 
 
+def from_android(payload: Sequence[Sample]) -> bool:
+    """True if a sample has an accuracy, which the app sends on Android alone."""
+    return any(sample.accuracy is not None for sample in payload)
+
+
 def _numbers(rows: list[list[Any]]) -> Array:
     """The rows as an array, NaN for what is no number."""
     try:
@@ -162,7 +167,7 @@ TOTAL, RAW, LINEAR = "accelerometer and gravity", "accelerometeruncalibrated", "
 def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", android: bool = False) -> dict[str, Array]:
     """The rows ``(n, 1 + k)`` of each sensor as of ``Recording.signals``, SI units, Android's signs.
 
-    platform: "ios" or "android" if the user stated it; android: True if the message shows that platform. Rows with a
+    platform: "ios" or "android" if the user stated it; android: of `from_android`. Rows with a
     missing value stay, NaN, and are counted where they are used.
     """
     signals = _acceleration(tables, signs, platform, android)
@@ -291,8 +296,7 @@ class Intake:
         for name, count in ignored.items():
             if name in self.ignored or len(self.ignored) < 50:  # names are the app's, or an attacker's
                 self.ignored[name] = self.ignored.get(name, 0) + count
-        android = any(sample.accuracy is not None for sample in message.payload)
-        signals = signals_of(tables, self.signs, self.platform, android)
+        signals = signals_of(tables, self.signs, self.platform, from_android(message.payload))
         fixes = fixes_of(tables, [])
         self._begin(signals, fixes)
         events = self._arrived({name: self._usable(name, table) for name, table in signals.items()}, fixes)
