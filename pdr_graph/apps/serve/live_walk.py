@@ -217,7 +217,7 @@ class LiveWalk:
         return event | {"steps": navigator.steps, "ignored": dict(intake.ignored), "advice": list(intake.advice)}
 
     def _issues(self) -> Iterator[str]:
-        # clock error [s] between the phone's clock and this machine's from which it is an issue
+        # ten minutes between the phone's clock and this machine's are an issue
         if abs(self._clock_error) > 600.0:
             side = "ahead of" if self._clock_error > 0 else "behind"
             yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"

@@ -65,15 +65,8 @@ MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrate
 PLATFORM = "android"  # phyphox has the signs of Android on iPhones too
 
 
-# What an answer causes that is none of phyphox
-UNREADABLE_ANSWER = (
-    LookupError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-)
+# Errors of reading an answer that is not phyphox's
+UNREADABLE_ANSWER = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
 
 class PhoneError(OSError):
@@ -228,7 +221,7 @@ class PhyphoxPhone:
     async def _json(self, path: str, missing: Any = None) -> Any:
         """The JSON at a path; ``missing`` where there is none. Raises PhoneError."""
         try:
-            # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
+            # at most 64 MB: ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
             answer = await request(self.url + path, self._timeout, LONGEST_ANSWER, 2**26, proxies=False)
         except TooLongError as error:
             raise PhoneError(f"{self.url}: found {error}, expected less") from None
@@ -256,7 +249,7 @@ def _table(each: Input, rows: Array, clock: ExperimentClock) -> Array:
     needed = rows[:, :3] if each.sensor == "location" else rows
     rows = rows[np.isfinite(needed).all(axis=1)]
     rows = np.column_stack([clock(rows[:, 0]), rows[:, 1:]])
-    return rows[np.abs(rows[:, 0]) < 9e9]  # latest [s]: Unix time; nanoseconds since 1970 fit into 64 bits until then
+    return rows[np.abs(rows[:, 0]) < 9e9]  # [s] Unix time until which nanoseconds fit into 64 bits
 
 
 def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
@@ -264,7 +257,7 @@ def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
     times = np.concatenate([table[:, 0] for table in poll.tables.values()] or [np.empty(0)])
     if not len(times):
         return
-    # longest message [s]; at 400 Hz and three sensors 2 MB
+    # 20 s a message: 2 MB at 400 Hz and three sensors
     part_of = {sensor: np.floor((table[:, 0] - times.min()) / 20.0) for sensor, table in poll.tables.items()}
     order = {sensor: np.argsort(part, kind="stable") for sensor, part in part_of.items()}
     parts = np.unique(np.concatenate(list(part_of.values())))
@@ -484,7 +477,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 websocket_path=broker.path if broker.websocket else None,
                 max_queued_incoming_messages=WAITING_MESSAGES,
                 queue_type=BoundedQueue,
-                timeout=10.0,  # timeout [s] for the broker to answer
+                timeout=10.0,  # [s] for the broker to answer
             ) as client:
                 await client.subscribe(broker.topic)
                 say(f"mqtt: subscribed to {broker.address}")

@@ -92,7 +92,7 @@ def parse(body: bytes) -> Message:
 def is_test(body: bytes) -> bool:
     """True for what the app's button "Tap to Test Pushing" sends: samples named ``test``, of no recording."""
     try:
-        content = msgspec.json.decode(body) if len(body) <= 4096 else {}  # longest test: bytes
+        content = msgspec.json.decode(body) if len(body) <= 4096 else {}  # a test is short
         return {sample["name"] for sample in content["payload"]} == {"test"}
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, LookupError, TypeError):
         return False
@@ -330,7 +330,7 @@ class Intake:
         """Hold rows, and return the events of all complete packets."""
         times = [table[:, 0] for name, table in signals.items() if name in INERTIAL and len(table)]
         events: list[Event] = []
-        # clock reset [s] by which the times of a message are earlier than those before, if the clock was reset
+        # a message that is earlier than those before by a minute: the phone's clock was reset
         if times and min(time[0] for time in times) < self.latest - 60.0:
             events = self._released(np.inf)
         for name, table in signals.items():
@@ -392,7 +392,7 @@ def parse_positions(protocol: str, body: bytes) -> tuple[str, Fixes]:
     name, rows = PARSERS[protocol](body)
     if len(rows) > MOST_POSITIONS:
         raise InputError("message", "", f"{len(rows)} positions", f"up to {MOST_POSITIONS}")
-    # latest [s]: a Unix time beyond is damage
+    # a Unix time from 1e11 s on is damage
     table = np.array([row for row in rows if abs(row[0]) < 1e11], dtype=float).reshape(-1, 4)
     return one_line(name)[:64], receiver_fixes(table, [])
 
@@ -498,5 +498,5 @@ def _time(value: Any) -> float:
     number = float_of(value)
     if np.isnan(number):
         return iso_time(value)
-    # milliseconds from: OsmAnd's timestamps from here on are milliseconds
-    return number / 1000 if number >= (2**31) else number
+    # OsmAnd's timestamps from 2³¹ on are milliseconds
+    return number / 1000 if number >= 2**31 else number
