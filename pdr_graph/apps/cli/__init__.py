@@ -38,7 +38,7 @@ from pdr_graph.apps.cli.options import (
     with_groups,
 )
 from pdr_graph.apps.cli.serve import serve
-from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result, print_summary
+from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result, print_summary
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
 
@@ -399,8 +399,7 @@ def evaal(
     ending = run_trial(api, folder, options, lonlat, ignore_initial, progress)
     echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
-        for part in ending.missing:
-            echo(f"pdr-graph: without {part}", err=True)
+        echo_errors(*(f"without {part}" for part in ending.missing))
         raise typer.Exit(EXIT_DEGRADED)
 
 
@@ -608,7 +607,7 @@ def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> No
     from pdr_graph.recovery import DataLossWarning  # it takes numpy, long to import
 
     if issubclass(kind, DataLossWarning):
-        echo(f"pdr-graph: {message}", err=True)
+        echo_errors(message)
     else:
         _PYTHONS(message, kind, *rest)
 
@@ -619,11 +618,11 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        echo(f"pdr-graph: {error}", err=True)
+        echo_errors(error)
         sys.exit(EXIT_REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
-        echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
+        echo_errors(InputError(error.filename or "", "", "a file", "a folder"))
         sys.exit(EXIT_REFUSED)
     except OSError as error:
-        echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        echo_errors(f"{error.filename or ''}: {error.strerror or error}")
         sys.exit(EXIT_REFUSED)

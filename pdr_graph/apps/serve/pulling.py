@@ -52,8 +52,7 @@ PHYPHOX_OUTPUTS = {  # of phyphox: ours, and its outputs
     "pressure": ("barometer", "x"),
 }
 LOCATION = ("lat", "lon", "accuracy")
-
-
+Say = Callable[[str], None]  # prints one line
 MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrated accelerometer alone
     "accelerometer": ("accelerometeruncalibrated", "xyz"),
     "linear_acceleration": ("accelerometer", "xyz"),
@@ -63,8 +62,6 @@ MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrate
     "location": ("location", ("latitude", "longitude", "horizontalAccuracy")),
 }
 PLATFORM = "android"  # phyphox has the signs of Android on iPhones too
-
-
 # Errors of reading an answer that is not phyphox's
 UNREADABLE_ANSWER = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
@@ -287,9 +284,7 @@ def stored_of(messages: int, last_message: bytes) -> Stored:
     return Stored(messages, last)
 
 
-async def follow(
-    phone: PhyphoxPhone, receive: Callable[[bytes, str], Awaitable[None]], say: Callable[[str], None]
-) -> None:
+async def follow(phone: PhyphoxPhone, receive: Callable[[bytes, str], Awaitable[None]], say: Say) -> None:
     """Give all data of a phone to ``receive``, for ever: a message and the phone's name. say: called with one line."""
     wait, answered = FIRST_RETRY, None
     while True:
@@ -312,8 +307,6 @@ async def follow(
 
 REFUSED_FOR_NOW = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
 REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given again
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -455,7 +448,7 @@ class BoundedQueue(asyncio.Queue[Any]):
         return item
 
 
-async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Callable[[str], None]) -> None:
+async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) -> None:
     """Give each message of a broker to ``receive``, for ever; a lost connection is tried again.
 
     say: called with one line when the connection is there, or lost. Raises InputError without aiomqtt.
