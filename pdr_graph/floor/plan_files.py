@@ -139,6 +139,11 @@ def files_of(path: Path) -> tuple[Path, ...]:
     return tuple(file for plan in several_files.files_of(root) for file in files_of(plan))
 
 
+def is_file_of(file: Path, plan: Path) -> bool:
+    """True if `file` is one of the files that `read` reads of a plan."""
+    return file.resolve() in {each.resolve() for each in files_of(plan)}
+
+
 def plan_fingerprint(path: Path, scale: float | None = None) -> str:
     """The name of a plan, a hash of its files, and the scale [m/unit] with which it is read, if any."""
     text = fingerprint(root_of(path), files_of(path))

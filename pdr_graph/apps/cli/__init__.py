@@ -568,11 +568,10 @@ def map_convert(
 
 def _picture_beside(target: Path, plan: Path) -> Path:
     """The PNG beside a conversion's GeoJSON, of another name if that is a file of the input."""
-    from pdr_graph.floor.plan_files import files_of
+    from pdr_graph.floor.plan_files import is_file_of
 
     picture = target.with_suffix(".png")
-    is_input = picture.resolve() in {file.resolve() for file in files_of(plan)}
-    return target.with_name(f"{target.stem}-plan.png") if is_input else picture
+    return target.with_name(f"{target.stem}-plan.png") if is_file_of(picture, plan) else picture
 
 
 def _report_check(plan: Path, scale: float | None = None) -> None:

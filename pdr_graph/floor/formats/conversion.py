@@ -38,7 +38,7 @@ def convert(
     """
     if target.is_dir():
         raise InputError("--out", "", f"{target}, which is a folder", "a file to write")
-    if source.exists() and target.resolve() in {file.resolve() for file in plan_files.files_of(source)}:
+    if source.exists() and plan_files.is_file_of(target, source):
         raise InputError("--out", "", f"{target}, which is the input", "another file")
     if two_points is not None:
         if scale is not None:

@@ -87,7 +87,7 @@ def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
     if picture is None:
         notes.append(f"{count(len(segments), 'segment')} of the page's vector lines")
         return drawing_of_lines(path, segments, [UNCLEAR] * len(segments), scale, None, notes, framed=True)
-    notes.append("the page has no vector lines: its picture was traced")
+    notes.append(f"{count(len(segments), 'vector line')} on the page: its picture was traced")
     return drawing_of_picture(path, np.ascontiguousarray(picture.reshape(picture.shape[:2])), scale, finer, notes)
 
 
