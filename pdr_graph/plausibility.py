@@ -107,7 +107,7 @@ class Plausibility(OneLineRepr):
                 raise InputError(source, "x, y", f"degrees on the plan{hint}", "metres in the plan's frame")
         if outline is not None and plan is not None:
             _check_plan(plan, self.frame, self.fixes, outline, hint)
-        # fewest recorded: fixes inside a recording that can contradict a file: a single one is often an old position
+        # three fixes inside a recording can contradict a file: a single one is often an old position
         if source is None or len(recorded) < 3:
             return
         if outline is not None and (outline.distance(listed.position) <= outline.margin).any():
@@ -193,7 +193,7 @@ def _mistaken_metres(frame: Frame, position: Array, outline: Reach) -> str:
     if on_plan(position):
         return ""
     corner = outline.low[0]
-    # shortest in millimetres [mm] between fixes: any metres divided by 1000 are near the origin
+    # only positions over 2 m apart can be millimetres: any others, divided by 1000, are near the origin
     guesses = {
         "x and y swapped?": position[:, ::-1],
         "millimetres?": position / 1000 if np.ptp(position, axis=0).max() > 2000.0 else position,

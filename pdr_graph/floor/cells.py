@@ -60,9 +60,6 @@ class Area(OneLineRepr):
         return shapely.get_dimensions(self.shape) == 2
 
 
-# Tolerances of a drawing, chosen by hand
-
-
 @dataclass(frozen=True)
 class Cell(OneLineRepr):
     """One room, corridor, intersection, stairs, lift or door, or an outline. polygon: its free area [m]."""
@@ -179,7 +176,6 @@ def _opening(door: Area) -> shapely.Geometry:
     return shapely.buffer(door.shape, PLANS.door_width / 2)
 
 
-# Association of a walk with regions; chosen by hand
 NOWHERE = -1  # index of no region
 
 

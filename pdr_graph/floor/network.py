@@ -172,7 +172,7 @@ def _drawn_links(areas: tuple[Area, ...]) -> tuple[Array, Array, Index, list[Arr
     for piece in shapely.get_parts(shapely.line_merge(between)):
         line = shapely.get_coordinates(piece)
         ends = [_crossing_at(line[end], crossings) for end in (0, -1)]
-        # shortest [m] line beyond an intersection that is a link
+        # a line beyond an intersection is a link from 1 m on
         if ends == [None, None] or (None in ends and shapely.length(piece) < 1.0):
             continue
         for end, place in enumerate((line[0], line[-1])):
@@ -265,7 +265,7 @@ class Skeleton:
             if (degree[chain[[0, -1]]] == 1).sum() == 1:
                 tip, base = chain[[0, -1]] if degree[chain[0]] == 1 else chain[[-1, 0]]
                 reach = self.length(chain) + self.clearance[tip] - self.clearance[base]
-                # from the circle: at least 3 m, and half of its radius: a corner of a square hall has 0.41
+                # a branch leaves the circle by 3 m and by half the radius: a corner of a square hall does by 0.41
                 if reach < max(3.0, self.clearance[base] / 2):
                     found.append(chain)
         recesses, kept = {id(chain) for chain in found}, set[int]()

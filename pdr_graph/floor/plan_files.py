@@ -30,6 +30,7 @@ from pdr_graph.floor.formats import (
 from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
 from pdr_graph.floor.formats.geojson import features_of, read_json
 from pdr_graph.floor.formats.line_drawing import check_size
+from pdr_graph.io.source import is_zip
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
@@ -138,6 +139,11 @@ def files_of(path: Path) -> tuple[Path, ...]:
     return tuple(file for plan in several_files.files_of(root) for file in files_of(plan))
 
 
+def is_file_of(file: Path, plan: Path) -> bool:
+    """True if `file` is one of the files that `read` reads of a plan."""
+    return file.resolve() in {each.resolve() for each in files_of(plan)}
+
+
 def plan_fingerprint(path: Path, scale: float | None = None) -> str:
     """The name of a plan, a hash of its files, and the scale [m/unit] with which it is read, if any."""
     text = fingerprint(root_of(path), files_of(path))
@@ -154,7 +160,7 @@ def read(path: Path, scale: float | None = None) -> Drawing:
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
     check_not_special(path, "a floor plan")
-    if several_files.is_zip(path):
+    if is_zip(path):
         with several_files.unpacked(path) as folder:
             return read(folder, scale)
     if (reader := drawing_format(path)) is not None:

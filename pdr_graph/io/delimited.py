@@ -68,7 +68,7 @@ class TextRows(OneLineRepr):
         table = self._floats_by_arrow(columns) if len(self.content) > FOR_ARROW else None
         table = self._floats_by_cell(columns, cut_off_allowed) if table is None else table
         with np.errstate(invalid="ignore"):
-            # maximum number: a larger number is treated as missing; Unix times in nanoseconds are about 1e18
+            # a larger number is treated as missing; Unix times in nanoseconds are about 1e18
             numbers = np.abs(table) < 1e20
         if not numbers.all():
             table[~numbers] = np.nan

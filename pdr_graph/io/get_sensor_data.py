@@ -123,7 +123,7 @@ def _gnss(rows: TextRows | None, notes: list[str]) -> tuple[Fixes | None, float 
     first = np.sort(first)
     if len(first) < len(app):
         notes.append(f"GNSS: {len(app) - len(first)} duplicate epochs were left out")
-    # unix from [s]: a larger receiver time is a Unix time after 2001, not a time since boot
+    # a receiver time above 1e9 s is a Unix time after 2001, not a time since boot
     unix = (sensor > 1e9) & np.isfinite(app)
     return fixes_of(table[first], notes), float(np.median((sensor - app)[unix])) if unix.any() else None
 

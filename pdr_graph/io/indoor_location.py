@@ -94,7 +94,7 @@ def _sightings(rows: TextRows | None, transmitter: int, rssi: int, last_seen: in
         try:
             written, level = float(fields[0]) / 1000, float(fields[rssi])
             received = written if last_seen is None else float(fields[last_seen]) / 1000
-            # maximum age [s] of a reception when its row was written; an older time is from another clock
+            # a reception is up to five minutes old when its row is written; an older time is from another clock
             time = received if 0 <= written - received <= 300.0 else written
             sightings.add((time, fields[transmitter], level))
         except (ValueError, IndexError):

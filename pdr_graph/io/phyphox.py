@@ -98,7 +98,7 @@ def _clock(source: Source) -> ExperimentClock:
     starts = starts[np.isfinite(starts).all(axis=1)]
     if not len(starts):
         raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
-    unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # unix milliseconds from: a larger system time is in milliseconds
+    unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # a larger system time is in milliseconds
     return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
 
 

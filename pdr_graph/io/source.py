@@ -182,7 +182,7 @@ class Source(OneLineRepr):
         except ImportError:
             return None
         with self.stream(name), self.path.open("rb") as file:  # opened as a stream, it has been checked
-            # name size [bytes] of a member's header before the lengths of its name and of what else it has
+            # 26 bytes of a member's header come before the lengths of its name and of its extra field
             file.seek(member.header_offset + 26)
             name_size, extra_size = (int.from_bytes(file.read(2), "little") for _ in range(2))
             file.seek(name_size + extra_size, os.SEEK_CUR)
@@ -212,20 +212,25 @@ class _BoundedReads:
 
     def read(self, size: int = -1) -> bytes:
         """The next bytes. Raises InputError for more than the directory of so many files has."""
-        # entry: bytes of a zip's directory for a file: twice what a file of an app has
+        # 300 bytes of the directory for each file: twice what a file of an app has
         if size > max(300 * self._most_files, 1 << 20):
             found = f"a directory of {size / 1e6:.1f} MB"
             raise InputError(self._path, "", found, f"an archive of at most {self._most_files} files")
         return self._file.read(size)
 
 
+def is_zip(path: Path) -> bool:
+    """True for a zip archive, whatever its name."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(4) in (b"PK\x03\x04", b"PK\x05\x06")
+
+
 def _open_zip(path: Path, most_files: int) -> zipfile.ZipFile | None:
     """The open archive; None if the file is not a zip."""
-    if not path.is_file():
+    if not is_zip(path):
         return None
-    with path.open("rb") as stream:
-        if stream.read(4) not in (b"PK\x03\x04", b"PK\x05\x06"):
-            return None
     try:
         with path.open("rb") as file:
             zipfile.ZipFile(cast("BinaryIO", _BoundedReads(file, path, most_files))).close()

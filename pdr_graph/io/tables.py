@@ -53,7 +53,7 @@ def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str
     if 0 < abs(hours) <= 14.0 and abs(offset - 3600 * hours) <= open_:  # largest time zone [h]
         inside = start - CLOCK_MARGIN <= first - 3600 * hours and last - 3600 * hours <= end + CLOCK_MARGIN
         return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
-    if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
+    if end < FIRST_UNIX_TIME <= first < 1e10:  # [s] until the year 2286
         return " (Unix times, while the recorder's clock counts from another moment?)"
     for unit, factor in {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}.items():
         if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:
@@ -354,7 +354,7 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
             raise InputError(path, f"data row {n + 1}", found, "one row for each beacon, with its name")
         before.add(name)
     epsg = LONLAT if geodetic else None
-    # minimum sigma [m] per axis; chosen by hand
+    # at least 1 mm per axis; chosen by hand
     return Beacons(_names(label, recording), position, np.maximum(sigma, 1e-3), words["floor"], label, epsg)
 
 

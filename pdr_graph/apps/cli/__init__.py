@@ -6,6 +6,7 @@ import json
 import sys
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -37,17 +38,12 @@ from pdr_graph.apps.cli.options import (
     with_groups,
 )
 from pdr_graph.apps.cli.serve import serve
-from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result, print_summary
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line, printable, shows_progress
+from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result, print_summary
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, printable, shows_progress
 from pdr_graph.whole_files import check_replaceable
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
-
-
-from collections import Counter
-
-from pdr_graph.errors import count
 
 
 class Commands(TyperGroup):
@@ -403,8 +399,7 @@ def evaal(
     ending = run_trial(api, folder, options, lonlat, ignore_initial, progress)
     echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
-        for part in ending.missing:
-            echo(f"pdr-graph: without {part}", err=True)
+        echo_errors(*(f"without {part}" for part in ending.missing))
         raise typer.Exit(EXIT_DEGRADED)
 
 
@@ -573,11 +568,10 @@ def map_convert(
 
 def _picture_beside(target: Path, plan: Path) -> Path:
     """The PNG beside a conversion's GeoJSON, of another name if that is a file of the input."""
-    from pdr_graph.floor.plan_files import files_of
+    from pdr_graph.floor.plan_files import is_file_of
 
     picture = target.with_suffix(".png")
-    is_input = picture.resolve() in {file.resolve() for file in files_of(plan)}
-    return target.with_name(f"{target.stem}-plan.png") if is_input else picture
+    return target.with_name(f"{target.stem}-plan.png") if is_file_of(picture, plan) else picture
 
 
 def _report_check(plan: Path, scale: float | None = None) -> None:
@@ -612,7 +606,7 @@ def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> No
     from pdr_graph.recovery import DataLossWarning  # it takes numpy, long to import
 
     if issubclass(kind, DataLossWarning):
-        echo(f"pdr-graph: {message}", err=True)
+        echo_errors(message)
     else:
         _PYTHONS(message, kind, *rest)
 
@@ -623,11 +617,11 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        echo(f"pdr-graph: {error}", err=True)
+        echo_errors(error)
         sys.exit(EXIT_REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
-        echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
+        echo_errors(InputError(error.filename or "", "", "a file", "a folder"))
         sys.exit(EXIT_REFUSED)
     except OSError as error:
-        echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        echo_errors(f"{error.filename or ''}: {error.strerror or error}")
         sys.exit(EXIT_REFUSED)

@@ -13,7 +13,7 @@ import typer
 
 from pdr_graph.apps.cli.options import AsJson, BeaconsPath, FixesPath, Force, Quiet, RangesPath, WalkerPath
 from pdr_graph.apps.cli.serve import serve_lifelog
-from pdr_graph.apps.cli.terminal import App, echo, echo_lines, echo_result
+from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, shows_progress
 from pdr_graph.whole_files import check_replaceable
 
@@ -121,8 +121,7 @@ def import_(
     counts += [f"{result.placed} positions from Wi-Fi scans"] if result.placed else []
     counts += [f"{count(result.skipped, 'file')} skipped"] if result.skipped else []
     echo(f"{', '.join(counts)} -> {store}")
-    for line in result.notes:
-        echo(f"pdr-graph: {line}", err=True)
+    echo_errors(*result.notes)
     _end(result.refused, none=not changed.new + changed.better + changed.existing + result.guesses)
 
 
@@ -306,15 +305,13 @@ def export(
     from pdr_graph.apps.lifelog.export import export_days
 
     written, notes = export_days(store, out, str(format_), person, from_, to, cut or (), blur or ())
-    for line in notes:
-        echo(f"pdr-graph: {line}", err=True)
+    echo_errors(*notes)
     echo(f"{count(len(written), 'file')} -> {out}")
 
 
 def _end(refused: Sequence[str], none: bool = False) -> None:
     """Print each refused input on a line and exit with an error code. none: True if there was no other input."""
-    for line in refused:
-        echo(f"pdr-graph: {line}", err=True)
+    echo_errors(*refused)
     if refused:
         raise typer.Exit(EXIT_REFUSED if none else EXIT_DEGRADED)
 

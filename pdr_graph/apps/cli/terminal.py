@@ -23,6 +23,12 @@ def echo(text: str, err: bool = False) -> None:
         typer.echo(printable(text), err=err)
 
 
+def echo_errors(*lines: object) -> None:
+    """Print each line on standard error, after the program's name."""
+    for line in lines:
+        echo(f"pdr-graph: {line}", err=True)
+
+
 def echo_lines(text: str) -> None:
     """Print a text of several lines, each as by `echo`."""
     if not SILENT.get():
@@ -77,7 +83,7 @@ def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) ->
         echo(line)
     echo(f"-> {first_look(out)}")
     if missing:
-        echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+        echo_errors(f"finished without {'; '.join(missing)} (see {out / 'summary.json'})")
     if missing or summary["verdict"]["state"] != "ok":
         raise typer.Exit(EXIT_DEGRADED)
 

@@ -93,7 +93,7 @@ class PositionFormat:
         if self.initial is None:
             return Fixes.none()
         label = self.default if not floors or self.default in floors else ""
-        # initial sigma [m] per axis of the initial position, a mark on the floor; chosen by hand
+        # [m] per axis: the initial position is a mark on the floor; chosen by hand
         sigma, epsg = np.array([0.5]), LONLAT if self.lonlat else None
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
 
@@ -275,7 +275,7 @@ def _run_online(
         walk.seconds.append(reply.seconds)
         walk.repeated += reply.tries - 1
         walk.feed(reply.text)
-        if walk.empty >= 1200:  # maximum empty: answers in a row without a row that can be read: ten minutes of a trial
+        if walk.empty >= 1200:  # ten minutes of a trial
             return False, f"no readable row in {walk.empty} answers, found {reply.text[:100]!r}, expected sensor rows"
         if progress:
             progress(f"{walk.stream.rows.total()} rows, {(number + 1) * INTERVAL:.0f} s of the trial")
@@ -434,7 +434,7 @@ class _Sensor:
         self.name, self.notes = name, notes
         self.delayed: Array | None = None
         self.unit: tuple[str, float] | None = None
-        # lags: slots whose median is the lag: five minutes, over which clocks drift by less than 25 ms
+        # of the slots of five minutes, in which clocks drift by less than 25 ms; their median is the lag
         self.lags: deque[float] = deque(maxlen=600)
         self.lag, self.latest, self.read = 0.0, -np.inf, -np.inf
         self.own_clock = True
@@ -484,7 +484,7 @@ class _Sensor:
             self.notes[f"{self.name}: its clock and the app's differ; the app's clock is used from now on"] += 1
             return app
         self.lags.append(median)
-        # slew [s/s] at which the lag changes: twenty times the drift of clocks, a fifth of 100 Hz's interval per slot
+        # the lag changes by 2 ms/s: twenty times the drift of clocks, a fifth of 100 Hz's interval per slot
         most = 0.002 * abs(float(sensor[-1]) - self.read)
         self.lag += float(np.clip(np.median(self.lags) - self.lag, -most, most))
         self.read = float(sensor[-1])

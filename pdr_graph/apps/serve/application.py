@@ -410,7 +410,7 @@ async def page(request: Request) -> Response:
     if "token" in request.query_params:
         response: Response = RedirectResponse("./", 303)  # relative: a proxy may have put a path before it
         token, secure = request.query_params["token"], request.url.scheme == "https"
-        # cookie life [s]: four months
+        # max_age: four months, in seconds
         response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
         return response
     return FileResponse(WEB / "index.html", headers=security_headers(_server(request).tiles))

@@ -264,8 +264,7 @@ class Estimating:
             done = bool(action(self._tasks[id_]))
         except Exception as error:  # of one walker: the others go on
             failures = self._failed.get(id_, (0, 0.0))[0] + 1
-            # retry [s] after a failure of a walker
-            again = time.monotonic() + 5.0 if failures < MOST_ATTEMPTS else np.inf
+            again = time.monotonic() + 5.0 if failures < MOST_ATTEMPTS else np.inf  # [s] of the next attempt
             self._tasks.pop(id_, None)
             self._failed[id_] = failures, again
             text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
@@ -295,7 +294,7 @@ class Estimating:
         if not task.posed and (walker.due > time.time() or now > task.last_pose + LATEST_POSE):
             self._send("pose", walker.pose())
             task.posed, task.last_pose = True, now
-        # latest path [s] after which a path is published even while messages wait
+        # after 10 s a path is published even while messages wait
         if task.path_is_due and now > task.last_path + 10.0:
             self._publish_path(task)
         return used

@@ -217,7 +217,7 @@ class LiveWalk:
         return event | {"steps": navigator.steps, "ignored": dict(intake.ignored), "advice": list(intake.advice)}
 
     def _issues(self) -> Iterator[str]:
-        # clock error [s] between the phone's clock and this machine's from which it is an issue
+        # ten minutes between the phone's clock and this machine's are an issue
         if abs(self._clock_error) > 600.0:
             side = "ahead of" if self._clock_error > 0 else "behind"
             yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"
@@ -238,9 +238,15 @@ class LiveWalk:
         sent = 0 if whole else sum(map(len, self._finalised))
         new = navigator.finalized()
         self._finalised += [new] * (len(new) > 0)
-        parts = [_joined(self._finalised) if whole else new, navigator.trajectory]
-        finalised, current = (path_columns(part, navigator.frame, self._epoch) for part in parts)
-        return {"id": self.session.id, "from": sent, "finalised": finalised, "current": current}
+        return self._path_event(navigator, sent, _joined(self._finalised) if whole else new, navigator.trajectory)
+
+    def _path_event(
+        self, navigator: Navigator, sent: int, finalised: Trajectory, current: Trajectory
+    ) -> dict[str, Any]:
+        """The event ``path``. sent: number of finalised points in earlier events."""
+        parts = {"finalised": finalised, "current": current}
+        columns = {name: path_columns(part, navigator.frame, self._epoch) for name, part in parts.items()}
+        return {"id": self.session.id, "from": sent, **columns}
 
     def finish(self) -> tuple[dict[str, Any], dict[str, Any] | None]:
         """Use all messages, end the walk and return its last pose and its whole path; then it takes no more."""
@@ -252,9 +258,7 @@ class LiveWalk:
             return pose, None
         self._push(self.intake.flush())
         path = _joined([*self._finalised, navigator.finish().trajectory])
-        parts = {"finalised": path, "current": _joined([])}
-        columns = {name: path_columns(part, navigator.frame, self._epoch) for name, part in parts.items()}
-        return pose, {"id": pose["id"], "from": 0, **columns}
+        return pose, self._path_event(navigator, 0, path, _joined([]))
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -319,7 +323,7 @@ def _write_export(file: Path, folder: Path, session: Session) -> None:
                 continue
             if not signs.acceleration:  # as the live walk decided
                 columns, _ = sensor_messages.tables_of(message.payload)
-                android = any(sample.accuracy is not None for sample in message.payload)
+                android = sensor_messages.from_android(message.payload)
                 sensor_messages.signals_of(columns, signs, session.platform, android)
             for sample in sorted(message.payload, key=lambda sample: sample.time):
                 name, time = sample.name.lower(), int(sample.time)

@@ -70,9 +70,7 @@ def pose_json(
     identity: Mapping[str, Any], pose: Pose | None, status: Status, frame: Frame | None, epoch: float
 ) -> dict[str, Any]:
     """The event ``pose``. identity: id, name and further members; epoch: Unix time of time 0 of the pose [s]."""
-    event = {**identity, "state": status.state}
-    event |= dict.fromkeys(("time", "x", "y", "lon", "lat", "sigma", "heading", "heading_sigma"))
-    event |= {"floor": "", "region": None, "display": None, "bearing": None, "modes": []}
+    event = {**identity, "state": status.state, **nowhere()}
     if pose is not None:
         event |= _place(pose, frame) | {"time": round(epoch + pose.time, SECOND_DECIMALS), "floor": pose.floor}
         event |= {
@@ -84,6 +82,12 @@ def pose_json(
         event["bearing"] = _bearing(pose, frame)
         event["modes"] = [{"probability": round(mode.probability, 3)} | _place(mode, frame) for mode in pose.modes]
     return event | {"missing": list(status.missing), "issues": list(status.issues), "health": health_texts(status)}
+
+
+def nowhere() -> dict[str, Any]:
+    """The members of the event ``pose`` that need a pose, before the first one."""
+    unknown = ("time", "x", "y", "lon", "lat", "sigma", "heading", "heading_sigma", "region", "display", "bearing")
+    return {**dict.fromkeys(unknown), "floor": "", "modes": []}
 
 
 def _place(pose: Any, frame: Frame | None) -> dict[str, Any]:
@@ -178,7 +182,6 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
     time, fixed = pose["time"] or 0.0, pose["lon"] is not None
     seconds = int(time)
     variance = pose["sigma"] ** 2 if fixed else 0.0
-    # unknown height [m²]: variance of the altitude, which is not estimated
     return {
         "header": {
             "stamp": {"sec": seconds, "nanosec": round((time - seconds) * 1e9)},
@@ -188,8 +191,8 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
         "latitude": pose["lat"],
         "longitude": pose["lon"],
         "altitude": None,
-        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e4],
-        "position_covariance_type": 2 if fixed else 0,  # known: sensor_msgs/NavSatFix: COVARIANCE_TYPE_DIAGONAL_KNOWN
+        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e4],  # the altitude is not estimated
+        "position_covariance_type": 2 if fixed else 0,  # COVARIANCE_TYPE_DIAGONAL_KNOWN or _UNKNOWN
     }
 
 

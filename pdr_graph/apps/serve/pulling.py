@@ -52,8 +52,7 @@ PHYPHOX_OUTPUTS = {  # of phyphox: ours, and its outputs
     "pressure": ("barometer", "x"),
 }
 LOCATION = ("lat", "lon", "accuracy")
-
-
+Say = Callable[[str], None]  # prints one line
 MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrated accelerometer alone
     "accelerometer": ("accelerometeruncalibrated", "xyz"),
     "linear_acceleration": ("accelerometer", "xyz"),
@@ -63,17 +62,8 @@ MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrate
     "location": ("location", ("latitude", "longitude", "horizontalAccuracy")),
 }
 PLATFORM = "android"  # phyphox has the signs of Android on iPhones too
-
-
-# What an answer causes that is none of phyphox
-UNREADABLE_ANSWER = (
-    LookupError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-)
+# Errors of reading an answer that is not phyphox's
+UNREADABLE_ANSWER = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
 
 class PhoneError(OSError):
@@ -228,7 +218,7 @@ class PhyphoxPhone:
     async def _json(self, path: str, missing: Any = None) -> Any:
         """The JSON at a path; ``missing`` where there is none. Raises PhoneError."""
         try:
-            # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
+            # at most 64 MB: ten minutes of three sensors at 400 Hz are 40 MB. The phone is in the same network
             answer = await request(self.url + path, self._timeout, LONGEST_ANSWER, 2**26, proxies=False)
         except TooLongError as error:
             raise PhoneError(f"{self.url}: found {error}, expected less") from None
@@ -256,7 +246,7 @@ def _table(each: Input, rows: Array, clock: ExperimentClock) -> Array:
     needed = rows[:, :3] if each.sensor == "location" else rows
     rows = rows[np.isfinite(needed).all(axis=1)]
     rows = np.column_stack([clock(rows[:, 0]), rows[:, 1:]])
-    return rows[np.abs(rows[:, 0]) < 9e9]  # latest [s]: Unix time; nanoseconds since 1970 fit into 64 bits until then
+    return rows[np.abs(rows[:, 0]) < 9e9]  # [s] Unix time until which nanoseconds fit into 64 bits
 
 
 def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
@@ -264,7 +254,7 @@ def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
     times = np.concatenate([table[:, 0] for table in poll.tables.values()] or [np.empty(0)])
     if not len(times):
         return
-    # longest message [s]; at 400 Hz and three sensors 2 MB
+    # 20 s a message: 2 MB at 400 Hz and three sensors
     part_of = {sensor: np.floor((table[:, 0] - times.min()) / 20.0) for sensor, table in poll.tables.items()}
     order = {sensor: np.argsort(part, kind="stable") for sensor, part in part_of.items()}
     parts = np.unique(np.concatenate(list(part_of.values())))
@@ -294,9 +284,7 @@ def stored_of(messages: int, last_message: bytes) -> Stored:
     return Stored(messages, last)
 
 
-async def follow(
-    phone: PhyphoxPhone, receive: Callable[[bytes, str], Awaitable[None]], say: Callable[[str], None]
-) -> None:
+async def follow(phone: PhyphoxPhone, receive: Callable[[bytes, str], Awaitable[None]], say: Say) -> None:
     """Give all data of a phone to ``receive``, for ever: a message and the phone's name. say: called with one line."""
     wait, answered = FIRST_RETRY, None
     while True:
@@ -319,8 +307,6 @@ async def follow(
 
 REFUSED_FOR_NOW = (429, 503, 507)  # status of a refusal that passes: too fast, not ready, disk full
 REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given again
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -462,7 +448,7 @@ class BoundedQueue(asyncio.Queue[Any]):
         return item
 
 
-async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Callable[[str], None]) -> None:
+async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) -> None:
     """Give each message of a broker to ``receive``, for ever; a lost connection is tried again.
 
     say: called with one line when the connection is there, or lost. Raises InputError without aiomqtt.
@@ -484,7 +470,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 websocket_path=broker.path if broker.websocket else None,
                 max_queued_incoming_messages=WAITING_MESSAGES,
                 queue_type=BoundedQueue,
-                timeout=10.0,  # timeout [s] for the broker to answer
+                timeout=10.0,  # [s] for the broker to answer
             ) as client:
                 await client.subscribe(broker.topic)
                 say(f"mqtt: subscribed to {broker.address}")

@@ -32,7 +32,7 @@ from pdr_graph.apps.serve.live_walk import (
     read_session,
     write_session,
 )
-from pdr_graph.apps.serve.publishing import Hub
+from pdr_graph.apps.serve.publishing import Hub, nowhere
 from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.storage import decode_json, encode_json
@@ -350,6 +350,5 @@ def id_of(key: str) -> str:
 def blank_pose(session: Session) -> dict[str, Any]:
     """The event ``pose`` of a session without an estimate yet."""
     pose: dict[str, Any] = {"id": session.id, "name": session.name, "protocol": session.protocol, "message": 0}
-    pose |= {"state": "waiting", "floor": "", "modes": [], "missing": [], "issues": [], "health": {}, "ignored": {}}
-    unknown = ("time", "x", "y", "lon", "lat", "sigma", "heading", "heading_sigma", "region", "display", "bearing")
-    return pose | dict.fromkeys(unknown) | {"steps": 0}
+    pose |= {"state": "waiting", "missing": [], "issues": [], "health": {}, "ignored": {}, "steps": 0}
+    return pose | nowhere()

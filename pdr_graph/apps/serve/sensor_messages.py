@@ -92,7 +92,7 @@ def parse(body: bytes) -> Message:
 def is_test(body: bytes) -> bool:
     """True for what the app's button "Tap to Test Pushing" sends: samples named ``test``, of no recording."""
     try:
-        content = msgspec.json.decode(body) if len(body) <= 4096 else {}  # longest test: bytes
+        content = msgspec.json.decode(body) if len(body) <= 4096 else {}  # a test is short
         return {sample["name"] for sample in content["payload"]} == {"test"}
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, LookupError, TypeError):
         return False
@@ -115,6 +115,11 @@ def tables_of(payload: Sequence[Sample]) -> tuple[dict[str, Array], dict[str, in
         table = _numbers(rows) * ([NANOSECOND] + [1.0] * len(USED_COLUMNS[name]))
         tables[name] = table[np.argsort(table[:, 0], kind="stable")]
     return tables, ignored
+
+
+def from_android(payload: Sequence[Sample]) -> bool:
+    """True if a sample has an accuracy, which the app sends on Android alone."""
+    return any(sample.accuracy is not None for sample in payload)
 
 
 def _numbers(rows: list[list[Any]]) -> Array:
@@ -162,7 +167,7 @@ TOTAL, RAW, LINEAR = "accelerometer and gravity", "accelerometeruncalibrated", "
 def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", android: bool = False) -> dict[str, Array]:
     """The rows ``(n, 1 + k)`` of each sensor as of ``Recording.signals``, SI units, Android's signs.
 
-    platform: "ios" or "android" if the user stated it; android: True if the message shows that platform. Rows with a
+    platform: "ios" or "android" if the user stated it; android: of `from_android`. Rows with a
     missing value stay, NaN, and are counted where they are used.
     """
     signals = _acceleration(tables, signs, platform, android)
@@ -291,8 +296,7 @@ class Intake:
         for name, count in ignored.items():
             if name in self.ignored or len(self.ignored) < 50:  # names are the app's, or an attacker's
                 self.ignored[name] = self.ignored.get(name, 0) + count
-        android = any(sample.accuracy is not None for sample in message.payload)
-        signals = signals_of(tables, self.signs, self.platform, android)
+        signals = signals_of(tables, self.signs, self.platform, from_android(message.payload))
         fixes = fixes_of(tables, [])
         self._begin(signals, fixes)
         events = self._arrived({name: self._usable(name, table) for name, table in signals.items()}, fixes)
@@ -326,7 +330,7 @@ class Intake:
         """Hold rows, and return the events of all complete packets."""
         times = [table[:, 0] for name, table in signals.items() if name in INERTIAL and len(table)]
         events: list[Event] = []
-        # clock reset [s] by which the times of a message are earlier than those before, if the clock was reset
+        # a message that is earlier than those before by a minute: the phone's clock was reset
         if times and min(time[0] for time in times) < self.latest - 60.0:
             events = self._released(np.inf)
         for name, table in signals.items():
@@ -388,7 +392,7 @@ def parse_positions(protocol: str, body: bytes) -> tuple[str, Fixes]:
     name, rows = PARSERS[protocol](body)
     if len(rows) > MOST_POSITIONS:
         raise InputError("message", "", f"{len(rows)} positions", f"up to {MOST_POSITIONS}")
-    # latest [s]: a Unix time beyond is damage
+    # a Unix time from 1e11 s on is damage
     table = np.array([row for row in rows if abs(row[0]) < 1e11], dtype=float).reshape(-1, 4)
     return one_line(name)[:64], receiver_fixes(table, [])
 
@@ -494,5 +498,5 @@ def _time(value: Any) -> float:
     number = float_of(value)
     if np.isnan(number):
         return iso_time(value)
-    # milliseconds from: OsmAnd's timestamps from here on are milliseconds
-    return number / 1000 if number >= (2**31) else number
+    # OsmAnd's timestamps from 2³¹ on are milliseconds
+    return number / 1000 if number >= 2**31 else number

@@ -22,7 +22,7 @@ from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pdr_graph.apps.replay import navigator_of
-from pdr_graph.apps.serve.access import LOCAL_HOSTS, Access
+from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
 from pdr_graph.apps.serve.live_walk import Session, finish
@@ -106,7 +106,7 @@ class Protocol(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Begin to wait for the first request."""
         super().connection_made(transport)
-        self.loop.call_later(20.0, self._close_if_silent)  # slowest head [s] for the head of a request to arrive
+        self.loop.call_later(20.0, self._close_if_silent)  # [s] for the head of a request to arrive
 
     def _close_if_silent(self) -> None:
         if self.cycle is None and not self.transport.is_closing():
@@ -156,8 +156,8 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
         ws="websockets-sansio",
         log_level="warning",
         access_log=False,  # it would have the tokens of the addresses
-        limit_concurrency=1000,  # most connections
-        timeout_keep_alive=75,  # idle connection [s]: a phone that posts every minute keeps its connection
+        limit_concurrency=1000,  # connections
+        timeout_keep_alive=75,  # [s]: a phone that posts every minute keeps its connection
         timeout_graceful_shutdown=3,
         server_header=False,
         ws_max_size=1 << 16,
@@ -172,7 +172,7 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
 
 def addresses(host: str, port: int) -> list[str]:
     """The addresses under which a phone reaches the server."""
-    if host in LOCAL_HOSTS or host not in ("0.0.0.0", "::"):
+    if host not in ("0.0.0.0", "::"):
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}"]
     return [f"http://{own}:{port}" for own in own_addresses()]
 

@@ -31,7 +31,7 @@ def _is_number(text: str) -> bool:
 
 def read(path: Path, scale: float | None) -> Drawing:
     """Read segments in the drawing's own axes. scale: metres per unit, which the format does not state."""
-    check_file_size(path, 50_000_000)  # largest file [bytes]
+    check_file_size(path, 50_000_000)  # [bytes]
     source = Source(path, "floor plan")
     table = delimited.table(str(path), source.utf8(path.name))
     header, rows = [name.casefold() for name in table.header], table.rows

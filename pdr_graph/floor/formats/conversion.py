@@ -38,7 +38,7 @@ def convert(
     """
     if target.is_dir():
         raise InputError("--out", "", f"{target}, which is a folder", "a file to write")
-    if source.exists() and target.resolve() in {file.resolve() for file in plan_files.files_of(source)}:
+    if source.exists() and plan_files.is_file_of(target, source):
         raise InputError("--out", "", f"{target}, which is the input", "another file")
     if two_points is not None:
         if scale is not None:
@@ -159,7 +159,7 @@ def _similarity(points: Array, place: Array) -> tuple[complex, complex, float]:
 
 def _check_fit(points: Array, place: Array, scale: float, residual: float) -> None:
     """Raise InputError if the points contradict the scale of a plan or fit better to its mirror image."""
-    # mirrored: times the residual without mirroring is larger, if the axes of a drawing are mirrored
+    # the axes of a drawing are mirrored if the residual of its mirror image is five times smaller
     if len(points) > 2 and residual > 1.0 and _similarity(points * (-1, 1), place)[2] * 5.0 < residual:
         raise InputError(
             "--georeference", "", f"a residual of {residual:.1f} m", "points that are not mirrored (x,y swapped?)"

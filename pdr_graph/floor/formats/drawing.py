@@ -196,7 +196,7 @@ def _borders(shapes: NDArray[np.object_], n: int, others: list[int], near: list[
     for k in others:
         third = shapely.union_all([shapes[j] for j in near if j != k])
         border = shapely.intersection(ring, shapely.buffer(shapes[k], PLANS.crack, join_style="mitre"))
-        # clearance [m] between an opening and any third cell, which it would open too; chosen by hand
+        # 0.3 m from any third cell, which the opening would open too; chosen by hand
         border = shapely.difference(border, shapely.buffer(third, 0.3))
         lines = [line for line in shapely.get_parts(border) if shapely.length(line) > NARROWEST_DOOR]
         if lines:

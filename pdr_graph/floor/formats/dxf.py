@@ -133,8 +133,8 @@ def _points(entity: Any, kind: str) -> Array:
         if not path.has_curves or not largest < LARGEST_COORDINATE:  # `flattening` would not end with no numbers
             return corners
         size = np.hypot(*(corners - corners[0]).T).max()
-        # rounding of a coordinate: chords nearer to their curve than that would be halved without end
-        # chords per circle: enough to recognise the swing of a door
+        # 24 chords a circle, enough to recognise the swing of a door; chords as near to their curve as coordinates are
+        # rounded would be halved without end
         sagitta = max(size * (1 - np.cos(np.pi / 24)) / 2, 1e-6, 1e-12 * largest)
         return np.array([(p.x, p.y) for p in path.flattening(sagitta)], dtype=float).reshape(-1, 2)
     except DEGENERATE:

@@ -137,7 +137,7 @@ def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     boxes: Any = ndimage.find_objects(parts[0])
     sides = metres * np.array([[side.stop - side.start for side in box] for box in boxes])
     filled = np.bincount(parts[0].ravel())[1:] * metres**2 / np.prod(sides, axis=1)
-    # column: smallest side [m], and share of its box that is dark
+    # a column is 0.2 m wide or more, and fills most of its box
     column = (sides.min(axis=1) >= 0.2) & (filled >= 0.7)
     speck = (sides.max(axis=1) < TEXT) & ~column
     if speck.any():
@@ -170,7 +170,7 @@ def opened(path: object, formats: tuple[str, ...]) -> tuple[Picture, int]:
             width, height = image.size
             if width * height > LARGEST_PICTURE or min(width, height) < 8:
                 raise InputError(str(path), "", f"{width} by {height} pixels", f"8 to {LARGEST_PICTURE} pixels in all")
-            factor = -(-max(width, height) // 5000)  # longest side [pixel]: larger pictures are reduced
+            factor = -(-max(width, height) // 5000)  # larger pictures are reduced to a side of 5000 pixels
             image = image.convert("RGBA") if "A" in image.getbands() or "transparency" in image.info else image
             if image.mode == "RGBA":
                 image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)

@@ -103,7 +103,7 @@ def _on_floor(areas: Sequence[Area], label: str, notes: list[str]) -> tuple[Area
             beside = [tree.query(area.shape, predicate="dwithin", distance=DOOR_SLACK) for tree in (solid, walkable)]
             if len(beside[0]) and len(beside[1]) < 2:
                 continue
-            # thickness [m] of an outer wall: an opening this near to a level's outline leads outside
+            # an opening within the thickness of an outer wall, 0.5 m, of a level's outline leads outside
             if any(shapely.dwithin(ring, area.shape, 0.5) for ring in outside):
                 properties = properties | {ENTRANCE: "yes"}
         placed.append(replace(area, floors=(label,), properties=properties))
@@ -138,7 +138,7 @@ def _ordinals(path: Path, levels: Sequence[Feature]) -> dict[str, int]:
     ordinals = dict[str, int]()
     for n, _, properties in levels:
         ordinal = properties.get("ordinal")
-        # largest ordinal: floors above or below the ground: no building has more
+        # no building has more than 200 floors above or below the ground
         if not isinstance(ordinal, int | float) or not abs(ordinal) <= 200 or ordinal != int(ordinal):
             found = f"ordinal {ordinal!r}"[:60]
             raise InputError(path, f"feature {n}", found, "a whole number, 0 for the ground floor")
@@ -244,7 +244,7 @@ def _add_corridors(areas: dict[int, list[Area]], levels: Iterable[Area], ordinal
     for level in levels:
         here = areas[ordinals[level.properties["id"]]]
         drawn = shapely.union_all([area.shape for area in here if area.kind != OUTLINE and area.is_polygon])
-        # widest crack [m]: wider areas of a level outside all its units are corridors; walls are narrower
+        # areas of a level outside all its units are corridors from 0.8 m on; walls are narrower
         half = 0.8 / 2
         rest = shapely.buffer(shapely.difference(level.shape, drawn), -half, join_style="mitre")
         for part in shapely.get_parts(rest):

@@ -77,7 +77,7 @@ def areas_of(lines: Lines, notes: list[str]) -> tuple[tuple[Area, ...], shapely.
     ways = list[shapely.Geometry]()
     for door in doors:  # opens the wall; the jambs at its ends stay
         start, end = shapely.get_coordinates(door)[[0, -1]]
-        # jamb [m] beside an opening; thickness [m] of a wall on either side of a door's line
+        # jambs of 0.08 m beside an opening, walls of up to 0.35 m on either side of a door's line
         margin = min(0.08 / shapely.length(door), 0.4) * (end - start)
         between = shapely.LineString([start + margin, end - margin])
         ways.append(shapely.buffer(between, 0.35, cap_style="flat"))
@@ -257,7 +257,7 @@ def _opening(arc: Arc, walls: shapely.Geometry) -> tuple[shapely.Geometry, shape
 
 def _arcs(segments: Array) -> list[Arc]:
     """Arcs in a drawing: chains of short segments that bend alike along a circle of a door's size."""
-    # longest chord [m] of an arc: a quarter of 1.5 m in five chords
+    # chords of a quarter circle of 1.5 m in five chords
     short = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) < 0.5]
     if len(short) < FEWEST_CHORDS:
         return []
@@ -286,7 +286,7 @@ def _hinge(points: Array) -> Array | None:
     centre = middle + solution[:2]
     away = points - centre
     sweep = abs(float(wrap_angle(np.diff(np.arctan2(away[[0, -1], 1], away[[0, -1], 0])))[0]))
-    # roundness: deviation from the circle as a share of the radius
+    # deviation from the circle, as a share of the radius
     is_round = np.abs(np.hypot(*away.T) - radius).max() < 0.04 * radius
     is_swing = NARROWEST_LEAF <= radius <= WIDEST_LEAF and SWEEPS[0] <= sweep <= SWEEPS[1]
     return centre if is_round and is_swing else None

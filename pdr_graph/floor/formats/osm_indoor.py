@@ -101,7 +101,7 @@ def levels_of(text: Any, missing: Collection[float] = ()) -> tuple[float, ...]:
             raise ValueError(f"level {str(text)[:40]!r}")
         first = float(found[1])
         last = first if found[2] is None else float(found[2])
-        # highest level above or below the ground: no building has more
+        # no building has more than 200 levels above or below the ground
         if max(abs(first), abs(last)) > 200.0 or last < first:
             raise ValueError(f"level {str(text)[:40]!r}")
         between = np.arange(first, last + 0.5).tolist() if last > first else [first]
@@ -197,7 +197,7 @@ def _footprint(area: Area, areas: Sequence[Area]) -> shapely.Geometry:
     if area.kind != "lift":
         return shapely.buffer(area.shape, _width(area.properties, 1.5) / 2, cap_style="flat")
     for room in areas:
-        # largest lift [m²]: a larger room around a lift's point is not its cabin
+        # a room of 15 m² or more around a lift's point is not its cabin
         small = room.kind == "room" and room.is_polygon and shapely.area(room.shape) < 15.0
         if small and set(room.floors) & set(area.floors) and shapely.intersects(room.shape, area.shape):
             return room.shape
@@ -253,7 +253,7 @@ def is_osm_xml(path: Path) -> bool:
 
 def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Feature]:
     """All tagged elements with longitude and latitude. Raises InputError for broken or hostile XML."""
-    # largest file [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
+    # text takes ten times as much memory as a tree; a station has 2 MB
     check_file_size(path, 60_000_000, "cut out the building")
     root = parsed_xml(str(path), path.read_bytes(), "a whole .osm file")
     if root.tag != "osm":

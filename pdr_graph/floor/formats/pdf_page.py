@@ -37,7 +37,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     """
     with required_library(path, "a PDF page", "pypdfium2"):
         import pypdfium2
-    check_file_size(path, 100_000_000)  # largest file [bytes]
+    check_file_size(path, 100_000_000)  # [bytes]
     _check_unpacked(path)
     try:
         document = pypdfium2.PdfDocument(path)
@@ -79,16 +79,15 @@ def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
         width, height = page.get_size()
         if not 0 < max(width, height) <= LARGEST_PAGE:
             raise InputError(path, "", f"a page of {width:g} by {height:g} points", f"at most {LARGEST_PAGE} points")
-        # rendered [pixel]: longer side of a page without vectors
+        # a page with fewer than 20 lines is a picture, rendered with 3000 pixels on its longer side
         segments, finer = _segments(path, page), 3000 / max(width, height)
-        # fewest lines on a page whose plan is drawn with vectors
         picture = None if len(segments) >= 20 else page.render(scale=finer, grayscale=True).to_numpy()
     except (pypdfium2.PdfiumError, IndexError) as error:
         raise InputError(path, "", f"a damaged PDF page ({str(error)[:80]})", "a page with a plan") from None
     if picture is None:
         notes.append(f"{count(len(segments), 'segment')} of the page's vector lines")
         return drawing_of_lines(path, segments, [UNCLEAR] * len(segments), scale, None, notes, framed=True)
-    notes.append("the page has no vector lines: its picture was traced")
+    notes.append(f"{count(len(segments), 'vector line')} on the page: its picture was traced")
     return drawing_of_picture(path, np.ascontiguousarray(picture.reshape(picture.shape[:2])), scale, finer, notes)
 
 

@@ -59,7 +59,7 @@ def read(path: Path, scale: float | None) -> Drawing:
         large = shapely.area(parts) > shapely.area(parts).max(initial=0) / 10
         outline = shapely.union_all(parts[large]) if len(parts) else shapely.Polygon()
         spots: Any = ndimage.label(~free)[0]  # pyright: ignore[reportIndexIssue] no stubs
-        # speck [m²]: smaller occupied or unknown spots in free space are noise of the scanner
+        # occupied or unknown spots of less than 0.05 m² in free space are noise of the scanner
         small = np.bincount(spots.ravel()) * (resolution * factor) ** 2 < 0.05
         small[0] = False
         walkable = shapely.intersection(outlines(free | small[spots]), outline)
@@ -77,7 +77,7 @@ def _settings(path: Path) -> dict[str, Any]:
     with required_library(path, "a ROS map", "PyYAML"):
         import yaml
     try:
-        check_file_size(path, 100_000)  # largest file [bytes] of the YAML file
+        check_file_size(path, 100_000)  # [bytes]
         values = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, TypeError) as error:
         if isinstance(error, InputError):

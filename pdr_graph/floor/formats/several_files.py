@@ -32,16 +32,7 @@ PLAN_ENDINGS = (
     (".pdf", ".png", ".jpg", ".jpeg"),
 )
 MOST_FLOOR_FILES = 200
-ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 Reader = Callable[[Path], Drawing]
-
-
-def is_zip(path: Path) -> bool:
-    """True for a zip archive, whatever its name."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        return stream.read(4) in ZIP
 
 
 @contextmanager
