@@ -25,7 +25,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import POSITIONS_ALONE
 from pdr_graph.estimation.smoother import estimated, smooth
-from pdr_graph.estimation.verdict import FIRST_ONLY, missing_of, verdict
+from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
@@ -528,7 +528,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     reports = list(map(FixReport, *(column.tolist() for column in columns), [FIRST_ONLY] * len(fixes)))
     reports[first : first + 1] = alone.fixes
     track = replace(track, floor=graph.floors)
-    direction = Contradiction("route", "other directions", 2 * np.pi, "rad", UNDECIDED, "--method graph uses all fixes")
+    direction = Contradiction(ROUTE, "other directions", 2 * np.pi, "rad", UNDECIDED, "--method graph uses all fixes")
     found = (*alone.contradictions, direction)
     of_kinds = {"fixes": tuple(reports)}
     return replace(alone, trajectory=track, reports=of_kinds, probability=float("nan"), contradictions=found)

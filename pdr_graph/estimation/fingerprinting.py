@@ -405,12 +405,11 @@ class ScanCollector:
         self._received = Sightings(np.empty(0), (), np.empty(0))
         self._block = -np.inf  # the last block with a fix
 
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Store the levels of all transmitters of either radio; True if there are any."""
+    def collect(self, received: Sightings, radio: str) -> None:
+        """Store the levels of all transmitters of either radio."""
         levels = Sightings(received.time, received.transmitter, received.rssi)
         finite = take(levels, np.isfinite(levels.time) & np.isfinite(levels.rssi))
         self._received = take(appended(self._received, finite), slice(-MOST_LEVELS, None))
-        return len(received) > 0
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
         """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""

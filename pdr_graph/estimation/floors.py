@@ -101,16 +101,13 @@ LANDINGS = 4  # states per storey
 class Floors:
     """Floors of a walk, a row per row of the trajectory ``(n + 2,)``.
 
-    labels: of the floors, "" for one without label; level: index in ``storeys``, which are the plan's floors, scaled to
-    fit the walk, if there is a plan; height: above the start by climbs of the barometer [m]; sigma: of that [m];
-    climbs, kinds: all climbs and their kinds.
+    labels: of the floors, "" for one without label; height: above the start by climbs of the barometer [m]; sigma: of
+    that [m]; climbs, kinds: all climbs and their kinds.
     """
 
     labels: tuple[str, ...]
-    level: Index
     height: Array
     sigma: Array
-    storeys: Storeys
     climbs: Climbs
     kinds: tuple[str, ...]
 
@@ -156,7 +153,7 @@ def floors_along(steps: Steps, barometer: Signal | None, start: str, fixes: Fixe
     real = detected[np.array([k != DRAUGHT for k in kind], dtype=bool)]
     share = climbed_share(barometer, real, rows)
     sigma = np.sqrt(real.sigma**2 @ share**2)
-    return Floors(labels, level, real.height @ share, sigma, storeys, detected, kind)
+    return Floors(labels, real.height @ share, sigma, detected, kind)
 
 
 def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Steps) -> tuple[Storeys, Array, float]:

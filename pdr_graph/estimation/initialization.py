@@ -134,9 +134,9 @@ def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
     return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
 
 
-def positions_of(track: Trajectory, sigma: float = 1.0) -> Fixes:
-    """The positions of a track as fixes, for `lay_dead_reckoning`. sigma: of each [m]."""
-    return Fixes(track.time, track.position, np.full(len(track), sigma))
+def positions_of(track: Trajectory) -> Fixes:
+    """The positions of a track as fixes of equal sigma, for `lay_dead_reckoning`."""
+    return Fixes(track.time, track.position, np.ones(len(track)))
 
 
 def initial_walk(

@@ -194,26 +194,31 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
     expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
-    run = list(moments(graph))
-    mixtures = [moment.posterior for moment in run]
-    means, covariances = zip(*(mixture.about(mixture.mean[mixture.best]) for mixture in mixtures), strict=True)
-    return _estimate(graph, run, np.array(means), np.array(covariances))
+    states, met, last = list[tuple[Array, Array]](), list[Meeting](), np.zeros(1)
+    for moment in moments(graph):  # only the smoother needs all moments at once
+        mixture = moment.posterior
+        states.append(mixture.about(mixture.mean[mixture.best]))
+        met += moment.met
+        last = mixture.log_weight
+    means, covariances = (np.array(column) for column in zip(*states, strict=True))
+    return _estimate(graph, means, covariances, met, last)
 
 
-def _estimate(graph: WalkGraph, run: list[Moment], means: Array, covariances: Array) -> Estimate:
-    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece."""
-    rows, last = np.concatenate([[0], graph.pieces.row_end + 1]), run[-1].posterior.log_weight
+def _estimate(graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: Array) -> Estimate:
+    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece.
+
+    met: how fixes were used; last: ``(h,)`` log of the probabilities at the end.
+    """
+    rows = np.concatenate([[0], graph.pieces.row_end + 1])
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
     of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
     probability, walks = float(np.exp(last.max())), int(np.sum(last > np.log(REPORTS.least_reported)))
-    met = [meeting for moment in run for meeting in moment.met]
     refused = sum(meeting.weight == 0.0 for meeting in met)
     resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
     lost = {
-        f"{count(refused, 'fix')} rejected: more than {FIXES.outlier:.0f} sigma from the expected position": refused
-        > 0,
-        f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
+        f"{count(refused, 'fix')} rejected: more than {FIXES.outlier:.0f} sigma from the expected position": refused,
+        f"the filter was lost and re-initialised at {', '.join(resets)}": resets,
     }
     warned = (*warnings(graph, walks, probability, True, calibration), *(text for text, holds in lost.items() if holds))
     estimate = Estimate(
@@ -371,7 +376,9 @@ def kalman_smoother(graph: WalkGraph) -> Estimate:
         P = filtered.covariance[hypothesis] + C @ (P - predicted.covariance[n]) @ C.T
         means.append(mean)
         covariances.append(P)
-    estimate = _estimate(graph, run, np.array(means[::-1]), np.array(covariances[::-1]))
+    met = [meeting for moment in run for meeting in moment.met]
+    last = run[-1].posterior.log_weight
+    estimate = _estimate(graph, np.array(means[::-1]), np.array(covariances[::-1]), met, last)
     track = estimate.trajectory
     fixes = graph.positions.fixes
     distance = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)

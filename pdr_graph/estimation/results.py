@@ -142,6 +142,11 @@ def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:
     return [fix for fix in fixes if fix.reason not in (DUPLICATE, FROZEN, OUTSIDE)]
 
 
+def used_places(fixes: Sequence[FixReport]) -> Array:
+    """Positions ``(n, 2)`` [m] of the used fixes."""
+    return np.array([(fix.x, fix.y) for fix in used_fixes(fixes)]).reshape(-1, 2)
+
+
 def is_a_guess(fixes: Sequence[FixReport]) -> bool:
     """True if at least half of the used fixes were rejected."""
     return 2 * _rejected(fixes) >= max(len(used_fixes(fixes)), 1)
@@ -174,8 +179,7 @@ def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *
         return float("nan")
     if floor is None or not fits:
         return estimate.probability
-    building = Building.around(floor)
-    places = np.array([(fix.x, fix.y) for fix in used_fixes(estimate.fixes)]).reshape(-1, 2)
+    building, places = Building.around(floor), used_places(estimate.fixes)
     if len(places) and not building.near(places).any():
         return 0.0
     track = estimate.trajectory

@@ -79,11 +79,9 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
         other = _other_source(estimate)
         lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
-        text, check = (
-            f"{lie} {median:.1f} sigma from the walk, against the {other}",
-            "the sigmas and clock of the fixes",
-        )
-        yield Contradiction("fixes", other, median, "sigma", text, f"{check}, and the {other}")
+        text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
+        check = f"the sigmas and clock of the fixes, and the {other}"
+        yield Contradiction("fixes", other, median, "sigma", text, check)
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:

@@ -155,7 +155,7 @@ class Navigator:
         return f"Navigator({self.status.state!r}, {count(self.steps, 'step')}, {count(self._accepted, 'fix')})"
 
     def review(self) -> None:
-        """Compare the sources, if that is due, in an idle moment between pushes; the results are the same without."""
+        """Answer the open questions in an idle moment between pushes; the results are the same without."""
         self._graph.review()
 
     @property

@@ -16,7 +16,7 @@ from pdr_graph.estimation.results import (
     contradiction_warnings,
     placement_warnings,
     plan_placement,
-    used_fixes,
+    used_places,
     wall_crossings,
 )
 from pdr_graph.estimation.verdict import ROUTE
@@ -152,5 +152,5 @@ def warnings_of(smoother: LiveSmoother, plan: Building | None, estimate: Estimat
 
 def _placed(plan: Building | None, reports: Reports) -> tuple[bool, Array]:
     """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""
-    places = np.array([(fix.x, fix.y) for fix in used_fixes(reports.get("fixes", ()))]).reshape(-1, 2)
+    places = used_places(reports.get("fixes", ()))
     return plan is not None and bool(plan.near(places).any()), places

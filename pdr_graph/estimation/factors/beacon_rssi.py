@@ -412,13 +412,13 @@ class LevelCollector:
         self._window = np.empty((0, 3))  # the same of all advertisements in the window
         self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
 
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Store advertisements; True if any is of a surveyed beacon.
+    def collect(self, received: Sightings, radio: str) -> None:
+        """Store advertisements of surveyed beacons.
 
-        Those of other radios are not: an access point may have the address of a beacon.
+        Those of other radios are left out: an access point may have the address of a beacon.
         """
         if radio != "bluetooth":
-            return False
+            return
         minors = received.minor or ("",) * len(received)
         rows = []
         for time, name, minor, rssi in zip(
@@ -430,7 +430,6 @@ class LevelCollector:
         table = np.array(rows).reshape(-1, 3)
         self._waiting = np.vstack([self._waiting, table])[-MOST_RECEPTIONS:]
         self._window = np.vstack([self._window, table])[-MOST_RECEPTIONS:]
-        return len(rows) > 0
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
         """Yield, once, the levels of the stretches that are complete until ``until`` [s]."""

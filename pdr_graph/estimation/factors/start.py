@@ -180,9 +180,9 @@ def first_heading_prior(heading: float) -> StartFactor:
     return StartFactor(np.array([0.0, 0.0, heading]), np.array([np.inf, np.inf, ANY_HEADING]))
 
 
-def first_pose_prior(pose: Array, sigmas: Array | None = None) -> StartFactor:
-    """A prior of the first pose ``(3,)``, which defines the frame unless its sigmas ``(3,)`` [m, m, rad] are stated."""
-    return StartFactor(pose, np.full(3, FRAME_SIGMA) if sigmas is None else sigmas)
+def first_pose_prior(pose: Array) -> StartFactor:
+    """A prior of the first pose ``(3,)``, which defines the frame."""
+    return StartFactor(pose, np.full(3, FRAME_SIGMA))
 
 
 def start_prior(heading: float, plan_size: float | None, known_heading: bool) -> StartFactor:

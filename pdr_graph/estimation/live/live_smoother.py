@@ -89,9 +89,10 @@ class LiveSmoother:
             self.ambiguity.follow_modes()
             self.graph.search()
 
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""
-        return any([collector.collect(received, radio) for collector in self.graph.collectors])
+    def collect(self, received: Sightings, radio: str) -> None:
+        """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors."""
+        for collector in self.graph.collectors:
+            collector.collect(received, radio)
 
     def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
         """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""
@@ -122,7 +123,7 @@ class LiveSmoother:
         graph.solve(SCHEDULE.final_rounds)
 
     def review(self) -> None:
-        """Do what is due soon in an idle moment; else the push that needs it does, with equal results."""
+        """Answer the open questions in an idle moment; else the push that needs an answer does, with equal results."""
         self.ambiguity.work()
 
     def _close(self, at_end: bool = False) -> bool:

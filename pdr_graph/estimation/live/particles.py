@@ -38,7 +38,7 @@ class ParallelParticleFilter:
         self.elsewhere: GaussianMixture | None = None
         self._filter = ParticleFilter(prior, seed=0, fewest=LIVE_PATHS.fewest, most=LIVE_PATHS.most, at_once=1)
         wider = LIVE_PATHS.spread**2 * belief.covariance[0]
-        # To the last digit
+        # Not checked: the covariance is positive semidefinite but for rounding
         state = self._filter.random.multivariate_normal(belief.mean[0], wider, LIVE_PATHS.most, check_valid="ignore").T
         state[3] = np.maximum(state[3], LEAST_STRIDE)
         self._filter.begin_at(state)

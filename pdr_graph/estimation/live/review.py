@@ -27,13 +27,7 @@ from pdr_graph.estimation.live.live_output import modes_at_end
 from pdr_graph.estimation.live.window import Decisions, MeasurementLog, Path, later_steps, numbered
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.step_chunks import concatenate_steps
-from pdr_graph.geometry import (
-    ANY_HEADING,
-    differences,
-    horizontal_sigma,
-    nearest,
-    pose_rotation,
-)
+from pdr_graph.geometry import ANY_HEADING, differences, horizontal_sigma, nearest, pose_rotation
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import DOUBTS, REPORTS
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps

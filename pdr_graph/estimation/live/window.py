@@ -451,8 +451,8 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
 class Collector(Protocol):
     """Makes measurements from receptions that arrive piecemeal (advertisements, scans)."""
 
-    def collect(self, received: Sightings, radio: str) -> bool:
-        """Store receptions of a radio, "bluetooth" or "wifi"; True if any of them is usable."""
+    def collect(self, received: Sightings, radio: str) -> None:
+        """Store receptions of a radio, "bluetooth" or "wifi"."""
         ...
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Any]:
