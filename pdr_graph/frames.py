@@ -75,6 +75,10 @@ class Frame:
         x, y = np.diff(self.from_lonlat(np.array([[lon, lat], [east, lat]])), axis=0)[0]
         return float(np.arctan2(y, x))
 
+    def __str__(self) -> str:
+        """Its origin, or its kind, for people."""
+        return self.kind if self.origin is None else "{:.6f}, {:.6f}".format(*self.origin)
+
     def describe(self) -> dict[str, Any]:
         """The frame as in ``summary.json``."""
         lat, lon = self.origin or (None, None)

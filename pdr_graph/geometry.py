@@ -84,6 +84,11 @@ def as_complex(xy: Array) -> Complex:
     return xy[:, 0] + 1j * xy[:, 1]
 
 
+def as_points(xy: Complex) -> Array:
+    """Complex numbers ``(n,)`` as points ``(n, 2)``."""
+    return np.stack([xy.real, xy.imag], axis=1)
+
+
 def differences(poses: Array, others: Array) -> Array:
     """Differences ``(n, m)`` of poses or states, that of headings, the third column, wrapped."""
     apart = poses - others

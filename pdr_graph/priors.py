@@ -531,6 +531,12 @@ class ReceiverPriors(Table):
     lag: float = number(1.0, "s", "sigma of the lag")
     lag_change: float = number(0.02, "s/√s", "random walk of the lag")
     lately: float = number(2.0, "s", "over which the velocity is averaged")
+    behind: float = number(
+        0.3,
+        "share",
+        "sigma of what a receiver does not follow of a walk's last minutes",
+        "0.13, 0.47, 0.21 of three museum walks, IPIN 2023",
+    )
     scattered: float = number(1.1, "σ", "root mean square residual from which all errors may be larger than stated")
 
 

@@ -280,8 +280,10 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
         walk = replace(walk, measurements=(*walk.measurements, ranges))
     if options.truth is not None:
-        truth = read_trajectory(options.truth, walk)
+        truth = read_trajectory(options.truth, walk, geodetic=frame.georeferenced)
         places.check_truth(options.truth, truth)
+        if frame.kind == "enu" and truth.epsg is None:
+            notes.append(f"x, y of {options.truth.name} are taken as metres from {frame}; lat, lon would be exact")
         walk = replace(walk, truth=truth)
     evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
     if (bearing := options.start_heading) is None:

@@ -83,12 +83,27 @@ def assert_derivatives(graph, state):
 
 def linear_graph(at):
     """All factors of an evaluation as GTSAM's linear graph, whitened and weighted: the oracle of our linear algebra."""
-    graph = gtsam.GaussianFactorGraph()
+    graph, values = gtsam.GaussianFactorGraph(), at.state.to_values()
     for block in at.blocks:
         for _, pairs, residual in terms(block, at.state):
             unit = gtsam.noiseModel.Unit.Create(len(residual))
-            graph.add(*(side for pair in pairs for side in pair), -residual, unit)
+            if len(pairs) <= 3:  # as many as `add` takes
+                graph.add(*(side for pair in pairs for side in pair), -residual, unit)
+            else:
+                graph.push_back(linear_factor(pairs, residual, unit).linearize(values))
     return graph
+
+
+def linear_factor(pairs, residual, noise):
+    """A factor of any number of variables with these keys and Jacobians."""
+
+    def error(_, __, jacobians):
+        if jacobians is not None:
+            for n, (_, by) in enumerate(pairs):
+                jacobians[n] = np.asfortranarray(by)
+        return residual
+
+    return gtsam.CustomFactor(noise, [key for key, _ in pairs], error)
 
 
 def assert_gtsam_agrees(graph, state):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -278,7 +279,8 @@ class WalkGraph:
         refined = tuple(kind.refined(at) if isinstance(kind, Refined) else kind for kind in self.measurements)
         if all(new is old for new, old in zip(refined, self.measurements, strict=True)):
             return self
-        return self._with_variables(tuple(measurement.bind(self.chain) for measurement in refined))
+        chain = replace(self.chain, heading=at.state.poses[:, 2])
+        return self._with_variables(tuple(measurement.bind(chain) for measurement in refined))
 
     def assuming(self, measurements: Sequence[Measurement]) -> WalkGraph:
         """Replace the measurements of some kinds by other versions of them."""

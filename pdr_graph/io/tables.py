@@ -153,12 +153,12 @@ def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
     check_rows(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 
-def read_trajectory(path: str | Path, recording: Recording | None = None) -> Trajectory:
+def read_trajectory(path: str | Path, recording: Recording | None = None, geodetic: bool = False) -> Trajectory:
     """Read a trajectory or truth ``time,x,y[,heading][,floor]``, or in TUM's format, rows in time order.
 
     recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
-    else times stay as in the file. Covariance columns, as in ``trajectory.csv``, are read if they are all there.
-    Raises InputError naming the line.
+    else times stay as in the file. Columns ``lat,lon`` are read where there are no ``x,y``, or first if `geodetic`.
+    Covariance columns, as in ``trajectory.csv``, are read if they are all there. Raises InputError naming the line.
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
     source = _one_file(Path(path))
@@ -166,7 +166,10 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
         poses = read_tum(str(path), text)
         return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
-    numbers, words = read_table(Path(path), [("time", "x", "y")], optional, ("floor",), recording)
+    columns = [("time", "x", "y"), ("time", "lat", "lon")]
+    numbers, words = read_table(Path(path), columns[:: -1 if geodetic else 1], optional, ("floor",), recording)
+    if on_earth := "lat" in numbers:
+        check_geodetic(path, numbers)
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
     check_rows(path, back, time, "time", "times that increase from row to row")
@@ -178,10 +181,11 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
         covariance[:, 0, 1] = covariance[:, 1, 0] = numbers["cov_xy"]
     return Trajectory(
         time=time if recording is None else time - recording.clock_origin,
-        position=np.stack([numbers["x"], numbers["y"]], axis=1),
+        position=np.stack([numbers[name] for name in (("lon", "lat") if on_earth else ("x", "y"))], axis=1),
         heading=numbers.get("heading", np.full(len(time), np.nan)),
         floor=words["floor"],
         covariance=covariance,
+        epsg=LONLAT if on_earth else None,
     )
 
 

@@ -332,7 +332,7 @@ def drifted(graph, time):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
-    """p − R(θ) v lag + (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
+    """p − R(θ) v lag − l behind + (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
     graph = received(seed)
     state, fixes, bias = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
     drift = drifted(graph, fixes.time)
@@ -347,8 +347,9 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
         assert share == pytest.approx(fixes.time[f] / 5 % 1)
         assert node_times(bias)[node] == 5 * (fixes.time[f] // 5)
         g = (1 - share) * state["g"][node] + share * state["g"][node + 1]
-        r = np.array([x, y]) - turned_by(heading) @ bias.velocity[k] * g[2] + g[:2] - fixes.position[f]
-        assert factors[row].variables == [("x", k), ("g", node), ("g", node + 1)]
+        late = turned_by(heading) @ bias.velocity[k] * g[2] + bias.lead[k] * state["o"][bias.receiver[node], 2]
+        r = np.array([x, y]) - late + g[:2] - fixes.position[f]
+        assert factors[row].variables == [("x", k), ("g", node), ("g", node + 1), ("o", bias.receiver[node])]
         assert factors[row].residual == pytest.approx(r / white)
 
         began = max(fixes.time[f] - 2.0, 0.0)
@@ -356,6 +357,24 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
         heading = np.interp(fixes.time[f], track.time, track.heading)
         way = turned_by(heading).T @ (ends[0] - ends[1]) / 2.0
         assert bias.velocity[k] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
+
+
+def test_a_walk_leads_its_mean_over_the_last_minutes():
+    """l(t) = p(t) − ∫ p(t − s) exp(−s / T) ds / T; a walk under way has the same as the whole walk."""
+    steps = wandering_walk(300, 4)
+    chain = graph_of(steps).chain
+    track = dead_reckon(steps)
+    fine = np.arange(track.time[0], track.time[-1], 0.01)
+    place = np.stack([np.interp(fine, track.time, axis) for axis in track.position.T], axis=1)
+    for k in range(0, len(chain.time), 11):
+        weight = np.exp(-(chain.time[k] - fine) / 120.0) * (fine <= chain.time[k])
+        before = np.exp(-(chain.time[k] - fine[0]) / 120.0)
+        mean = (weight @ place) * 0.01 / 120.0 + before * place[0]
+        here = [np.interp(chain.time[k], track.time, axis) for axis in track.position.T]
+        assert chain.lead[k] == pytest.approx(complex(*(here - mean)), abs=0.05)
+    turned = replace(chain, heading=chain.track[1] + 0.7)
+    assert turned.lead == pytest.approx(chain.lead * np.exp(0.7j))
+    assert turned.after(20).lead == pytest.approx(turned.lead[20:])
 
 
 def node_times(bias):
@@ -382,7 +401,8 @@ def test_an_offset_is_a_gauss_markov_process(seed):
             assert factor.residual == pytest.approx((g[m] - middle) / [scale[m], scale[m], 1.0])
             (factor,) = factors_with(graph, state, "gnss_bias.throughout", ("o", receiver))
             usual = np.median(common[own])
-            assert factor.residual == pytest.approx(state["o"][receiver] / [usual, usual, 1.0])
+            ahead = np.sqrt(np.mean(bias.lead[graph.positions.keyframe[own]] ** 2))
+            assert factor.residual == pytest.approx(state["o"][receiver] / [usual, usual, min(0.3, usual / ahead)])
             continue
         then, at = node_times(bias)[m - 1 : m + 1]
         beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
@@ -298,7 +298,8 @@ class Chain:
     pieces, bridge: of the ``k`` intervals; delta: ``(k, 3)`` displacement of each, x, y [m], heading [rad], with the
     prior mean of the calibration; segment: ``(k,)`` the calibration of each, as row of the state.
     number: ``(k + 1,)`` of each keyframe, segment_number: ``(s,)`` of each calibration, in GTSAM's keys; begins,
-    ends: True if the walk begins or ends with this chain.
+    ends: True if the walk begins or ends with this chain; led: `lead` of its first keyframe, x forward [m];
+    heading: ``(k + 1,)`` of the keyframes by an estimate [rad], None before there is one.
     """
 
     pieces: Pieces
@@ -309,6 +310,8 @@ class Chain:
     segment_number: Index
     begins: bool = True
     ends: bool = True
+    led: complex = 0.0
+    heading: Array | None = None
 
     @classmethod
     def of(cls, pieces: Pieces, segment: Index, c: Array) -> Chain:
@@ -319,10 +322,10 @@ class Chain:
         return cls(pieces, bridge(pieces, increments), delta, segment, *numbers)
 
     @classmethod
-    def keyframe_alone(cls, time: float, number: int, segment: int) -> Chain:
+    def keyframe_alone(cls, time: float, number: int, segment: int, led: complex = 0.0) -> Chain:
         """A chain of a single keyframe at a time [s], with no steps; segment: number of its calibration."""
         numbers = np.array([number]), np.array([segment])
-        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers)
+        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers, led=led)
 
     def after(self, first: int) -> Chain:
         """The part of the chain from keyframe ``first`` on, by its place in order."""
@@ -337,6 +340,8 @@ class Chain:
             segment_number=self.segment_number[row:],
             begins=self.begins and first == 0,
             ends=self.ends,
+            led=complex(self.lead[first] * np.exp(-1j * self._direction[first])),
+            heading=None if self.heading is None else self.heading[first:],
         )
 
     @property
@@ -355,6 +360,23 @@ class Chain:
         heading = np.concatenate([[0.0], np.cumsum(self.delta[:, 2])])
         moves = (self.delta[:, 0] + 1j * self.delta[:, 1]) * np.exp(1j * heading[:-1])
         return np.concatenate([[0.0], np.cumsum(moves)]), heading
+
+    @cached_property
+    def lead(self) -> Complex:
+        """How far each keyframe ``(k + 1,)`` is ahead of its receiver, were that as slow as can be [m].
+
+        Such a receiver states the mean of where it was, with weights exp(−Δt / STANDING). In the axes of `heading`.
+        """
+        turned, past = np.exp(1j * self._direction), np.diff(self.time) / RECEIVERS.standing
+        weight = -np.expm1(-past) / np.maximum(past, INSTANT)
+        moves, lead = (self.delta[:, 0] + 1j * self.delta[:, 1]) * turned[:-1] * weight, [self.led * turned[0]]
+        for kept, moved in zip(np.exp(-past).tolist(), moves.tolist(), strict=True):
+            lead.append(kept * lead[-1] + moved)
+        return np.array(lead)
+
+    @property
+    def _direction(self) -> Array:
+        return self.track[1] if self.heading is None else self.heading
 
     def keyframe(self, time: Array) -> Index:
         """The keyframe nearest to each time [s]; −1 for times outside, unless the walk begins or ends there."""

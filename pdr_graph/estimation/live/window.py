@@ -220,6 +220,7 @@ class Window:
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
         self.intervals, self.c = list[Interval](), dict[int, Array]()
         self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
+        self.led = 0j  # of the first keyframe, see `Chain`
         self._chain: Chain | None = None  # of the last intervals, None if it must be built again
 
     def begin(self) -> None:
@@ -301,9 +302,10 @@ class Window:
     def chain(self, first: int = 0) -> Chain:
         """The intervals from the ``first`` on, as a chain for the factors."""
         if self._chain is None:
-            at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
+            at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment, self.led)
             self._chain = _extended(at, self.intervals)
-        return replace(self._chain.after(first), begins=first == 0, ends=self.finished)
+        whole = replace(self._chain, heading=self.pose[:, 2])
+        return replace(whole.after(first), begins=first == 0, ends=self.finished)
 
     def state(self, chain: Chain, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
         """The estimate of the last keyframes, those of ``chain``, and of the variables that measurements add.
@@ -398,6 +400,8 @@ class Window:
 
     def forget(self, count: int) -> None:
         """Drop the first ``count`` keyframes."""
+        chain = self.chain()
+        self.led = complex(chain.lead[count] * np.exp(-1j * self.pose[count, 2]))
         del self.keyframes[:count], self.times[:count], self.intervals[:count]
         if self._chain is not None and len(self._chain.segment) > len(self.intervals):
             self._chain = self._chain.after(len(self._chain.segment) - len(self.intervals))
@@ -445,6 +449,7 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
         segment=segment.astype(np.intp),
         number=np.append(chain.number, [interval.j for interval in new]),
         segment_number=segment_number,
+        led=chain.led,
     )
 
 

@@ -32,8 +32,9 @@ def write(walk: Simulation, folder: Path) -> None:
         RECORDERS[walk.scenario.recorder](walk, staged)
         truth, every = walk.truth, slice(None, None, max(1, round(body.rate / 10)))  # at 10 Hz
         columns = [start + truth.time[every], *truth.position[every].T, truth.heading[every]]
-        form = "%.3f,%.4f,%.4f,%.5f,%s"
-        _table(staged / "truth.csv", "time,x,y,heading,floor", form, *columns, [cell(f) for f in truth.floor[every]])
+        columns += [*walk.frame.to_lonlat(truth.position[every])[:, ::-1].T, [cell(f) for f in truth.floor[every]]]
+        form = "%.3f,%.4f,%.4f,%.5f,%.9f,%.9f,%s"
+        _table(staged / "truth.csv", "time,x,y,heading,lat,lon,floor", form, *columns)
         _table(staged / "steps.csv", "time,length", "%.3f,%.4f", start + body.landings, body.lengths)
         events = [(start + e.start, start + e.end, e.kind, cell(e.what)) for e in body.events]
         _table(staged / "events.csv", "start,end,kind,what", "%.3f,%.3f,%s,%s", *zip(*events, strict=True))
