@@ -332,7 +332,7 @@ def drifted(graph, time):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
-    """p − R(θ) v lag − l behind + (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
+    """p − R(θ) v lag − l behind + (g_x, g_y) − z, g linear between nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
     graph = received(seed)
     state, fixes, bias = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
     drift = drifted(graph, fixes.time)

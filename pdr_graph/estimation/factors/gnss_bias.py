@@ -116,9 +116,9 @@ class GnssBias(Measurement):
     def refined(self, at: Evaluation) -> GnssBias:
         """Model the common errors of the fixes that the second pass marks as biased."""
         fixes = self.fixes.refined(at)
-        return (
-            self if fixes is self.fixes and len(self.lead) else self.of(fixes, self.steps).continued(self.decisions())
-        )
+        if fixes is self.fixes and len(self.lead):
+            return self
+        return self.of(fixes, self.steps).continued(self.decisions())
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """All receivers are off throughout by several times what they state, or all their errors are larger.
