@@ -40,6 +40,7 @@ FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller
 Limits = dict[str, tuple[float, float]]  # least and largest value of a column, by its name
 DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
+GNSS = "GNSS"  # source of fixes from a phone's receiver
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -250,7 +251,8 @@ class Fixes(Rows, row="fix"):
     sigma: ``(n,)`` standard deviation *per axis* [m].
     floor: floor label per fix, empty where unknown; optional.
     epsg: None in the output frame; LONLAT if ``position`` is longitude and latitude [deg]; else a projection's code.
-    source: the receiver of each fix if its errors are correlated over time; empty (the default) if independent.
+    source: the receiver of each fix if its errors are correlated over time; empty if independent. Default: GNSS where
+    ``epsg`` is LONLAT, since such positions are a receiver's, else empty.
     """
 
     time: Array
@@ -269,6 +271,8 @@ class Fixes(Rows, row="fix"):
         if self.position.shape[1:] != (2,):
             raise ValueError(f"Fixes.position: found shape {self.position.shape}, expected (n, 2)")
         check_each("Fixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
+        if self.epsg == LONLAT and not self.source:
+            object.__setattr__(self, "source", (GNSS,) * len(self.time))
         fill_labels(self, "floor", "source")
 
     @classmethod

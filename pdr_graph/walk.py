@@ -84,7 +84,7 @@ class Options:
     scale: float | None = None
     """Metres per unit of the plan, for a drawing or a picture that does not state it [m]."""
     fixes: Path | None = None
-    """CSV of positions, `time,x,y,sigma[,floor]` or `time,lat,lon,sigma[,floor]`."""
+    """CSV of positions, `time,x,y,sigma` or `time,lat,lon,sigma`, each also with `floor` and `source`."""
     beacons: Path | None = None
     """CSV of surveyed beacons; default: the list beside the recording, else the plan's."""
     ranges: Path | None = None

@@ -101,10 +101,11 @@ def read_fixes(
 ) -> Fixes:
     """Read position fixes from a table, a GPX track, a GeoLife ``.plt`` or a file of IPIN21's simulated fixes.
 
-    A table has ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``: time on the
-    recorder's clock [s] or ISO 8601; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by
-    1.51). Rows may be in any order. The other formats have Unix times. frame: into which the fixes are transformed,
-    None to keep theirs; notes: a list to which texts about omissions and assumptions are appended.
+    A table has ``time,x,y,sigma[,floor][,source]`` in the output frame, or ``time,lat,lon,sigma[,floor][,source]``:
+    time on the recorder's clock [s] or ISO 8601; sigma one standard deviation *per axis* [m] (a phone's 68 % radius
+    divided by 1.51); source as in ``Fixes``. Rows may be in any order. The other formats have Unix times. frame: into
+    which the fixes are transformed, None to keep theirs; notes: a list to which texts about omissions and assumptions
+    are appended.
 
     Raises InputError naming the line; also if no fix lies within the recording, for example with another clock.
     """
@@ -133,8 +134,8 @@ def read_fixes(
 def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     """Read the fixes of a table, sorted by time on the recorder's clock [s]."""
     required = [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")]
-    numbers, words = read_table(path, required, words=("floor",), recording=recording)
-    geodetic = "lat" in numbers
+    numbers, words = read_table(path, required, words=("floor", "source"), recording=recording)
+    geodetic, source = "lat" in numbers, words["source"] if any(words["source"]) else ()
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
@@ -143,7 +144,7 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
-    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg)[order]
+    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg, source)[order]
 
 
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:

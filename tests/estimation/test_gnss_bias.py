@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
+from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.factors.fixes import FixFactor, drift
 from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
+from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate, unit
 from pdr_graph.priors import PRICES, RECEIVERS, changed
-from pdr_graph.types import Fixes, Steps
+from pdr_graph.types import LONLAT, Fixes, Steps
 
 
 def named(fixes, source="GNSS"):
@@ -93,6 +95,22 @@ def test_a_receiver_that_smooths_does_not_shrink_the_walk(share):
         lengths.append(np.hypot(*np.diff(track.position, axis=0).T).sum() / steps.length.sum())
     assert min(lengths) > 0.85
     assert max(lengths) < 1.12
+
+
+def test_fixes_by_longitude_and_latitude_are_a_receivers():
+    """As the tutorials print it: at 1 Hz with correlated errors, 90 % of the poses are in the 90 % region."""
+    inside = []
+    for seed in range(4):
+        steps, random = meander(300, seed), np.random.default_rng(seed)
+        truth, time = dead_reckon(steps), np.arange(1.0, steps.end, 1.0)
+        errors = 4.0 * gauss_markov(steps, time, random)
+        place = interpolate(time, truth.time, truth.position) + errors
+        frame = enu(48.0, 11.0)
+        fixes = Fixes(time, frame.to_lonlat(place), np.full(len(time), 4.0), epsg=LONLAT)
+        assert set(fixes.source) == {"GNSS"}
+        inside.append(coverage(smooth(WalkGraph(steps, frame.place(fixes))).trajectory, truth))
+    assert np.mean(inside) > 0.87
+    assert Fixes(0.0, (11.0, 48.0), 4.0, epsg=LONLAT, source=("",)).source == ("",), "unless the user says otherwise"
 
 
 def test_the_lag_of_a_receiver_is_estimated():

@@ -47,7 +47,7 @@ OutFolder = Annotated[
 FixesPath = Annotated[
     Path | None,
     typer.Option(
-        "--fixes", metavar="FILE", help="CSV time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor], GPX or GeoLife."
+        "--fixes", metavar="FILE", help="CSV time,x,y,sigma or time,lat,lon,sigma[,floor][,source], GPX or GeoLife."
     ),
 ]
 RecordedFixes = Annotated[

@@ -95,7 +95,7 @@ class PositionFormat:
         label = self.default if not floors or self.default in floors else ""
         # [m] per axis: the initial position is a mark on the floor; chosen by hand
         sigma, epsg = np.array([0.5]), LONLAT if self.lonlat else None
-        return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
+        return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg, ("",))
 
     def check_begins_near(self, plan: Path | None, building: Building | None) -> None:
         """Raise InputError if the initial position is far from a plan, or in another frame. building: on the plan."""
