@@ -68,3 +68,16 @@ def test_fixes_a_thousand_times_a_second_cost_no_more_than_those_of_the_fastest_
     assert code in (0, 3)
     assert any("20000 fixes: more than 25 per second" in warning for warning in summary["warnings"])
     assert 100 < len(summary["fixes"]) < 5000
+
+
+def test_a_csv_says_which_fixes_one_receiver_made(folder, tmp_path):
+    """Those of a source share its error: the region of the walk is wider than of independent ones."""
+    begin, end = times_of(folder)
+    sigma = {}
+    for source in ("", "ublox"):
+        given, out = tmp_path / f"given{source}.csv", tmp_path / f"result{source}"
+        rows = "".join(f"{t},0,0,4.0,{source}\n" for t in np.arange(begin + 1, end - 1, 1.0).tolist())
+        given.write_text("time,x,y,sigma,source\n" + rows)
+        run("smooth", folder / "walk.txt", "--fixes", given, "--no-report", "--out", out)
+        sigma[source] = json.loads((out / "summary.json").read_text())["sigma"]
+    assert sigma["ublox"] > 2 * sigma[""]

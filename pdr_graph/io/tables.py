@@ -103,7 +103,7 @@ def read_fixes(
 
     A table has ``time,x,y,sigma[,floor][,source]`` in the output frame, or ``time,lat,lon,sigma[,floor][,source]``:
     time on the recorder's clock [s] or ISO 8601; sigma one standard deviation *per axis* [m] (a phone's 68 % radius
-    divided by 1.51); source as in ``Fixes``. Rows may be in any order. The other formats have Unix times. frame: into
+    divided by 1.51); source of each, if any. Rows may be in any order. The other formats have Unix times. frame: into
     which the fixes are transformed, None to keep theirs; notes: a list to which texts about omissions and assumptions
     are appended.
 
@@ -135,7 +135,7 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     """Read the fixes of a table, sorted by time on the recorder's clock [s]."""
     required = [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")]
     numbers, words = read_table(path, required, words=("floor", "source"), recording=recording)
-    geodetic, source = "lat" in numbers, words["source"] if any(words["source"]) else ()
+    geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
@@ -144,7 +144,7 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
-    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg, source)[order]
+    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg, words["source"])[order]
 
 
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:

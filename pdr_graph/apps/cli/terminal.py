@@ -93,11 +93,11 @@ def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
     sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
     yield f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
-    if summary["frame"]["kind"] == "enu":
-        yield "metres east and north of {origin_lat:.6f}, {origin_lon:.6f}".format(**summary["frame"])
     yield from live_lines(summary.get("live"))
     if "live" not in summary:
         yield from score_lines(summary["scores"])
+    if summary["frame"]["kind"] == "enu":
+        yield "metres east and north of {origin_lat:.6f}, {origin_lon:.6f}".format(**summary["frame"])
     for reason in summary["verdict"]["reasons"]:
         yield f"{state}: {reason['text']} (to check: {reason['check']})"
     for warning in summary["warnings"]:
