@@ -340,7 +340,7 @@ class Chain:
             segment_number=self.segment_number[row:],
             begins=self.begins and first == 0,
             ends=self.ends,
-            led=complex(self.lead[first] * np.exp(-1j * self._direction[first])),
+            led=complex(self.lead[first] * np.exp(-1j * self._direction[first])) if first else self.led,
             heading=None if self.heading is None else self.heading[first:],
         )
 
