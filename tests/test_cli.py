@@ -454,3 +454,22 @@ def test_a_result_of_a_hostile_name_is_one_line(short, tmp_path):
     shutil.copy(short / "walk.txt", tmp_path / "two\nlines")
     _, out, _ = run("smooth", "two\nlines", cwd=tmp_path)
     assert out.splitlines()[-1] == "-> two\ufffdlines-smoothed/report.html"
+
+
+def test_scores_are_in_metres_so_that_a_table_in_degrees_is_refused(tmp_path):
+    """As a trajectory, as a truth, and to compare; ``smooth --truth`` takes it, since it knows the frame."""
+    degrees, metres = tmp_path / "degrees.csv", tmp_path / "metres.csv"
+    degrees.write_text("time,lat,lon\n1,49.1,11.1\n2,49.1,11.2\n")
+    metres.write_text("time,x,y\n1,0,0\n2,1,0\n")
+    other = tmp_path / "other.csv"
+    other.write_text("time,x,y\n1,0,1\n2,1,1\n")
+    for arguments in (
+        ("evaluate", degrees, degrees),
+        ("evaluate", metres, degrees),
+        ("compare", metres, other, "--truth", degrees, "--out", tmp_path / "compared.png"),
+    ):
+        code, _, errors = run(*arguments)
+        assert code == 2
+        assert len(errors) == 1
+        assert "degrees.csv, line 1" in errors[0]
+        assert "time,x,y" in errors[0]

@@ -158,7 +158,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
     """Read a trajectory or truth ``time,x,y[,heading][,floor]``, or in TUM's format, rows in time order.
 
     recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
-    else times stay as in the file. Columns ``lat,lon`` are read where there are no ``x,y``, or first if `geodetic`.
+    else times stay as in the file. If `geodetic`, columns ``lat,lon`` are read instead of ``x,y`` where they are there.
     Covariance columns, as in ``trajectory.csv``, are read if they are all there. Raises InputError naming the line.
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
@@ -167,8 +167,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
         poses = read_tum(str(path), text)
         return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
-    columns = [("time", "x", "y"), ("time", "lat", "lon")]
-    numbers, words = read_table(Path(path), columns[:: -1 if geodetic else 1], optional, ("floor",), recording)
+    columns = [("time", "lat", "lon"), ("time", "x", "y")] if geodetic else [("time", "x", "y")]
+    numbers, words = read_table(Path(path), columns, optional, ("floor",), recording)
     if on_earth := "lat" in numbers:
         check_geodetic(path, numbers)
     time = numbers["time"]

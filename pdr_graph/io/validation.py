@@ -17,6 +17,7 @@ import numpy as np
 from pdr_graph.errors import InputError, slow_rate
 from pdr_graph.types import (
     DAY_LENGTH,
+    GNSS,
     INERTIAL,
     LONLAT,
     STANDARD_GRAVITY,
@@ -254,7 +255,7 @@ class ReceiverErrors:
 RECEIVER = ReceiverErrors()
 
 
-def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satellites: Array | None = None) -> Fixes:
+def receiver_fixes(table: Array, notes: list[str], source: str = GNSS, satellites: Array | None = None) -> Fixes:
     """Fixes, sorted by time, from a receiver's rows.
 
     table: ``(n, 4)`` time [s], latitude and longitude [deg], accuracy (68 % radius) [m], in any order. satellites:

@@ -432,9 +432,6 @@ def evaluate(
 
     floor = Building.load(map_, scale) if map_ else None
     tracks = read_trajectory(trajectory), read_trajectory(truth)
-    if tracks[0].epsg != tracks[1].epsg:
-        needed = "both as x,y or both as lat,lon; smooth --truth takes lat,lon"
-        raise InputError(truth, "line 1", "another frame than the trajectory's", needed)
     if not len(evaluation.pair(*tracks, str(pairing)).time):
         raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
     scores = evaluation.evaluate(*tracks, floor, str(pairing))

@@ -354,7 +354,7 @@ class Intake:
                 signals[name] = Signal(used[:, 0], used[:, 1:])
         used, self.held_fixes = _split(self.held_fixes, until)
         if len(used):
-            fixes = Fixes(used[:, 0], used[:, 1:3], used[:, 3], (), LONLAT, ("GNSS",) * len(used))
+            fixes = Fixes(used[:, 0], used[:, 1:3], used[:, 3], epsg=LONLAT)
         return list(events_of(Recording("session", self.origin, self.origin, **signals, fixes=fixes)))
 
     @property

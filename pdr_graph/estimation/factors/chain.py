@@ -322,10 +322,10 @@ class Chain:
         return cls(pieces, bridge(pieces, increments), delta, segment, *numbers)
 
     @classmethod
-    def keyframe_alone(cls, time: float, number: int, segment: int, led: complex = 0.0) -> Chain:
+    def keyframe_alone(cls, time: float, number: int, segment: int) -> Chain:
         """A chain of a single keyframe at a time [s], with no steps; segment: number of its calibration."""
         numbers = np.array([number]), np.array([segment])
-        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers, led=led)
+        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers)
 
     def after(self, first: int) -> Chain:
         """The part of the chain from keyframe ``first`` on, by its place in order."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -162,7 +163,7 @@ class GnssBias(Measurement):
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
-        lead = 0.0 * chain.lead if chain.heading is None else chain.lead
+        lead = np.zeros(len(chain.time), dtype=complex) if chain.heading is None else chain.lead
         velocity = velocities(*chain.track, chain.time)
         return replace(self, fixes=self.fixes.bind(chain), velocity=velocity, lead=as_points(lead))
 
@@ -238,10 +239,11 @@ class GnssBias(Measurement):
             prior=True,
         )
         receivers = self.symbol_throughout, np.arange(len(o))
-        wide = np.stack([self.throughout * self.usual] * 2 + [self._unfollowed()], axis=1)
+        wide = np.stack([self.throughout * self.usual] * 2 + [self._unfollowed], axis=1)
         same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, wide, self.receiver_number)
         return [begin, follow, same]
 
+    @cached_property
     def _unfollowed(self) -> Array:
         """Sigma of the share that each receiver does not follow: at most so that it is off by what it states."""
         lead = np.sum(self.lead[self.fixes.keyframe[self.fix]] ** 2, axis=1) / 2

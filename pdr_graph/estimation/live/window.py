@@ -212,7 +212,8 @@ class Window:
     """Keyframes in order of time; their numbers may be in another order.
 
     steps: of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals: between
-    consecutive keyframes; c: estimate ``(3,)`` of each segment; floor: label of the present floor.
+    consecutive keyframes; c: estimate ``(3,)`` of each segment; floor: label of the present floor; led: of
+    the first keyframe, see `Chain`.
     """
 
     def __init__(self, prior: Prior, plan: Building | None, floor: str):
@@ -220,7 +221,7 @@ class Window:
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
         self.intervals, self.c = list[Interval](), dict[int, Array]()
         self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
-        self.led = 0j  # of the first keyframe, see `Chain`
+        self.led: complex = 0.0
         self._chain: Chain | None = None  # of the last intervals, None if it must be built again
 
     def begin(self) -> None:
@@ -302,9 +303,9 @@ class Window:
     def chain(self, first: int = 0) -> Chain:
         """The intervals from the ``first`` on, as a chain for the factors."""
         if self._chain is None:
-            at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment, self.led)
+            at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
             self._chain = _extended(at, self.intervals)
-        whole = replace(self._chain, heading=self.pose[:, 2])
+        whole = replace(self._chain, heading=self.pose[:, 2], led=self.led)
         return replace(whole.after(first), begins=first == 0, ends=self.finished)
 
     def state(self, chain: Chain, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
@@ -400,11 +401,9 @@ class Window:
 
     def forget(self, count: int) -> None:
         """Drop the first ``count`` keyframes."""
-        chain = self.chain()
-        self.led = complex(chain.lead[count] * np.exp(-1j * self.pose[count, 2]))
+        self._chain = self.chain().after(count)
+        self.led = self._chain.led
         del self.keyframes[:count], self.times[:count], self.intervals[:count]
-        if self._chain is not None and len(self._chain.segment) > len(self.intervals):
-            self._chain = self._chain.after(len(self._chain.segment) - len(self.intervals))
         self.pose = self.pose[count:]
         self.steps.forget(self.times[0])
         kept = {*self.segments, self.segment}
@@ -449,7 +448,6 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
         segment=segment.astype(np.intp),
         number=np.append(chain.number, [interval.j for interval in new]),
         segment_number=segment_number,
-        led=chain.led,
     )
 
 

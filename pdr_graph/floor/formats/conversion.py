@@ -18,6 +18,7 @@ from pdr_graph.floor.formats import geojson
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.frames import enu
+from pdr_graph.geometry import as_points
 from pdr_graph.types import Array, OneLineRepr
 
 
@@ -138,7 +139,7 @@ def georeferenced(drawing: Drawing, points: TiePoints) -> Drawing:
 
     def moved(position: Array) -> Array:
         z = scale * (position[:, 0] + 1j * position[:, 1]) + shift
-        return np.stack([z.real, z.imag], axis=1)
+        return as_points(z)
 
     areas = {id(area): area for drawn in drawing.floors.values() for area in drawn}
     new = {key: replace(area, shape=shapely.transform(area.shape, moved)) for key, area in areas.items()}
