@@ -7,3 +7,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 settings.register_profile("steady", derandomize=True, deadline=None)  # a failure is one of the commit, not of the day
 settings.load_profile("steady")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="run the tests marked `thorough` too")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave the second tier out, unless it is asked for."""
+    if not config.getoption("all"):
+        left_out = [item for item in items if item.get_closest_marker("thorough")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("thorough")]
