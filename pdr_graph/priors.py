@@ -527,6 +527,9 @@ class ReceiverPriors(Table):
     still: float = number(1.0, "m", "within which a frozen receiver stays")
     away: float = number(10.0, "m", "to which the steps must lead meanwhile")
     white: float = number(0.3, "share", "of white noise in the stated sigma")
+    throughout: float = number(
+        0.5, "share", "of the stated sigma in what stays the same", "0.1, 0.5, 0.6 of three museum walks, IPIN 2023"
+    )
     node: float = number(5.0, "s", "between nodes of the offset")
     lag: float = number(1.0, "s", "sigma of the lag")
     lag_change: float = number(0.02, "s/√s", "random walk of the lag")
@@ -620,9 +623,9 @@ class PricePriors(Table):
     """Prices of hypotheses about sources: negative log odds of the error, before a measurement is seen."""
 
     worse: tuple[tuple[float, float], ...] = number(
-        ((2.0, 0.7), (5.0, 2.3)),
+        ((2.0, 2.5), (5.0, 4.6)),
         "factor, nats",
-        "a receiver off throughout by so many times what it states: 1 in 2, 1 in 10",
+        "a receiver off throughout by so many times what it states: 1 in 12, 1 in 100",
     )
     larger: tuple[tuple[float, float], ...] = number(
         ((2.0, 1.5), (4.0, 3.0)),
@@ -633,7 +636,7 @@ class PricePriors(Table):
         5.5, "nats", "two entries of a list of beacons are swapped, one is elsewhere, or all: 1 in 250"
     )
     wrong_origin: float = number(
-        1.0, "nats", "a list is displaced as a whole: as a receiver that is as far off throughout"
+        3.0, "nats", "a list is displaced as a whole: as a receiver that is several times worse throughout"
     )
     wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
     wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10")

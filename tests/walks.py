@@ -112,7 +112,7 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
     from pdr_graph.estimation.factors.fixes import drift
-    from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
+    from pdr_graph.estimation.factors.gnss_bias import GnssBias
     from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.geometry import interpolate, rotation
 
@@ -124,7 +124,7 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     offset = random.normal(0, 1, (len(time), 2))
     for i in range(1, len(time)):
         offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]
-    offset += np.random.default_rng([seed, 3]).normal(0, THROUGHOUT, 2)
+    offset += np.random.default_rng([seed, 3]).normal(0, RECEIVERS.throughout, 2)
     change = np.append(random.normal(0, RECEIVERS.lag), random.normal(0, RECEIVERS.lag_change * np.sqrt(np.diff(time))))
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 

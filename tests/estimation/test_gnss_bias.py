@@ -8,7 +8,7 @@ from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.factors.fixes import FixFactor, drift
-from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
@@ -59,7 +59,7 @@ def test_a_minute_of_correlated_fixes_is_worth_a_few():
     alike = np.exp(-np.abs(time[:, None] - time) / RECEIVERS.standing)
     weight = np.linalg.solve(sigma**2 * (alike + RECEIVERS.white**2 * np.eye(len(time))), np.ones(len(time)))
     assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
-    variance = 1 / weight.sum() + (THROUGHOUT * sigma) ** 2
+    variance = 1 / weight.sum() + (RECEIVERS.throughout * sigma) ** 2
     assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(variance, rel=0.01)
 
 

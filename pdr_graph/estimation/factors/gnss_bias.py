@@ -9,9 +9,9 @@ sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of st
 with ω = RECEIVERS.white, v the recent walking velocity in the body's axes. g is a Gauss–Markov process of sigma σ₀
 about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
 under a roof. Its sigma is k times the receiver's median σ₀. How large k is nothing tells where there is no other
-source, so that it is a hypothesis: most receivers have k = 1, some are several times worse than they state. The process
-runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the
-excess of worse ones among them is common to them as well.
+source, so that it is a hypothesis: most receivers have RECEIVERS.throughout, some are several times worse than they
+state. The process runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the
+same error; the excess of worse ones among them is common to them as well.
 
 Indoors receivers smooth their positions over minutes and follow a walk only in part: of three in a museum (IPIN 2023)
 0.87, 0.53 and 0.79 of it. l is how far the walk is ahead of its own recent mean (`Chain.lead`), by the headings of the
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 SOURCE_NODES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers: those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
-THROUGHOUT = 1.0  # k of a receiver that is as good as it states
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ class GnssBias(Measurement):
     receiver: Index
     receiver_number: Index
     usual: Array
-    throughout: float = THROUGHOUT
+    throughout: float
     larger: float = 1.0
 
     name: ClassVar[str] = "gnss_bias"
@@ -112,6 +111,7 @@ class GnssBias(Measurement):
             receiver=np.repeat(np.arange(len(numbers)), [len(n) for n in numbers]),
             receiver_number=np.array([_number(fixes.fixes.source[rows[0]]) for rows in sources], dtype=np.intp),
             usual=np.array([np.median(offset[rows]) for rows in sources]),
+            throughout=RECEIVERS.throughout,
         )
 
     def refined(self, at: Evaluation) -> GnssBias:
@@ -130,7 +130,7 @@ class GnssBias(Measurement):
             return ()
         names, found = tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist())), list[Proposal]()
         for k, price in PRICES.worse:
-            normaliser = 2 * float(np.log(k)) * len(self.usual)  # of the wider prior
+            normaliser = 2 * float(np.log(k / RECEIVERS.throughout)) * len(self.usual)  # of the wider prior
             off = Hypothesis((self.name, "throughout"), names, (k,), price + normaliser)
             found.append(Proposal(off, (replace(self, throughout=k),)))
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol_throughout]
@@ -151,7 +151,7 @@ class GnssBias(Measurement):
 
     def decisions(self) -> dict[str, AnyArray]:
         """The offset and the sigmas of receivers that are worse than they state."""
-        if self.throughout == THROUGHOUT and self.larger == 1.0:
+        if self.throughout == RECEIVERS.throughout and self.larger == 1.0:
             return {}
         return {"throughout": np.array([self.throughout]), "larger": np.array([self.larger])}
 
