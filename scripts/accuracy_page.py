@@ -115,20 +115,33 @@ def lifelog():
 
 def trust():
     """How often the stated 90 % region holds the truth, with honest sources and with one that is wrong."""
+    rows = [
+        {"": f"{title}, {row['sources']}"} | row
+        for title, name in (("simulated walks", "integrity"), ("recorded walks", "integrity recorded"))
+        for row in published("results/integrity.md", name)[-1]
+    ]
+    header = [name for name in rows[0] if name != "sources"]
+    return table(header, [[row[name] for name in header] for row in rows])
+
+
+def regions(header, lines):
+    """A table of regions, and its sums: over rows with honest sources, and over those with one that is wrong."""
+    sources = [dict(zip(header, line, strict=True)) for line in lines]
     rows = []
-    for title, name in (("simulated walks", "integrity"), ("recorded walks", "integrity recorded")):
-        sources = [row for row in published("results/integrity.md", name)[0] if "all" not in row.get("recordings", "")]
-        for wrong in (False, True):
-            some = [row for row in sources if is_wrong(row["given"]) is wrong]
-            shares = [share(row["in 90 % region"]) for row in some]
-            walks = [int(row["walks"]) for row in some]
-            beyond = sum(int(plain(row["mean over 3 × r95"]).split()[0]) for row in some)
-            doubted = sum(share(row["not ok"]) * n for row, n in zip(some, walks, strict=True)) / sum(walks)
-            case = f"{title}, {'one source wrong' if wrong else 'honest sources'}"
-            low = sum(one < LOWEST for one in shares)
-            rows.append([case, len(some), percent(min(shares)), low, f"{beyond} of {sum(walks)}", percent(doubted)])
-    header = ["", "cases", "lowest share in region", f"cases below {percent(LOWEST)}"]
-    return table([*header, "walks with mean error beyond 3 × r95", "walks not `ok`"], rows)
+    for wrong in (False, True):
+        some = [row for row in sources if is_wrong(row["given"]) is wrong and "all" not in row.get("recordings", "")]
+        if not some:
+            continue
+        shares = [share(row["in 90 % region"]) for row in some]
+        walks = [int(row["walks"]) for row in some]
+        beyond = sum(int(plain(row["mean over 3 × r95"]).split()[0]) for row in some)
+        doubted = sum(share(row["not ok"]) * n for row, n in zip(some, walks, strict=True)) / sum(walks)
+        low = sum(one < LOWEST for one in shares)
+        case = "one source wrong" if wrong else "honest sources"
+        rows.append([case, len(some), percent(min(shares)), low, f"{beyond} of {sum(walks)}", percent(doubted)])
+    sums = ["sources", "cases", "lowest share in region", f"cases below {percent(LOWEST)}"]
+    sums += ["walks with mean error beyond 3 × r95", "walks not `ok`"]
+    return f"{table(header, lines)}\n\n{table(sums, rows)}"
 
 
 def misses():

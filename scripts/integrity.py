@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from accuracy_page import regions
 from conditions import (
     INDOORS,
     LOOPS,
@@ -123,7 +124,7 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
         [FAMILIES[name][0], row.name, *cells(found[name, row.given], row.without and found[name, row.without])]
         for name, row in rows
     ]
-    publish("results/integrity.md", "integrity", table(["", "given", *HEADER], lines))
+    publish("results/integrity.md", "integrity", regions(["", "given", *HEADER], lines))
     groups = {"nothing lies": [], "a source lies": []}
     for name, row in rows:
         if any(source.startswith("plan") for source in row.given):
@@ -291,7 +292,7 @@ def recorded(data):
     rows = [*malls_by_help(data), *museum(data), *eight(data)]
     for walk in nju_walks(data):
         rows.append(["NJU campus", walk.name, *cells([scored(walk)], None)])
-    publish("results/integrity.md", "integrity recorded", table(["recordings", "given", *HEADER], rows))
+    publish("results/integrity.md", "integrity recorded", regions(["recordings", "given", *HEADER], rows))
 
 
 def scored(walk, plan=False, noise=0.0):
