@@ -92,14 +92,18 @@ def on_own_fixes(walks):
         yield circular_error(pair(track, walk.truth)), gaps(track, walk.truth)[1]
 
 
+SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
 CASES = {
     by_steps: ("STEP", "CANDIDATE", "BOUT", "STRIDES", "FORWARD", "GRIP", "COMPASS", "REST", "MAGNETOMETER", "NORTH"),
     on_fixes: ("MOTION", "WALKER"),
     on_outliers: ("LOSSES", "INITIAL"),
     lambda data: on_fixes(data, METHODS["filter (causal)"]): ("KALMAN",),
-    on_plans: ("WALLS", "REGIONS", "SEARCH", "PARTICLES"),
+    on_plans: SLOW,
     on_receivers: ("RECEIVERS",),
 }
+
+
+QUICK = [name for of in CASES.values() for name in of if name not in SLOW]
 
 
 def score(case, data):
@@ -179,7 +183,7 @@ def settings(data, names=()):
             sensitive.append([f"`{entry}`", value, entry.source, *cells, within])
     rows = [[f"`{name}`", *map("; ".join, of)] for name, of in others.items()]
     text = f"{table(HEADER, sensitive)}\n\n{table(['table', *KINDS], rows)}"
-    publish("results/settings.md", "settings", text.replace("|a|", "abs a"))
+    publish("results/settings.md", "settings", text.replace("|a|", "abs a"), ", ".join(names))
 
 
 def kept():
