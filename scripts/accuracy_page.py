@@ -26,7 +26,7 @@ def plain(cell):
 def outdoors():
     """Simulated receivers and the campus walk: errors, share in the region, its radius."""
     simulated = ["GNSS", "GNSS: 5 s late", "GNSS: jumping", "GNSS: 10 m off"]
-    rows = [integrity("integrity", "outdoors", given, f"80 simulated walks, {given}") for given in simulated]
+    rows = [integrity("integrity", "outdoors", given, f"simulated walks, {given}") for given in simulated]
     campus = ["one in 10 s", "one in 60 s"]
     return region_table(
         rows + [integrity("integrity recorded", "NJU campus", given, f"campus, GPS {given}") for given in campus]
@@ -69,7 +69,7 @@ def plan():
 def beacons():
     """Beacons, simulated and of three museum walks."""
     given = ["beacons", "GNSS, beacons", "GNSS, beacons: of another building", "beacons: a pair swapped"]
-    rows = [integrity("integrity", "indoors", one, f"15 simulated walks, {one}") for one in given]
+    rows = [integrity("integrity", "indoors", one, f"simulated walks, {one}") for one in given]
     museum = ["GNSS", "GNSS, beacons: the published list"]
     return region_table(
         rows + [integrity("integrity recorded", "IPIN 2023, all", one, f"3 museum walks, {one}") for one in museum]
@@ -102,7 +102,7 @@ def live():
 def lifelog():
     """Stays of simulated days, and visits of shop fronts."""
     stays = published("results/lifelog.md", "lifelog-simulated-days")[0]
-    visits = record("lifelog", "lifelog-visits", "**both**", "all")
+    visits = record("lifelog", "lifelog-visits", "all")
     rows = []
     for row in stays:
         kind = f"stays of {row['true stays']}" if "min" in row["true stays"] else "longer stays"
@@ -167,8 +167,9 @@ def percent(number):
 
 
 def share(cell):
-    """A cell in percent as a number; 0 for none."""
-    return float(plain(cell).rstrip(" %").replace("—", "0").replace("-", "0")) / 100
+    """A cell in percent as a number, without its interval; 0 for none."""
+    number = re.match(r"\d+", plain(cell))
+    return float(number[0]) / 100 if number else 0.0
 
 
 def ends(cell):

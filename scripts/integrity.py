@@ -33,7 +33,7 @@ from pdr_graph.online.interface import trajectory_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Estimate, Steps
 
-WALKS, FEWER = 80, 15  # of each family; of those in which a walk takes 10 to 60 s:
+WALKS, FEWER = 40, 15  # of each family; of those in which a walk takes 3 to 30 s:
 LONG = ("GNSS, beacons", "beacons, GNSS", "beacons", "plan")
 
 
@@ -235,14 +235,30 @@ def score(estimate, truth, noise=0.0):
 
 def cells(scores, without):
     """Cells of a row from the scores of its walks; those that miss a target are bold. without: None, or scores."""
-    error, inside, size = (np.concatenate([getattr(s, name) for s in scores]) for name in ("error", "inside", "size"))
-    errors = " / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95]))
-    row = [len(scores), errors, share(inside, LEAST_COVERAGE), f"{np.median(size):.1f}"]
+    row = [len(scores), *places(scores)]
     for broken in ([s.broken for s in scores], [s.broken_somewhere for s in scores]):
         row.append(marked(f"{sum(broken)} of {len(broken)}", np.mean(broken) > MOST_BROKEN))
     unharmed = None if without is None else [s.harmless(w) for s, w in zip(scores, without, strict=True)]
     row.append("—" if unharmed is None else share(unharmed, LEAST_UNHARMED))
     return [*row, share([s.verdict != "ok" for s in scores])]
+
+
+def places(scores):
+    """Cells of all places: errors [m], share in the region with its interval, radius of the region [m]."""
+    error, size = (np.concatenate([getattr(s, name) for s in scores]) for name in ("error", "size"))
+    errors = " / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95]))
+    return errors, covered([s.inside for s in scores]), f"{np.median(size):.1f}"
+
+
+def covered(walks, draws=2000):
+    """The share of places in their region, its 95 % bootstrap interval over walks; bold below the target."""
+    inside, count = np.array([(w.sum(), len(w)) for w in walks], dtype=float).T
+    mean, interval = inside.sum() / count.sum(), ""
+    if len(walks) > 1:
+        drawn = np.random.default_rng(0).integers(0, len(walks), (draws, len(walks)))
+        shares = inside[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+        interval = " ({:.0f}–{:.0f})".format(*np.percentile(100 * shares, [2.5, 97.5]))
+    return marked(f"{100 * mean:.0f} %{interval}", mean < LEAST_COVERAGE)
 
 
 def share(holds, least=0.0):
@@ -346,7 +362,7 @@ def eight(data):
 
 # The live pose
 
-LIVE_WALKS = 30  # of each row
+LIVE_WALKS = 10  # of each row
 LAG = 60.0  # [s]
 LIVE_SEED = 50_000  # first seed of the walks of this table, beside those of others
 LIVE_ROWS = {  # what the navigator is given
@@ -415,8 +431,6 @@ def live_cells(scores):
     """Cells of a row from the scores of its walks; those that miss the target are bold."""
     row = []
     for name in ("batch", "pose", "smoothed"):
-        some = [getattr(one, name) for one in scores]
-        error, inside, size = (np.concatenate([getattr(s, n) for s in some]) for n in ("error", "inside", "size"))
-        row += [" / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95])), share(inside, LEAST_COVERAGE)]
-        row += [f"{np.median(size):.1f}"] * (name != "batch")
+        errors, inside, radius = places([getattr(one, name) for one in scores])
+        row += [errors, inside, radius] if name != "batch" else [errors, inside]
     return [*row, share([one.smoothed.verdict != "ok" for one in scores])]

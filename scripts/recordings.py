@@ -126,19 +126,12 @@ class Row:
         known = self.errors[method][~np.isnan(self.errors[method])]
         return " / ".join(f"{p:.2f}" for p in np.percentile(known, at)) if len(known) else "no pose yet"
 
-    def fewer(self, method):
-        """At how many places a method had a pose, where these are some."""
-        known = int(np.sum(~np.isnan(self.errors.get(method, []))))
-        return f" ({known})" if 0 < known < len(self.inside) else ""
-
 
 def every_recording(data):
-    """The tables in short and in full, and where another method is better than the graph."""
+    """The table in short, and where another method is better than the graph."""
     rows = [scored(*one) for one in cases(data)] + [*chains(data)]
     header = ["recordings", "given", *(f"{m} [m]" for m in METHODS[1:]), "in 90 %"]
     publish("results/recordings.md", "summary", table(header, in_short(rows)))
-    header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
-    print(table(header, in_full(rows)))
     publish("results/recordings.md", "out of order", out_of_order(rows))
 
 
@@ -148,13 +141,6 @@ def in_short(rows):
         if (row.group, row.help) in IN_SHORT:
             told = [row.said(method, (50, 95)) for method in METHODS[1:]]
             yield [row.group, row.help, *told, row.inside_share]
-
-
-def in_full(rows):
-    """Every row, the usual percentiles."""
-    for row in rows:
-        told = [row.said(method, (50, 75, 95)) + row.fewer(method) for method in METHODS]
-        yield [row.recording, row.given, len(row.inside), *told, row.inside_share]
 
 
 def cases(data):

@@ -42,7 +42,7 @@ QUOTES = [
     (
         "README.md",
         "{} % of {} simulated visits are assigned to the right shop",
-        [("results/lifelog.md", "lifelog-visits", ("**both**", "all"), c, 0) for c in ("named right", "visits")],
+        [("results/lifelog.md", "lifelog-visits", ("all",), c, 0) for c in ("named right", "visits")],
     ),
     (
         "README.md",
