@@ -45,7 +45,6 @@ from pdr_graph.online.navigator import Navigator
 from pdr_graph.priors import MOTION
 from pdr_graph.types import Fixes, Headings, Steps
 
-MAPS = Path(__file__).resolve().parents[1] / "maps"
 LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
 LAPS = 37  # about an hour
 RUNS = 5
@@ -77,21 +76,21 @@ def hour_rows():
     return f"{table(['stage', 'CPU [s]', 'share'], rows)}\n\n{text}at most {middle['memory']:.0f} MB of memory."
 
 
-def hour(folder, plan="loop", corners=LAP, laps=LAPS, period=20.0):
-    """Write an hour's walk in laps as Sensor Logger zips it; return the arguments of ``smooth``.
+def hour_given(period):
+    """A scenario of an hour in laps. period: between fixes of 3 m [s]"""
+    route = [LAP[0], {"stand": 5}, *({"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS))]
+    return {"plan": str(LOOP), "route": route, "fixes": {"period": period, "sigma": 3.0}}
 
-    period: between fixes of 3 m [s].
-    """
-    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(laps))]
-    drawn = MAPS / f"{plan}.geojson"
-    given = {"plan": str(drawn), "route": route, "fixes": {"period": period, "sigma": 3.0}}
+
+def hour(folder):
+    """Write an hour's walk as Sensor Logger zips it; return the arguments of ``smooth``."""
     written, recording = folder / "written", folder / "walk.zip"
-    write(simulate(Scenario.of(given)), written)
+    write(simulate(Scenario.of(hour_given(20.0))), written)
     with zipfile.ZipFile(recording, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(written.glob("*.csv")):
             if path.name not in NOT_EXPORTED:
                 archive.write(path, path.name)
-    return ["smooth", recording, "--map", drawn, "--fixes", written / "fixes.csv", "--out", folder / "out"]
+    return ["smooth", recording, "--map", LOOP, "--fixes", written / "fixes.csv", "--out", folder / "out"]
 
 
 def _seconds_of_command(command):
@@ -433,9 +432,7 @@ def pushed(nav, events, steps):
 
 def sampled_hour(nav):
     """Events of an hour in the loop, as the phone's samples."""
-    laps = [{"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS)]
-    given = {"plan": str(LOOP), "route": [LAP[0], {"stand": 5}, *laps], "fixes": {"period": 15.0, "sigma": 3.0}}
-    scenario = Scenario.of(given)
+    scenario = Scenario.of(hour_given(15.0))
     made = simulate(scenario)
     return events_of(replace(made.recording(), fixes=made.user_fixes, epoch=scenario.start))
 

@@ -146,7 +146,11 @@ def drawn_day(plan, seed):
         stay, at_place = float(random.uniform(*STAY)), ways.front if visiting else ways.place
         name, before, place, aisle = at_place(random, at)
         route.append({"to": [corner.tolist() for corner in ways.shortest(at, before)]})
-        route += [{"visit": name, "stay": stay}] if visiting else [turned(random), {"stand": stay}]
+        route += (
+            [{"visit": name, "stay": stay}]
+            if visiting
+            else [{"turn": float(random.uniform(-180, 180))}, {"stand": stay}]
+        )
         aisles.append(aisle)
         at = place
     route += [{"to": [corner.tolist() for corner in ways.shortest(at, entrance)]}, {"stand": STAND}]
@@ -160,11 +164,6 @@ def drawn_day(plan, seed):
         "wifi": {"access_points": 12},
     }
     return Scenario.of(given, plan), [*aisles, np.nan]
-
-
-def turned(random):
-    """Any way round."""
-    return {"turn": float(random.uniform(-180, 180))}
 
 
 @cache
@@ -368,15 +367,11 @@ def simulated_days(people=PEOPLE, days=DAYS):
 
 def lengths_row(name, bounds, found):
     """The row of the true stays of some lengths."""
-    own = [stay for comparison in found for stay in comparison.others if is_between(stay, bounds)]
-    hit = [pair for comparison in found for pair in comparison.matched if is_between(pair[1], bounds)]
+    own = [(a, b) for comparison in found for a, b in comparison.others if bounds[0] <= b - a < bounds[1]]
+    hit = [pair for comparison in found for pair in comparison.matched if pair[1] in own]
     off = np.abs([np.subtract(one, other) for one, other in hit]) / 60
     times = [f"{np.quantile(off, share):.1f} min" for share in (0.5, 0.9)]
     return [name, str(len(own)), str(len(own) - len(hit)), *times]
-
-
-def is_between(stay, bounds):
-    return bounds[0] <= stay[1] - stay[0] < bounds[1]
 
 
 def simulated_person(person, days):

@@ -8,7 +8,8 @@ import tomllib
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -23,20 +24,17 @@ from conditions import (
     errors_at,
     events,
     gaps,
-    helped_walk,
     helped_walks,
     ipin21_walks,
     ipin2023_walks,
     measured,
     nju_walks,
     percentiles,
-    recording_at,
-    recording_paths,
     route_of,
     simulated_recording,
     simulated_walk,
 )
-from tables import HELD_BACK, is_wanted, publish, table
+from tables import HELD_BACK, is_wanted, marked, publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, kalman_filter, smooth
 from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
@@ -93,7 +91,7 @@ def live(data, wanted=(), walks=None, first=HELD_BACK):
     if not rows:
         raise SystemExit(f"no row has {' or '.join(map(repr, wanted))} in its name")
     found = scores_by_group(rows)
-    rows = [(group, pooled(scores), len(scores)) for group, scores in zip(rows, found, strict=True) if scores]
+    rows = [(group, pooled(scores), len(scores)) for group, scores in zip(rows, found, strict=True)]
     accuracy = table(ACCURACY, [accuracy_row(*row) for row in rows])
     behaviour = table(BEHAVIOUR, [behaviour_row(*row[:2]) for row in rows])
     publish("results/live.md", "live", f"{accuracy}\n\n{targets([score for _, score, _ in rows])}")
@@ -108,17 +106,15 @@ def scores_by_group(rows):
         for group, waiting in zip(rows, futures, strict=True):
             began = time.time()
             scores = [one.result() for one in waiting]
-            found.append([score for score in scores if score is not None])
+            found.append(scores)
             print(f"{group.title}: {len(found[-1])} walks, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
     return found
 
 
 def score_case(make):
-    """The score of one walk; None if nothing is left to be scored."""
+    """The score of one walk."""
     warnings.simplefilter("ignore")
     case = make()
-    if case is None:
-        return None
     return score_of(case, followed(case), smooth(case.graph()).trajectory)
 
 
@@ -195,10 +191,6 @@ def milliseconds(seconds):
     return marked(text, seconds.max() > LONGEST)
 
 
-def marked(text, missed):
-    return f"**{text}**" if missed else text
-
-
 # Cases
 
 
@@ -242,7 +234,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Group:
-    """A row of the table. cases: functions that return a `Case` each, or None where nothing is left to be scored."""
+    """A row of the table. cases: functions that return a `Case` each."""
 
     name: str
     given: str
@@ -263,21 +255,17 @@ def recorded_groups(data):
     """Rows of real recordings."""
     for given in HELP:
         for plan in (True, False):
-            cases = [partial(mall_case, path, given, plan) for path in recording_paths(data)]
+            make = partial(mall, given=given, plan=plan)
+            cases = [partial(_case, make, data, n) for n in range(len(helped_walks(data, given)))]
             yield Group("Microsoft", with_plan(given, plan), tuple(cases))
     for make in (eight, museum, campus):
-        names = [(case.name, case.given) for case in _cases(make, data)]
+        names = [(case.name, case.given) for case in make(data)]
         for n, (name, given) in enumerate(names):
             yield Group(name, given, (partial(_case, make, data, n),))
 
 
-@cache
-def _cases(make, data):
-    return list(make(data))
-
-
 def _case(make, data, number):
-    return _cases(make, data)[number]
+    return next(islice(make(data), number, None))
 
 
 def with_plan(given, plan):
@@ -318,18 +306,10 @@ def eight(data):
 
 def mall(data, given, plan):
     """Microsoft's walks by what is given of their waypoints, with or without the plan."""
-    yield from (_in_mall(recording, walk, given, plan) for recording, walk in helped_walks(data, given))
-
-
-def mall_case(path, given, plan):
-    """One of them; None if all its waypoints are given."""
-    recording, walk = helped_walk(recording_at(path), given)
-    return _in_mall(recording, walk, given, plan) if len(walk.truth) else None
-
-
-def _in_mall(recording, walk, given, plan):
-    floor = walk.floor if plan else None
-    return Case("Microsoft", with_plan(given, plan), walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
+    for recording, walk in helped_walks(data, given):
+        floor = walk.floor if plan else None
+        name = with_plan(given, plan)
+        yield Case("Microsoft", name, walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
 
 
 def with_course(truth):
