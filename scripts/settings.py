@@ -36,10 +36,9 @@ from pdr_graph.priors import changed, entries, tables
 
 ROOT = Path(__file__).resolve().parent.parent
 SAME = (0.03, 0.05, 3.0)  # change of CE50 and CE95, as share, and of the coverage, in points, that counts as none
-HEADER = ["number", "value", "source", "halved", "doubled", "same accuracy"]
+HEADER = ["number", "value", "source", "halved: CE95 [m]", "doubled: CE95 [m]", "same accuracy"]
 KINDS = STEADY, UNUSED, NOT_MEASURED = "same accuracy at half and double", "no effect on these walks", "not measured"
 USUAL = ("judgement", "building practice")  # sources that the page leaves out
-UNCHANGED = "0 / 0 / 0"
 
 
 @cache
@@ -153,12 +152,8 @@ def measured(name, data):
 
 
 def change(before, after):
-    """Changes of CE50, CE95 [m] and coverage [points]."""
-    if np.isnan(after).any():
-        return "fails"
-    if np.all(np.abs(after - before)[:3] < (0.005, 0.005, 0.5)):
-        return UNCHANGED
-    return f"{after[0] - before[0]:+.2f} / {after[1] - before[1]:+.2f} / {after[2] - before[2]:+.0f}"
+    """Change of CE95 [m]."""
+    return "fails" if np.isnan(after).any() else f"{after[1] - before[1]:+.2f}"
 
 
 def settings(data, names=()):
@@ -175,9 +170,10 @@ def settings(data, names=()):
         value = f"{shown(entry.value)} {entry.unit}"
         if UNUSED in cells or still in (None, (0.5, 2)):
             kind = 1 if UNUSED in cells else 2 if still is None else 0
-            source = "" if entry.source in USUAL else f" ({'same source' if entry.source == last else entry.source})"
+            source = entry.source.partition(";")[0]
+            source = "" if source in USUAL else f" ({'same' if source == last else source})"
             others.setdefault(entry.table, ([], [], []))[kind].append(f"`{entry.name}` {value}{source}")
-            last = entry.source
+            last = entry.source.partition(";")[0]
         else:
             within = " to ".join(shown(scaled(entry.value, factor)) for factor in still)
             sensitive.append([f"`{entry}`", value, entry.source, *cells, within])
@@ -189,7 +185,7 @@ def settings(data, names=()):
 def kept():
     """Cells of the page as it is, by number; `UNUSED` twice where it is in that column."""
     sensitive, others = published("results/settings.md", "settings")
-    figures = {row["number"].strip("`"): [row["halved"], row["doubled"]] for row in sensitive}
+    figures = {row["number"].strip("`"): list(row.values())[3:5] for row in sensitive}
     for row in others:
         for name in re.findall(r"`(\w+)`", row[UNUSED]):
             figures[f"{row['table'].strip('`')}.{name}"] = [UNUSED, UNUSED]

@@ -14,7 +14,7 @@ DATA = Path(os.environ.get("PDR_GRAPH_DATA", ROOT.parent / "shared" / "data"))
 ACCURACY = (DOCS / "accuracy.md").read_text(encoding="utf-8")
 RESULTS = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "results").glob("*.md")}
 MADE = re.findall(r'^    "([a-z-]+)": Made\(', (SCRIPTS / "reproduce.py").read_text(), re.MULTILINE)
-MADE_ONCE = r"Made by `scripts/\w+\.py` at commit [0-9a-f]{7}; the script is in git's history"
+MADE_ONCE = r"Made by `scripts/\w+\.py` at commit [0-9a-f]{7}"
 MADE_AT = r"Made at (or before )?commit [0-9a-f]{7}( \+ changes)?(: .*; the others before)?\."
 NO_COMMAND = {"index", "metrics", "papers"}
 MOST_WORDS = 1500
