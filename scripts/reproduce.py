@@ -74,7 +74,8 @@ def main():
     options = parser.parse_args()
     if unknown := set(options.names) - set(TABLES):
         parser.error(f"no table is named {' or '.join(sorted(unknown))}; there are {', '.join(TABLES)}")
-    names = options.names or [name for name, made in TABLES.items() if made.quick or not options.quick]
+    names = [name for name, made in TABLES.items() if made.quick or not options.quick]
+    names = [name for name in names if name in options.names] if options.names else names
     words = [word.strip() for word in (options.only or "").split(",") if word.strip()]
     partial = bool(words or options.walks or options.development)
     if partial and not all(TABLES[name].some for name in names):
