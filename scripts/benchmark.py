@@ -27,45 +27,28 @@ from tables import publish, table
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-import recorders
-import simulated
 from synthetic_walks import LOOP, PERIOD, held_by_walls, live_events, walk, walk_and_truth
 
-from pdr_graph import FloorPlan, WalkGraph, dead_reckon, evaluate, kalman_filter, read_trajectory, smooth
+from pdr_graph import FloorPlan, WalkGraph, dead_reckon, kalman_filter, smooth
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.cache import content_hash
 from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.store import Entry, Store
-from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.frames import enu
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.recorders import write
-from pdr_graph.lab.simulation.scenario import Scenario, UserFixes
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.priors import MOTION, PARTICLES, changed
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Fixes, Headings, Steps
-from pdr_graph.walk import Options, observe, read
 
-MAPS = Path(__file__).resolve().parents[1] / "maps"
 LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
 LAPS = 37  # about an hour
 RUNS = 5
 EVERY = 30  # steps between fixes
-
-
-def median_time(function, runs):
-    """Median wall time [s], after one run that is not counted."""
-    times = []
-    for _ in range(runs + 1):
-        started = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - started)
-    return float(np.median(times[1:]))
 
 
 # An hour, from the file to the report
@@ -93,21 +76,21 @@ def hour_rows():
     return f"{table(['stage', 'CPU [s]', 'share'], rows)}\n\n{text}at most {middle['memory']:.0f} MB of memory."
 
 
-def hour(folder, plan="loop", corners=LAP, laps=LAPS, period=20.0):
-    """Write an hour's walk in laps as Sensor Logger zips it; return the arguments of ``smooth``.
+def hour_given(period):
+    """A scenario of an hour in laps. period: between fixes of 3 m [s]"""
+    route = [LAP[0], {"stand": 5}, *({"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS))]
+    return {"plan": str(LOOP), "route": route, "fixes": {"period": period, "sigma": 3.0}}
 
-    period: between fixes of 3 m [s].
-    """
-    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(laps))]
-    drawn = MAPS / f"{plan}.geojson"
-    given = {"plan": str(drawn), "route": route, "fixes": {"period": period, "sigma": 3.0}}
+
+def hour(folder):
+    """Write an hour's walk as Sensor Logger zips it; return the arguments of ``smooth``."""
     written, recording = folder / "written", folder / "walk.zip"
-    write(simulate(Scenario.of(given)), written)
+    write(simulate(Scenario.of(hour_given(20.0))), written)
     with zipfile.ZipFile(recording, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(written.glob("*.csv")):
             if path.name not in NOT_EXPORTED:
                 archive.write(path, path.name)
-    return ["smooth", recording, "--map", drawn, "--fixes", written / "fixes.csv", "--out", folder / "out"]
+    return ["smooth", recording, "--map", LOOP, "--fixes", written / "fixes.csv", "--out", folder / "out"]
 
 
 def _seconds_of_command(command):
@@ -393,60 +376,6 @@ def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
-# With walls and with beacons
-
-
-def wall_rows():
-    """The graph with walls; a step of particles, beside drawing its normal numbers."""
-    plan = FloorPlan.load(LOOP)
-    steps, fixes = held_by_walls(7000)
-    graph = WalkGraph(steps, fixes, floor=plan)
-    good = optimize(graph, graph.start).state
-    seven, count = median_time(lambda: optimize(graph, good), RUNS), optimize(graph, good).iterations
-    rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{count} iterations"]]
-    told = median_time(lambda: smooth(WalkGraph(steps, fixes, floor=plan)), RUNS)
-    sought = median_time(lambda: particle_filter.particle_filter(WalkGraph(steps, fixes, floor=plan)), 1)
-    rows += [["built and smoothed, with covariance; fixes tell the way", f"{told:.3f} s", ""]]
-    rows += [["particles alone, which need not be asked there", f"{sought:.3f} s", f"{sought / told:.0f} ×"]]
-
-    short, many = WalkGraph(*held_by_walls(400), floor=plan), 1000
-    with changed(PARTICLES, fewest=many, most=many):
-        step = median_time(lambda: particle_filter.particle_filter(short), 9) / 400
-    random = np.random.default_rng(0)
-    drawn = median_time(lambda: [random.standard_normal((3, many)) for _ in range(100)], 9) / 100
-    rows += [[f"particle filter, {many} particles", f"{1e6 * step:.0f} µs per step", f"{step / drawn:.1f} × noise"]]
-    return table(["with walls", "time", ""], rows)
-
-
-MALL_LAP, MALL_LAPS = [[10.5, 12.5], [73.5, 12.5], [73.5, 47.5], [10.5, 47.5]], 23  # of the corridors of maps/mall
-
-
-def beacon_rows():
-    """Laps of an hour with a fix of 3 m every 20 s; errands of five minutes, with fixes of 2 m and without any."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        recording, written = hour(folder, "mall", MALL_LAP, MALL_LAPS)[1], folder / "written"
-        rows = [["laps of the corridors", *smoothed(recording, written, written / "fixes.csv")]]
-        for fixes in (UserFixes(period=40, sigma=2.0), None):
-            for seed in (1, 2, 3, 4):
-                written = folder / f"{seed}{fixes is None}"
-                write(simulate(replace(Scenario.load("mall"), seed=seed, user_fixes=fixes)), written)
-                given = written / "fixes.csv" if fixes else None
-                rows.append([f"errand, one beacon moved, seed {seed}", *smoothed(written, written, given)])
-    header = ["walk in `maps/mall.geojson`, nine beacons", "steps", "levels", "fixes", "CPU [s]"]
-    return table([*header, "error: median, 95 % [m]"], rows)
-
-
-def smoothed(recording, written, fixes):
-    """Cells of one walk: steps, levels, fixes, CPU time of the graph, errors. written: the folder of its truth."""
-    evidence = observe(read(recording, Options(plan=MAPS / "mall.geojson", fixes=fixes)))
-    took, estimate = _seconds(lambda: smooth(evidence.graph()))
-    [levels] = evidence.measurements
-    error = evaluate(estimate.trajectory, read_trajectory(written / "truth.csv", evidence.walk))["ce"]
-    counts = len(evidence.steps), len(levels), len(evidence.fixes)
-    return [*counts, f"{took:.2f}", f"{error['p50']:.2f}, {error['p95']:.2f}"]
-
-
 # Live
 
 LAG, STEP = 60.0, 0.5  # [s]
@@ -503,9 +432,7 @@ def pushed(nav, events, steps):
 
 def sampled_hour(nav):
     """Events of an hour in the loop, as the phone's samples."""
-    laps = [{"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS)]
-    given = {"plan": str(LOOP), "route": [LAP[0], {"stand": 5}, *laps], "fixes": {"period": 15.0, "sigma": 3.0}}
-    scenario = Scenario.of(given)
+    scenario = Scenario.of(hour_given(15.0))
     made = simulate(scenario)
     return events_of(replace(made.recording(), fixes=made.user_fixes, epoch=scenario.start))
 
@@ -534,61 +461,6 @@ def push_step(nav, events):
         nav.push(event)
         if isinstance(event, Steps):
             return
-
-
-# Reading
-
-READ_ROUTE = ((0.0, 0.0), (400.0, 0.0), (400.0, 300.0))
-
-
-def reading_rows():
-    """Size and speed of reading, of a simulated walk of ten minutes as each recorder would have written it."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, path, size in written_by_recorders(Path(folder)):
-            use = read_trajectory if name.startswith("trajectory") else load
-            took = median_time(lambda use=use, path=path: use(path), RUNS)
-            rows.append([name, f"{size / 1e6:.1f}", f"{size / 1e6 / took:.0f}"])
-    return table(["format", "MB", "MB/s"], rows)
-
-
-def written_by_recorders(folder):
-    """Name, path and bytes of each format's file."""
-    track, s = simulated.walk_along(READ_ROUTE), recorders.sample(route=READ_ROUTE)
-    point = '<trkpt lat="{lat:.9f}" lon="{lon:.9f}">\n  <ele>542.3</ele>\n'
-    point += "  <time>{time:%Y-%m-%dT%H:%M:%SZ}</time>\n</trkpt>\n"
-    gpx = '<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
-    plt = "{lat:.6f},{lon:.6f},0,492,39747.1124074074,{time:%Y-%m-%d,%H:%M:%S}\n"
-    poses = np.column_stack([track.time, *track.position.T, *track.position.T])
-    texts = {
-        "Indoor Location Competition": ("walk.txt", recorders.indoor_location(s, READ_ROUTE)),
-        "GetSensorData": ("log.txt", recorders.get_sensor_data(s)),
-        "Android GnssLogger": ("gnss_log.txt", recorders.gnss_logger(s)),
-        "phyphox": ("phyphox", recorders.phyphox(s)),
-        "phyphox, decimal commas": ("comma", recorders.phyphox(s, delimiter=";", decimal=",")),
-        "Sensor Logger": ("logger", recorders.sensor_logger(s)),
-        "IPIN21 folder": ("ipin21", recorders.ipin21(s)),
-        "Oxford step counter": ("hand.csv", recorders.oxford_steps(s)),
-        "GeoLife PLT": ("day.plt", positions(plt, "Geolife trajectory\n" * 6)),
-        "GPX": ("track.gpx", positions(point, gpx, "</trkseg></trk></gpx>")),
-        "trajectory CSV": ("t.csv", "time,x,y\n" + recorders.columns(*poses[:, :3].T, delimiter=",", form="{:.6f}")),
-    }
-    for name, (file, text) in texts.items():
-        files = text if isinstance(text, dict) else {"": text}
-        for part, content in files.items():
-            path = folder / file / part if part else folder / file
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8")
-        yield name, folder / file, sum(len(content.encode()) for content in files.values())
-
-
-def positions(form, head="", tail="", count=50_000):
-    """Many rows of latitude, longitude and a UTC time."""
-    start = datetime(2023, 11, 14, tzinfo=UTC).timestamp()
-    rows = (
-        form.format(lat=49.45 + 1e-6 * n, lon=11.1, time=datetime.fromtimestamp(start + n, UTC)) for n in range(count)
-    )
-    return head + "".join(rows) + tail
 
 
 # A lifelog, of observations that are drawn as those of a phone carried all day: steps, and fixes half of the time
@@ -680,10 +552,7 @@ if __name__ == "__main__":
         "hour": hour_rows,
         "rivals": rival_rows,
         "scaling": scaling_rows,
-        "walls": wall_rows,
-        "beacons": beacon_rows,
         "live": live_rows,
-        "reading": reading_rows,
         "lifelog": lifelog_rows,
     }
     chosen = [a for a in sys.argv[1:] if a != "--write"]

@@ -45,7 +45,6 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
     "report: page": ("pdr_graph.apps.report.output_files:write_report",),
     "summary": ("pdr_graph.apps.report.output_files:summarize",),
 }
-GRAPH = ("graph, built", "graph, particles", "graph, solved", "graph, covariance")
 
 
 class Clocks:

@@ -182,13 +182,7 @@ def recording_paths(data):
 @cache
 def recordings(data):
     """The fifteen: each recording, and the walk with all its waypoints as truth and no fix."""
-    return [recording_at(path) for path in recording_paths(data)]
-
-
-@cache
-def recording_at(path):
-    """One recording, and the walk with all its waypoints as truth and no fix."""
-    return walk_of(load(path), plan_of(path.parent), path)
+    return [walk_of(load(path), plan_of(path.parent), path) for path in recording_paths(data)]
 
 
 @cache
@@ -206,14 +200,8 @@ def walk_of(recording, floor, path):
 
 def helped_walks(data, given):
     """Each recording that has a waypoint left to be scored at, and its walk."""
-    both = [helped_walk(one, given) for one in recordings(data)]
+    both = [(recording, helped(walk, HELP[given](len(walk.truth)))) for recording, walk in recordings(data)]
     return [(recording, walk) for recording, walk in both if len(walk.truth)]
-
-
-def helped_walk(one, given):
-    """A recording, and its walk with the waypoints that are given as fixes; the others are its truth."""
-    recording, walk = one
-    return recording, helped(walk, HELP[given](len(walk.truth)))
 
 
 def microsoft_walks(data):
@@ -457,14 +445,8 @@ class Given:
     def graph(self):
         """The factor graph."""
         tables = [] if self.ranges is None else [self.ranges]
-        return WalkGraph(
-            self.steps,
-            self.fixes,
-            headings=self.headings,
-            levels=self.levels,
-            floor=self.floor,
-            measurements=tables,
-        )
+        given = {"headings": self.headings, "levels": self.levels, "floor": self.floor, "measurements": tables}
+        return WalkGraph(self.steps, self.fixes, **given)
 
 
 def events(given):
@@ -503,8 +485,8 @@ def gnss(given, walk, lie, random):
     return with_fixes(given, replace(fixes, source=("GNSS",) * len(fixes))[inside])
 
 
-def off_throughout(fixes, random):
-    return replace(fixes, position=fixes.position + OFF * unit(random.uniform(-np.pi, np.pi)))
+def any_direction(random):
+    return unit(random.uniform(-np.pi, np.pi))
 
 
 def jumping(fixes, random):
@@ -512,7 +494,7 @@ def jumping(fixes, random):
     position = fixes.position.copy()
     for begin in random.uniform(0, fixes.time[-1] - JUMP_TIME, JUMPS):
         there = (fixes.time >= begin) & (fixes.time < begin + JUMP_TIME)
-        position[there] += JUMP * unit(random.uniform(-np.pi, np.pi))
+        position[there] += JUMP * any_direction(random)
     return replace(fixes, position=position)
 
 
@@ -526,7 +508,7 @@ def frozen(fixes, random):
 
 
 RECEIVER_LIES = {
-    "10 m off": off_throughout,
+    "10 m off": lambda fixes, random: replace(fixes, position=fixes.position + OFF * any_direction(random)),
     "jumping": jumping,
     "5 s late": lambda fixes, random: fixes.shifted(DELAY),
     "frozen for a minute": frozen,
@@ -558,7 +540,7 @@ def beacons(given, walk, lie, random):
     elif lie == "one missing":
         kept = np.delete(kept, one)
     elif lie == "of another building":
-        listed = listed + BUILDING * unit(random.uniform(-np.pi, np.pi))
+        listed = listed + BUILDING * any_direction(random)
     names = tuple(f"b{n}" for n in kept)
     listing = Beacons(names, listed[kept], np.full(len(kept), SURVEY_SIGMA), ("",) * len(kept), names)
     return replace(given, levels=levels_along(heard, listing, walk.steps))
@@ -588,7 +570,7 @@ def user_fixes(given, walk, lie, random):
 def start(given, walk, lie, random):
     """The known start; misplaced under a lie."""
     fixes = at_times(walk, walk.truth.time[:1], HELD, random)
-    away = MISPLACED * unit(random.uniform(-np.pi, np.pi)) if lie else np.zeros(2)
+    away = MISPLACED * any_direction(random) if lie else np.zeros(2)
     return with_fixes(given, replace(fixes, position=fixes.position + away))
 
 
@@ -605,9 +587,9 @@ def radio_map(given, walk, lie, random):
     )
     position = fixes.position + MAP_SIGMA * np.sqrt(1 - MAP_WHITE**2) * field.at(true)
     if lie:
-        along = true @ unit(random.uniform(-np.pi, np.pi))
+        along = true @ any_direction(random)
         rebuilt = along < np.quantile(along, REBUILT)
-        position[rebuilt] += MOVED_MAP * unit(random.uniform(-np.pi, np.pi))
+        position[rebuilt] += MOVED_MAP * any_direction(random)
     return with_fixes(given, replace(fixes, position=position, sigma=np.full(len(fixes), MAP_SIGMA)))
 
 
@@ -646,7 +628,7 @@ def plan(given, walk, lie, random):
 
 
 def shifted_plan(walk, random):
-    east, north = SHIFT * unit(random.uniform(-np.pi, np.pi))
+    east, north = SHIFT * any_direction(random)
     return with_shapes(walk.plan, lambda shape: translate(shape, east, north))
 
 
@@ -680,15 +662,5 @@ def with_shapes(plan, change):
 
 
 PLAN_LIES = {"5 m shifted": shifted_plan, "a door missing": without_door, "of another floor": another_floor}
-SOURCES = {
-    "GNSS": gnss,
-    "beacons": beacons,
-    "user fixes": user_fixes,
-    "start": start,
-    "end": end,
-    "radio map": radio_map,
-    "ranges": ranges,
-    "compass": compass,
-    "stride": stride,
-    "plan": plan,
-}
+SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, compass, stride, plan)
+SOURCES = {"GNSS": gnss} | {source.__name__.replace("_", " "): source for source in SOURCES}

@@ -3,7 +3,6 @@
 Days of GPS are those of tests/lifelog/gps_days.py; days indoors are in a mall, and in a market hall with narrow aisles.
 """
 
-import json
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -31,13 +30,11 @@ from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.lifelog.timeline import STAY as STAY_ROW
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import SHOP_FRONT, Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
-MALL = MAPS / "mall.geojson"
 ENTRANCE = {"mall": (42.0, 12.5), "market": (70.0, 25.0)}  # [m]
 SIGMA_ENTRANCE, STAND = 1.5, 3.0  # [m] per axis of a fix while one stands there, and for how long [s]
 VISITS, WAITS = 10, 2  # a day; who waits stands somewhere in an aisle, turned anywhere, and looks at nothing
@@ -47,7 +44,6 @@ GRID, KEPT = 0.5, 0.8  # [m] between places where one walks, and that they keep 
 TOWARDS = 1.2, 4.0  # [m] before a front, from where one goes straight to it
 NARROW = 4.0  # [m] of an aisle
 HEIGHT, HOLDS, PLATFORMS = (1.52, 1.95), ("hand", "trouser pocket"), ("android", "ios")
-BEACONS = 10.0  # [m] between those of the market along its aisles
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0])  # of stated probabilities
 OVERLAP = 0.5  # intersection over union from which two stays are one
 LENGTHS = {"5 to 15 min": (300.0, 900.0), "15 to 60 min": (900.0, 3600.0), "longer": (3600.0, np.inf)}
@@ -57,11 +53,8 @@ PEOPLE, DAYS = range(1, 13), 4  # of the simulation; constants were chosen on th
 def lifelog(days=20):
     """The tables of stays and of visits."""
     publish("results/lifelog.md", "lifelog-simulated-days", simulated_days())
-    with TemporaryDirectory() as folder:
-        market = Path(folder) / "market.geojson"
-        market.write_text(json.dumps(drawn_market()))
-        seen = [day(market if seed % 2 else MALL, seed) for seed in range(days)]
-    publish("results/lifelog.md", "lifelog-visits", "\n\n".join([by_aisle(seen), reliability(seen), by_day(seen)]))
+    seen = [day(MAPS / f"{'market' if seed % 2 else 'mall'}.geojson", seed) for seed in range(days)]
+    publish("results/lifelog.md", "lifelog-visits", f"{by_aisle(seen)}\n\n{reliability(seen)}")
 
 
 @dataclass(frozen=True)
@@ -101,9 +94,6 @@ class Halt:
 class Seen:
     """A day. halts: what truly was; false: stays where one walked, passes: slow ones, of which there are none."""
 
-    plan: str
-    scenario: Scenario
-    walked: float
     halts: list[Halt]
     false: list[Stay]
     passes: list[Stay]
@@ -129,9 +119,8 @@ def day(plan, seed):
         own = own if min(end, own.end) - max(start, own.start) > (end - start) / 2 and not own.passing else None
         halts.append(Halt(event.what, start, end, place, front, own))
     other = [s for s in found if not any(s.start < h.end and s.end > h.start for h in halts)]
-    walked = float(np.hypot(*np.diff(truth.position, axis=0).T).sum())
     stays, passes = ([s for s in other if s.passing == passing] for passing in (False, True))
-    return Seen(plan.stem, scenario, walked, halts[1:-1], stays, passes)
+    return Seen(halts[1:-1], stays, passes)
 
 
 def estimated(walk, plan, seed):
@@ -157,7 +146,11 @@ def drawn_day(plan, seed):
         stay, at_place = float(random.uniform(*STAY)), ways.front if visiting else ways.place
         name, before, place, aisle = at_place(random, at)
         route.append({"to": [corner.tolist() for corner in ways.shortest(at, before)]})
-        route += [{"visit": name, "stay": stay}] if visiting else [turned(random), {"stand": stay}]
+        route += (
+            [{"visit": name, "stay": stay}]
+            if visiting
+            else [{"turn": float(random.uniform(-180, 180))}, {"stand": stay}]
+        )
         aisles.append(aisle)
         at = place
     route += [{"to": [corner.tolist() for corner in ways.shortest(at, entrance)]}, {"stand": STAND}]
@@ -171,11 +164,6 @@ def drawn_day(plan, seed):
         "wifi": {"access_points": 12},
     }
     return Scenario.of(given, plan), [*aisles, np.nan]
-
-
-def turned(random):
-    """Any way round."""
-    return {"turn": float(random.uniform(-180, 180))}
 
 
 @cache
@@ -276,51 +264,18 @@ def pieces(shop, walkable):
                 yield ends[np.argsort(ends @ along)]
 
 
-def drawn_market():
-    """A market hall of 80 m × 55 m: aisles of 3, 4 and 8 m, ways of 4 m across, fronts of 6 to 8 m, beacons."""
-    shops = row("S", 0, 80, 0, 8) + row("N", 0, 80, 47, 55)
-    for n, (low, high) in enumerate([(11, 17), (17, 23), (27, 33), (33, 39)], start=1):
-        shops += row(f"{n}A", 12, 38, low, high) + row(f"{n}B", 42, 68, low, high)
-    shops += [(name, y0, x0, y1, x1) for name, x0, y0, x1, y1 in row("W", 8, 47, 0, 8) + row("E", 8, 47, 72, 80)]
-    beacons = [(x, y) for y in (9.5, 25.0, 43.0) for x in np.arange(10.0, 71.0, BEACONS)]
-    beacons += [(x, y) for y in (17.0, 33.0) for x in (10.0, 40.0, 70.0)]
-    features = [feature("floor", "market", shapely.box(0, 0, 80, 55))]
-    features += [feature("shop", name, shapely.box(*corners)) for name, *corners in shops]
-    features += [feature("beacon", f"02:00:00:00:01:{n:02x}", shapely.Point(xy)) for n, xy in enumerate(beacons)]
-    return {"type": "FeatureCollection", "pdr_graph": {"origin": [139.0, 36.0], "floor": "1"}, "features": features}
-
-
-def row(name, x0, x1, y0, y1):
-    """Shops side by side along x: names and corners."""
-    count = round((x1 - x0) / 7)
-    bounds = np.linspace(x0, x1, count + 1)
-    bounds[1:-1] += np.where(np.arange(count - 1) % 2, -0.3, 0.3)
-    return [(f"{name}{n}", a, y0, b, y1) for n, (a, b) in enumerate(pairwise(bounds), start=1)]
-
-
-def feature(kind, name, shape):
-    """A feature of a plan, in degrees."""
-    shape = shapely.transform(shape, enu(36.0, 139.0).to_lonlat)
-    return {"type": "Feature", "properties": {"kind": kind, "name": name}, "geometry": shapely.geometry.mapping(shape)}
-
-
 def by_aisle(seen):
     """How many visits were found and named right, where aisles are narrow and where they are wide."""
-    rows = []
-    for plan in ("mall", "market", ""):
-        visits = [v for one in seen if one.plan == plan or not plan for v in one.visits]
-        sides = {"≤ 4 m": [v for v in visits if v.aisle <= NARROW + 0.05]}
-        sides["wider"] = [v for v in visits if v.aisle > NARROW + 0.05]
-        for aisle, own in (sides | ({} if plan else {"all": visits})).items():
-            rows.append([plan or "**both**", aisle, *scored(own)])
-    header = ["plan", "aisle", "visits", "found", "named right", "probability stated", "off [m]: median", "90 %"]
+    visits = [v for one in seen for v in one.visits]
+    sides = {"≤ 4 m": [v for v in visits if v.aisle <= NARROW + 0.05]}
+    sides["wider"] = [v for v in visits if v.aisle > NARROW + 0.05]
+    rows = [[aisle, *scored(own)] for aisle, own in (sides | {"all": visits}).items()]
+    header = ["aisle", "visits", "found", "named right", "probability stated", "off [m]: median", "90 %"]
     return table(header, rows)
 
 
 def scored(visits):
     """Cells of a table."""
-    if not visits:
-        return [0, *["—"] * 5]
     error = [v.error for v in visits]
     stated = np.mean([v.stay.facing[0][1] if v.stay and v.stay.facing else 0.0 for v in visits])
     shares = (np.mean([v.stay is not None for v in visits]), np.mean([v.right for v in visits]), stated)
@@ -346,21 +301,6 @@ def reliability(seen):
     told += f"Stays where nobody stood: {sum(len(one.false) for one in seen)}; "
     told += f"slow passes where nobody was slow: {sum(len(one.passes) for one in seen)}."
     return table(["stated", "answers", "mean stated", "right"], rows) + "\n\n" + told
-
-
-def by_day(seen):
-    """A row for each day."""
-    rows = []
-    for one in seen:
-        scenario, found = one.scenario, sum(v.stay is not None for v in one.visits)
-        wrong = ", ".join(
-            f"{v.name}: {v.stay.facing[0][0]}" for v in one.visits if v.stay and v.stay.facing and not v.right
-        )
-        who = f"{scenario.walker.sex}, {scenario.walker.height:.2f} m, {scenario.phone.hold}, {scenario.platform}"
-        off = np.median([v.error for v in one.visits])
-        right = sum(v.right for v in one.visits)
-        rows.append([scenario.seed, one.plan, who, f"{one.walked:.0f} m", found, right, f"{off:.1f}", wrong or "—"])
-    return table(["day", "plan", "who", "walked", "found", "right", "off [m]", "front: taken for"], rows)
 
 
 # Stays of days of GPS
@@ -427,15 +367,11 @@ def simulated_days(people=PEOPLE, days=DAYS):
 
 def lengths_row(name, bounds, found):
     """The row of the true stays of some lengths."""
-    own = [stay for comparison in found for stay in comparison.others if is_between(stay, bounds)]
-    hit = [pair for comparison in found for pair in comparison.matched if is_between(pair[1], bounds)]
+    own = [(a, b) for comparison in found for a, b in comparison.others if bounds[0] <= b - a < bounds[1]]
+    hit = [pair for comparison in found for pair in comparison.matched if pair[1] in own]
     off = np.abs([np.subtract(one, other) for one, other in hit]) / 60
     times = [f"{np.quantile(off, share):.1f} min" for share in (0.5, 0.9)]
     return [name, str(len(own)), str(len(own) - len(hit)), *times]
-
-
-def is_between(stay, bounds):
-    return bounds[0] <= stay[1] - stay[0] < bounds[1]
 
 
 def simulated_person(person, days):

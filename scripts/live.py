@@ -8,7 +8,8 @@ import tomllib
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -17,32 +18,25 @@ from conditions import (
     HELP,
     INDOORS,
     OUTDOORS,
-    SIGMA,
-    USER,
     WAYPOINT_NOISE,
     Given,
     Walk,
-    at_times,
     errors_at,
     events,
     gaps,
-    helped_walk,
     helped_walks,
     ipin21_walks,
     ipin2023_walks,
     measured,
     nju_walks,
     percentiles,
-    recording_at,
-    recording_paths,
     route_of,
     simulated_recording,
     simulated_walk,
-    with_fixes,
 )
-from tables import HELD_BACK, is_wanted, publish, table
+from tables import HELD_BACK, is_wanted, marked, publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, kalman_filter, smooth
+from pdr_graph import FloorPlan, WalkGraph, kalman_filter, smooth
 from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.step_chunks import concatenate_steps
@@ -60,33 +54,26 @@ LEAST_COVERAGE, MOST_OUTSIDE, MOST_JITTER, LONGEST = 0.87, 0.01, 0.2, 0.030  # t
 ACCURACY = ["walk", "given", "walks", "places", "current pose [m]", "filter [m]", "pose / filter", "in 90 %"]
 ACCURACY += ["lag 60 s [m]", "batch [m]"]
 BEHAVIOUR = ["walk", "given", "first pose [s]", "within 5 m [s]", "within 0.5 rad [s]", "jump in a minute [m]"]
-BEHAVIOUR += ["drawn [m]", "outside", "jitter [m]", "push and pose, CPU [ms]", "wall [ms]"]
+BEHAVIOUR += ["outside", "jitter [m]", "push and pose, CPU [ms]"]
 
 
-SPARSE = 60.0  # [s] between the fixes of a user who gives few
 STANDING = 60.0  # [s] in which a walker stands still
 STANDS_AT = (0.0, 0.5)  # share of the corners passed when the walker stands: odd seeds begin so, others pause half-way
 LENGTH = (80.0, 140.0)  # [m] of walks from samples
 PHONE = {"rate": 50, "disturbance": DISTURBANCE}
-APF_SCALE = 4.3197  # [m] per unit of its drawing
-APF_START, APF_HEADING, APF_SIGMA = (8.0, 26.75), -np.pi / 2, 0.1  # [m], [rad], [rad]: stated by the survey of the walk
 COURSE_TIME, LEAST_SPEED = 1.0, 0.3  # [s] to either side; [m/s] below which a place has no direction
 OWN = 60_000  # first seed of the walks of this table, beside those of others
-FROM_STEPS = {  # name: setting, sources, walks; "sparse fixes" are SPARSE apart
-    "outdoors": (OUTDOORS, ("GNSS",), 40),
-    "indoors, fixes every 30 s": (INDOORS, ("user fixes",), 40),
-    "indoors, fixes every 60 s, plan": (INDOORS, ("sparse fixes", "plan"), 40),
-    "indoors, start, compass, plan": (INDOORS, ("start", "plan"), 30),
-    "indoors, GNSS, beacons": (INDOORS, ("GNSS", "beacons"), 10),
+FROM_STEPS = {  # name: setting, sources, walks
+    "outdoors": (OUTDOORS, ("GNSS",), 8),
+    "indoors, fixes every 30 s": (INDOORS, ("user fixes",), 8),
+    "indoors, start, compass, plan": (INDOORS, ("start", "plan"), 8),
+    "indoors, GNSS, beacons": (INDOORS, ("GNSS", "beacons"), 6),
 }
 FROM_SAMPLES = {  # name: setting, what the scenario has, walks
-    "outdoors, samples, a minute's stand": (OUTDOORS, {"gnss": {"accuracy": 4.5}}, 20),
-    "indoors, samples, fixes every 30 s, plan, a minute's stand": (INDOORS, {"fixes": {"period": 30.0}}, 20),
+    "indoors, samples, fixes every 30 s, plan, a minute's stand": (INDOORS, {"fixes": {"period": 30.0}}, 6),
 }
 SCENARIO_FILES = {  # what the scenario's file does not have
-    "arcade": {},
     "mall": {"fixes": {"period": 30.0, "sigma": 2.0}},
-    "loop": {"fixes": {"period": 15.0, "sigma": 3.0}},
 }
 
 # Scores
@@ -104,10 +91,11 @@ def live(data, wanted=(), walks=None, first=HELD_BACK):
     if not rows:
         raise SystemExit(f"no row has {' or '.join(map(repr, wanted))} in its name")
     found = scores_by_group(rows)
-    rows = [(group, pooled(scores), len(scores)) for group, scores in zip(rows, found, strict=True) if scores]
+    rows = [(group, pooled(scores), len(scores)) for group, scores in zip(rows, found, strict=True)]
     accuracy = table(ACCURACY, [accuracy_row(*row) for row in rows])
     behaviour = table(BEHAVIOUR, [behaviour_row(*row[:2]) for row in rows])
-    publish("results/live.md", "live", f"{accuracy}\n\n{behaviour}\n\n{targets([score for _, score, _ in rows])}")
+    publish("results/live.md", "live", f"{accuracy}\n\n{targets([score for _, score, _ in rows])}")
+    publish("results/live.md", "live behaviour", behaviour)
 
 
 def scores_by_group(rows):
@@ -118,17 +106,15 @@ def scores_by_group(rows):
         for group, waiting in zip(rows, futures, strict=True):
             began = time.time()
             scores = [one.result() for one in waiting]
-            found.append([score for score in scores if score is not None])
+            found.append(scores)
             print(f"{group.title}: {len(found[-1])} walks, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
     return found
 
 
 def score_case(make):
-    """The score of one walk; None if nothing is left to be scored."""
+    """The score of one walk."""
     warnings.simplefilter("ignore")
     case = make()
-    if case is None:
-        return None
     return score_of(case, followed(case), smooth(case.graph()).trajectory)
 
 
@@ -149,11 +135,9 @@ def behaviour_row(group, score):
         group.given,
         *times,
         median_and_most(score.jumps),
-        median_and_most(score.display_jumps),
         "—" if np.isnan(outside) else marked(f"{100 * outside:.1f} %", outside > MOST_OUTSIDE),
         marked(median_and_most(score.jitter, 2), jitter > MOST_JITTER),
         milliseconds(score.cpu),
-        milliseconds(score.wall),
     ]
 
 
@@ -207,10 +191,6 @@ def milliseconds(seconds):
     return marked(text, seconds.max() > LONGEST)
 
 
-def marked(text, missed):
-    return f"**{text}**" if missed else text
-
-
 # Cases
 
 
@@ -254,7 +234,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Group:
-    """A row of the table. cases: functions that return a `Case` each, or None where nothing is left to be scored."""
+    """A row of the table. cases: functions that return a `Case` each."""
 
     name: str
     given: str
@@ -275,23 +255,17 @@ def recorded_groups(data):
     """Rows of real recordings."""
     for given in HELP:
         for plan in (True, False):
-            cases = [partial(mall_case, path, given, plan) for path in recording_paths(data)]
+            make = partial(mall, given=given, plan=plan)
+            cases = [partial(_case, make, data, n) for n in range(len(helped_walks(data, given)))]
             yield Group("Microsoft", with_plan(given, plan), tuple(cases))
     for make in (eight, museum, campus):
-        names = [(case.name, case.given) for case in _cases(make, data)]
+        names = [(case.name, case.given) for case in make(data)]
         for n, (name, given) in enumerate(names):
             yield Group(name, given, (partial(_case, make, data, n),))
-    for plan in (False, True):
-        yield Group("APF", with_plan("its start and its first heading", plan), (partial(apf, data, plan),))
-
-
-@cache
-def _cases(make, data):
-    return list(make(data))
 
 
 def _case(make, data, number):
-    return _cases(make, data)[number]
+    return next(islice(make(data), number, None))
 
 
 def with_plan(given, plan):
@@ -332,39 +306,10 @@ def eight(data):
 
 def mall(data, given, plan):
     """Microsoft's walks by what is given of their waypoints, with or without the plan."""
-    yield from (_in_mall(recording, walk, given, plan) for recording, walk in helped_walks(data, given))
-
-
-def mall_case(path, given, plan):
-    """One of them; None if all its waypoints are given."""
-    recording, walk = helped_walk(recording_at(path), given)
-    return _in_mall(recording, walk, given, plan) if len(walk.truth) else None
-
-
-def _in_mall(recording, walk, given, plan):
-    floor = walk.floor if plan else None
-    return Case("Microsoft", with_plan(given, plan), walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
-
-
-def apf(data, plan):
-    """A walk by its start and first heading; its reference is the walk smoothed, given that it ends where it began.
-
-    plan: with the walls of its building, drawn as bare lines.
-    """
-    recording = load(data / "apf_pdr" / "walk")
-    steps = detect_steps(recording)
-    start, end = np.array([steps.start + 1.0]), np.array([steps.end])
-    heading = Headings(start, np.array([APF_HEADING]), np.array([APF_SIGMA]))
-    fix = Fixes(start, np.array([APF_START]), np.array([SIGMA]))
-    ends = Fixes.concatenate([fix, replace(fix, time=end)])
-    floor = FloorPlan.load(data / "apf_pdr" / "cad_lines.csv", scale=APF_SCALE)
-    track = smooth(WalkGraph(steps, ends, headings=heading, floor=floor)).trajectory
-    rows = np.searchsorted(track.time, np.arange(track.time[0], track.time[-1]))
-    truth = replace(track[np.unique(rows)], covariance=None)
-    floor = floor if plan else None
-    walk = Walk("walk", steps, heading, fix, truth, floor)
-    given = with_plan("its start and its first heading", plan)
-    return Case("APF", given, walk, replace(recording, measurements=(heading,)), Frame(), floor)
+    for recording, walk in helped_walks(data, given):
+        floor = walk.floor if plan else None
+        name = with_plan(given, plan)
+        yield Case("Microsoft", name, walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
 
 
 def with_course(truth):
@@ -394,10 +339,7 @@ def from_steps(name, seed):
     """A simulated walk whose steps, measurements and headings are pushed in their time."""
     setting, sources, _ = FROM_STEPS[name]
     simulated = simulated_walk(setting, seed)
-    given = measured(simulated, [source for source in sources if source != "sparse fixes"])
-    if "sparse fixes" in sources:
-        time = np.arange(5.0, simulated.truth.time[-1] - 5, SPARSE)
-        given = with_fixes(given, at_times(simulated, time, USER, simulated.generator("sparse fixes")))
+    given = measured(simulated, sources)
     walk = Walk(name, given.steps, given.headings, given.fixes, simulated.truth, given.floor, given.levels)
     return Case("simulated", name, walk, None, None, given.floor)
 
@@ -609,9 +551,9 @@ class WalkScore:
 
     errors: by estimate at the places of the truth that all estimates have ``(n,)`` [m]; inside: of each, whether it is
     in the 90 % region of the pose; first, near, pointed: seconds from the first sample to the first pose, to a place
-    within NEAR and to a direction within POINTED, infinite if never, pointed NaN without true directions; jumps,
-    display_jumps: the largest of each minute [m]; outside: whether each pose is outside
-    the walkable area, empty without a plan; jitter: of each stand of a minute [m]; cpu, wall: of each ask [s].
+    within NEAR and to a direction within POINTED, infinite if never, pointed NaN without true directions; jumps: the
+    largest of each minute [m]; outside: whether each pose is outside the walkable area, empty without a plan; jitter:
+    of each stand of a minute [m]; cpu: of each ask [s].
     """
 
     errors: dict
@@ -620,21 +562,18 @@ class WalkScore:
     near: float
     pointed: float
     jumps: np.ndarray
-    display_jumps: np.ndarray
     outside: np.ndarray
     jitter: np.ndarray
     cpu: np.ndarray
-    wall: np.ndarray
 
 
 def score_of(case, run, batch):
     """The score of a run. batch: the trajectory of the whole walk at once."""
-    cpu, wall = (np.array([getattr(ask, name) for ask in run.asks]) for name in ("cpu", "wall"))
-    empty = np.empty(0)
+    cpu, empty = np.array([ask.cpu for ask in run.asks]), np.empty(0)
     if not run.shown:
         never = np.inf
         errors = {name: empty for name in ("pose", "filter", "lag", "batch")}
-        return WalkScore(errors, empty, never, never, never, empty, empty, empty, empty, cpu, wall)
+        return WalkScore(errors, empty, never, never, never, empty, empty, empty, cpu)
     truth, causal = case.walk.truth, run.causal
     errors, inside = errors_of(case, run, batch)
     return WalkScore(
@@ -644,11 +583,9 @@ def score_of(case, run, batch):
         near=time_to_near(causal, truth) - case.begin,
         pointed=time_to_pointed(causal, truth) - case.begin,
         jumps=by_minute(run.shown, jumps(run)),
-        display_jumps=by_minute(run.shown, display_jumps(run)),
         outside=outside(causal.position, case.plan),
         jitter=jitter(run.shown, standing(truth)),
         cpu=cpu,
-        wall=wall,
     )
 
 
@@ -689,20 +626,8 @@ def _first_twice(time, right):
 
 def jumps(run):
     """How much farther the pose moved than the steps from each ask to the next ``(a,)`` [m]."""
-    return beyond_steps(run.shown, np.array([(ask.pose.x, ask.pose.y) for ask in run.shown]))
-
-
-def display_jumps(run):
-    """The same of the places that are drawn; empty if the navigator has none."""
-    asks = run.shown
-    if any(ask.display is None for ask in asks):
-        return np.empty(0)
-    return beyond_steps(asks, np.array([ask.display for ask in asks]))
-
-
-def beyond_steps(asks, place):
-    """How much farther a place ``(a, 2)`` moved than the steps from each ask to the next ``(a,)`` [m]."""
-    walked = np.array([ask.walked for ask in asks])
+    place = np.array([(ask.pose.x, ask.pose.y) for ask in run.shown])
+    walked = np.array([ask.walked for ask in run.shown])
     moved = np.hypot(*np.diff(place, axis=0, prepend=place[:1]).T)
     return np.maximum(moved - np.abs(np.diff(walked, prepend=walked[:1])), 0.0)
 
@@ -745,7 +670,7 @@ def jitter(asks, stands):
 def pooled(scores):
     """The scores of several walks as one, but for the times and walks, which stay apart in arrays."""
     first = scores[0]
-    arrays = ("inside", "jumps", "display_jumps", "outside", "jitter", "cpu", "wall")
+    arrays = ("inside", "jumps", "outside", "jitter", "cpu")
     together = {name: np.concatenate([getattr(one, name) for one in scores]) for name in arrays}
     times = {name: np.array([getattr(one, name) for one in scores]) for name in ("first", "near", "pointed")}
     errors = {name: np.concatenate([one.errors[name] for one in scores]) for name in first.errors}

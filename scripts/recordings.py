@@ -15,21 +15,13 @@ from conditions import (
     ipin21_landmarks,
     microsoft_walks,
     nju_walk,
-    places_as_fixes,
-    rest,
     withheld,
 )
 from live import campus, eight, followed, mall, museum, on_campus
 from tables import publish, table
 
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
-from pdr_graph.apps.lifelog.observation import observe
-from pdr_graph.apps.lifelog.reconstruct import estimate_walk
-from pdr_graph.apps.lifelog.sessions import Session
-from pdr_graph.apps.lifelog.store import RecordingOptions
 from pdr_graph.apps.report.evaluation import circular_error, pair
-from pdr_graph.io.loading import load
-from pdr_graph.types import Fixes, Trajectory
 
 MICROSOFT_METHODS = {
     "straight lines": lambda walk: fixes_as_track(walk.fixes),
@@ -41,7 +33,7 @@ MICROSOFT_METHODS = {
 }
 PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
 COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]
-MALLS, CHAINS = "Microsoft, 15 walks", "Microsoft, 3 chains"
+MALLS = "Microsoft, 15 walks"
 MUSEUM, EIGHT, CAMPUS = "IPIN 2023, 3 trials", "IPIN21, eight", "NJU campus"
 MINUTE = 60  # positions at 1 Hz that NJU's students were given
 WORSE = 1.1  # times another method's mean error, from where the graph is called worse
@@ -51,14 +43,12 @@ IN_SHORT = (
     (MALLS, "first and last, plan"),
     (MALLS, "every second waypoint"),
     (MALLS, "every second waypoint, plan"),
-    (CHAINS, "first and last, plan, field"),
     (MUSEUM, "GNSS"),
     (MUSEUM, "GNSS, beacons"),
     (EIGHT, "simulated fixes"),
     (EIGHT, "simulated fixes, plan"),
     (CAMPUS, "GPS, one in 10 to 120 s"),
 )
-FLOORS, NO_PIECE = ("site1/B1", "site1/F1", "site2/F1"), "5dda0214"  # of the chains; a walk of site1/F1 an hour later
 
 
 def withheld_errors(walk, method):
@@ -121,24 +111,15 @@ class Row:
 
     def said(self, method, at):
         """Percentiles of a method's errors."""
-        if method not in self.errors:
-            return "in pieces"
         known = self.errors[method][~np.isnan(self.errors[method])]
         return " / ".join(f"{p:.2f}" for p in np.percentile(known, at)) if len(known) else "no pose yet"
 
-    def fewer(self, method):
-        """At how many places a method had a pose, where these are some."""
-        known = int(np.sum(~np.isnan(self.errors.get(method, []))))
-        return f" ({known})" if 0 < known < len(self.inside) else ""
-
 
 def every_recording(data):
-    """The tables in short and in full, and where another method is better than the graph."""
-    rows = [scored(*one) for one in cases(data)] + [*chains(data)]
+    """The table in short, and where another method is better than the graph."""
+    rows = [scored(*one) for one in cases(data)]
     header = ["recordings", "given", *(f"{m} [m]" for m in METHODS[1:]), "in 90 %"]
     publish("results/recordings.md", "summary", table(header, in_short(rows)))
-    header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
-    publish("results/recordings.md", "recordings", table(header, in_full(rows)))
     publish("results/recordings.md", "out of order", out_of_order(rows))
 
 
@@ -148,13 +129,6 @@ def in_short(rows):
         if (row.group, row.help) in IN_SHORT:
             told = [row.said(method, (50, 95)) for method in METHODS[1:]]
             yield [row.group, row.help, *told, row.inside_share]
-
-
-def in_full(rows):
-    """Every row, the usual percentiles."""
-    for row in rows:
-        told = [row.said(method, (50, 75, 95)) + row.fewer(method) for method in METHODS]
-        yield [row.recording, row.given, len(row.inside), *told, row.inside_share]
 
 
 def cases(data):
@@ -211,14 +185,6 @@ def row(group, help_, recording, given, tracks, truth, noise):
     return Row(group, help_, recording, given, errors, gaps(tracks[GRAPH], truth, noise)[1])
 
 
-def chains(data):
-    """Microsoft's walks that were recorded in pieces, each as one: by its two ends."""
-    for chain, beside_it, walk, truth in as_one(data):
-        given = f"first and last, {beside_it}"
-        tracks = offline(walk.graph, walk.estimate)
-        yield row(CHAINS, given, chain, given, tracks, truth, WAYPOINT_NOISE)
-
-
 def pooled(rows):
     """All recordings of a group with one kind of help as one row."""
     together = defaultdict(list)
@@ -251,45 +217,3 @@ def means(row, *methods):
     errors = np.array([row.errors[method] for method in methods])
     known = ~np.isnan(errors).any(axis=0)
     return errors[:, known].mean(axis=1) if known.any() else np.full(len(methods), np.nan)
-
-
-def observed(folder):
-    """Every walk of a floor, in order of time, with its waypoints."""
-    found = [(observe(path, RecordingOptions(plan=folder)), load(path)) for path in sorted(folder.glob("*.txt"))]
-    return sorted(found, key=lambda pair: pair[0].epoch)
-
-
-def whole_truth(pieces):
-    """The waypoints of all pieces, from the start of the first."""
-    first = pieces[0][0].epoch
-    time = np.concatenate([walk.truth.time + one.epoch - first for one, walk in pieces])
-    return Trajectory(
-        time, np.concatenate([walk.truth.position for _, walk in pieces]), np.zeros(len(time)), ("",) * len(time)
-    )
-
-
-def by_ends(pieces, plan, field):
-    """Return the pieces as a session, with the first waypoint of the first and the last waypoint of the last.
-
-    field: whether the magnetic field says how far the walker turned between two recordings.
-    """
-    ones = [replace(one, fixes=Fixes.none(), plan=one.plan if plan else "") for one, _ in pieces]
-    ones[0] = replace(ones[0], fixes=places_as_fixes(pieces[0][1].truth, [0]))
-    end = places_as_fixes(pieces[-1][1].truth, [-1])
-    both = Fixes.concatenate([ones[-1].fixes, end])
-    ones[-1] = replace(ones[-1], fixes=both)
-    ones = ones if field else [replace(one, ends=None, epoch=one.epoch) for one in ones]
-    return Session(tuple((str(n), one) for n, one in enumerate(ones)))
-
-
-def as_one(data):
-    """Each chain as one walk, by what is given beside its two ends: its name, that, the walk, and the waypoints that
-    were not given.
-    """
-    for floor in FLOORS:
-        pieces = [pair for pair in observed(data / "ms_indoor20" / floor) if NO_PIECE not in pair[1].source]
-        truth = whole_truth(pieces)
-        length = np.hypot(*np.diff(truth.position, axis=0).T).sum()
-        said = f"{floor}, {len(pieces)} recordings, {length:.0f} m"
-        for beside, plan, field in (("field", False, True), ("plan", True, False), ("plan, field", True, True)):
-            yield said, beside, estimate_walk(by_ends(pieces, plan, field), None, None), rest(truth, [0, -1])

@@ -5,6 +5,7 @@ figures of the others. ``--write`` writes docs/results/settings.md, and the rang
 """
 
 import ast
+import re
 import sys
 from dataclasses import replace
 from functools import cache
@@ -35,9 +36,9 @@ from pdr_graph.priors import changed, entries, tables
 
 ROOT = Path(__file__).resolve().parent.parent
 SAME = (0.03, 0.05, 3.0)  # change of CE50 and CE95, as share, and of the coverage, in points, that counts as none
-HEADER = ["number", "value", "unit", "meaning", "source", "halved", "doubled", "same accuracy"]
-NOT_MEASURED, UNUSED, UNCHANGED = "not measured", "no effect on these walks", "0 / 0 / 0"
-SAID_ONLY = "says, does not steer"
+HEADER = ["number", "value", "source", "halved: CE95 [m]", "doubled: CE95 [m]", "same accuracy"]
+KINDS = STEADY, UNUSED, NOT_MEASURED = "same accuracy at half and double", "no effect on these walks", "not measured"
+USUAL = ("judgement", "building practice")  # sources that the page leaves out
 
 
 @cache
@@ -68,8 +69,8 @@ def on_fixes(data, method=METHODS["graph"]):
 
 
 def on_plans(data):
-    """With the plan, between the first and the last waypoint of every fifth walk, and with every second of all."""
-    for walk in malls(data, "first and last")[::5] + malls(data, "every second waypoint")[::3]:
+    """With the plan, between the first and the last waypoint of every eighth walk, and with every second of all."""
+    for walk in malls(data, "first and last")[::8] + malls(data, "every second waypoint")[::3]:
         yield withheld_errors(walk, METHODS["graph with map"])
 
 
@@ -90,14 +91,18 @@ def on_own_fixes(walks):
         yield circular_error(pair(track, walk.truth)), gaps(track, walk.truth)[1]
 
 
+SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
 CASES = {
     by_steps: ("STEP", "CANDIDATE", "BOUT", "STRIDES", "FORWARD", "GRIP", "COMPASS", "REST", "MAGNETOMETER", "NORTH"),
     on_fixes: ("MOTION", "WALKER"),
     on_outliers: ("LOSSES", "INITIAL"),
     lambda data: on_fixes(data, METHODS["filter (causal)"]): ("KALMAN",),
-    on_plans: ("WALLS", "REGIONS", "SEARCH", "PARTICLES"),
+    on_plans: SLOW,
     on_receivers: ("RECEIVERS",),
 }
+
+
+QUICK = [name for of in CASES.values() for name in of if name not in SLOW]
 
 
 def score(case, data):
@@ -147,44 +152,51 @@ def measured(name, data):
 
 
 def change(before, after):
-    """Changes of CE50, CE95 [m] and coverage [points]."""
-    if np.isnan(after).any():
-        return "fails"
-    if np.all(np.abs(after - before)[:3] < (0.005, 0.005, 0.5)):
-        return UNCHANGED
-    return f"{after[0] - before[0]:+.2f} / {after[1] - before[1]:+.2f} / {after[2] - before[2]:+.0f}"
+    """Change of CE95 [m]."""
+    return "fails" if np.isnan(after).any() else f"{after[1] - before[1]:+.2f}"
 
 
 def settings(data, names=()):
-    """The page's table: all numbers, with the figures of the tables ``names``, by default of all that have a case."""
-    cased = [name for of in CASES.values() for name in of]
-    figures = {row["number"]: [row["halved"], row["doubled"]] for row in kept()}
-    ranges = {}
-    for name in names or cased:
+    """The page's tables, with the figures of the tables ``names``, by default of all that have a case."""
+    figures, ranges = kept(), {}
+    for name in names or [name for of in CASES.values() for name in of]:
         for entry, cells, ends in measured(name, data):
-            figures[f"`{entry}`"], ranges[str(entry)] = cells, ends
+            figures[str(entry)], ranges[str(entry)] = cells, ends
     if "--write" in sys.argv:
         write_ranges(ranges)
-    rows = []
+    sensitive, others, last = [], {}, ""
     for entry in entries():
-        still = ranges.get(str(entry)) or entry.still
-        said = SAID_ONLY if entry.table in ("REPORTS", "VERDICTS") else NOT_MEASURED
-        said = UNUSED if UNUSED in figures.get(f"`{entry}`", []) else said
-        within = said if still is None else " to ".join(shown(scaled(entry.value, factor)) for factor in still)
-        cells = figures.get(f"`{entry}`", ["", ""])
-        rows.append([f"`{entry}`", shown(entry.value), entry.unit, entry.meaning, entry.source, *cells, within])
-    publish("results/settings.md", "settings", table(HEADER, rows).replace("|a|", "abs a"))
+        cells, still = figures.get(str(entry), ["", ""]), ranges.get(str(entry)) or entry.still
+        value = f"{shown(entry.value)} {entry.unit}"
+        if UNUSED in cells or still in (None, (0.5, 2)):
+            kind = 1 if UNUSED in cells else 2 if still is None else 0
+            source = entry.source.partition(";")[0]
+            source = "" if source in USUAL else f" ({'same' if source == last else source})"
+            others.setdefault(entry.table, ([], [], []))[kind].append(f"`{entry.name}` {value}{source}")
+            last = entry.source.partition(";")[0]
+        else:
+            within = " to ".join(shown(scaled(entry.value, factor)) for factor in still)
+            sensitive.append([f"`{entry}`", value, entry.source, *cells, within])
+    rows = [[f"`{name}`", *map("; ".join, of)] for name, of in others.items()]
+    text = f"{table(HEADER, sensitive)}\n\n{table(['table', *KINDS], rows)}"
+    publish("results/settings.md", "settings", text.replace("|a|", "abs a"), ", ".join(names))
 
 
 def kept():
-    """Rows of the page as it is."""
-    parts = published("results/settings.md", "settings")
-    return [row for row in parts[0] if "halved" in row] if parts else []
+    """Cells of the page as it is, by number; `UNUSED` twice where it is in that column."""
+    sensitive, others = published("results/settings.md", "settings")
+    figures = {row["number"].strip("`"): list(row.values())[3:5] for row in sensitive}
+    for row in others:
+        for name in re.findall(r"`(\w+)`", row[UNUSED]):
+            figures[f"{row['table'].strip('`')}.{name}"] = [UNUSED, UNUSED]
+    return figures
 
 
 def shown(value):
     """A number or several, in three digits."""
-    return ", ".join(map(shown, value)) if isinstance(value, tuple) else f"{value:.3g}"
+    if isinstance(value, tuple):
+        return ", ".join(map(shown, value))
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def write_ranges(ranges):

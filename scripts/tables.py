@@ -1,11 +1,49 @@
-"""Tables of docs/ that scripts make: printed, and with --write put between their markers in the document."""
+"""Tables of docs/ that scripts make: printed, with --write put between their markers in the document, or checked."""
 
 import re
+import subprocess
 import sys
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 HELD_BACK = 100_000  # first seed of the simulated walks of published tables; tune on those from 0 on
 DOCS = Path(__file__).resolve().parent.parent / "docs"
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")
+# What --check accepts where a cell has no interval of its own: a share of the page's number, or at least so much
+TOLERANCES = {"[m]": (0.1, 0.1), "[deg]": (0.1, 2.0), "%": (0.0, 5.0), " of ": (0.1, 2.0)}
+OTHERWISE = (0.1, 0.1)
+MACHINE = ("CPU", "wall", "[ms]")  # in the names of columns that depend on the machine; they are not checked
+DIFFERENCES = []  # found under --check
+LEFT_OUT = {  # by table, what its page leaves out: columns, and rows that match
+    "live": (
+        ("walks", "places"),
+        r"Microsoft \| (every|first only \|)|IPIN21, eight \| (freq10|Freq)|IPIN21, eight \| .*, plan"
+        r"|Trial\w+ \| GNSS \||NJU campus \| one in (10|30|120)",
+    ),
+    "live behaviour": (
+        ("within 0.5 rad [s]", "outside", "jitter [m]"),
+        r"Microsoft \| (every second waypoint|first only \||first and last, plan)|IPIN21|Trial(01|52)"
+        r"|Trial\w+ \| GNSS \||NJU campus \| one in (10|30|120)|simulated \| indoors, (fixes|start)",
+    ),
+    "integrity": (
+        ("walks", "mean over 3 × r95"),
+        r"\w+ \| (GNSS, )?beacons: (one|three)|\w+ \| beacons, GNSS|indoors \| GNSS: 10"
+        r"|outdoors \| GNSS: (frozen|3 times)|indoors \| (compass: none|stride|ranges|radio map)"
+        r"|indoors \| (user fixes|start), plan: (a door|of an)|indoors \| start: 8 m off, user fixes, plan"
+        r"|indoors \| compass: 40° off, user|indoors \| user fixes, start \||indoors \| start, (end|radio map) \|",
+    ),
+    "integrity recorded": (
+        ("mean over 3 × r95",),
+        r"Microsoft|IPIN21|NJU campus \| one in (30|120)|IPIN 2023, all \| .*: another",
+    ),
+    "integrity probability": ((), r"(nothing|a source) lies \| (50|70)"),
+    "integrity live": ((), r"indoors \| (GNSS, beacons: one moved|GNSS: 10 m off, beacons)"),
+    "out of order": ((), r"site"),
+    "stride": (("spread",), r"lasso|cadence"),
+    "live compass": (("with a heading",), r"simulated, (breast|trouser)"),
+    "lifelog-visits": ((), r"0\.(05–0\.20|20–0\.40|60–0\.80) "),
+}
 
 
 def table(header, rows):
@@ -14,11 +52,93 @@ def table(header, rows):
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def publish(document, name, text):
-    """Print a text; under --write replace what stands between ``<!-- name -->`` and ``<!-- /name -->``."""
+def publish(document, name, text, part=""):
+    """Print a text, its excerpt under --check or --write.
+
+    --write: it replaces what stands between ``<!-- name -->`` and ``<!-- /name -->``, with the commit on a page of
+    results. --check: what differs from there is added to `DIFFERENCES`. part: the rows made now, "" for all.
+    """
+    shown = excerpt(text, *LEFT_OUT.get(name, ((), "(?!)")))
+    if "--check" in sys.argv:
+        DIFFERENCES.extend(f"{document}, {name}: {line}" for line in differences(document, name, shown))
+        return
     print(text)
     if "--write" in sys.argv:
-        _replace(DOCS / document, rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", f"{text}\n", name)
+        which = f": {part}; the others before" if part else ""
+        made = f"\n\nMade at commit {commit()}{which}." if document.startswith("results/") else ""
+        _replace(DOCS / document, rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", f"{shown}{made}\n", name)
+
+
+@cache
+def commit():
+    """The commit of the code that makes the tables, "+ changes" behind it where files of the code differ from it."""
+    git = ["git", "-C", str(DOCS.parent)]
+    head = subprocess.run([*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=True).stdout
+    changed = [*git, "status", "--porcelain", "--untracked-files=no", "pdr_graph", "scripts", "maps"]
+    dirty = subprocess.run(changed, capture_output=True, text=True, check=True).stdout
+    return head.strip() + " + changes" * bool(dirty)
+
+
+def differences(document, name, text):
+    """Lines that say which cells of a new text differ from the page beyond their interval, or their tolerance."""
+    old, new = published(document, name), parsed(text)
+    if len(old) != len(new):
+        return [f"{len(new)} tables instead of {len(old)}"]
+    lines = []
+    for was, now in zip(map(_by_name, old), map(_by_name, new), strict=True):
+        lines += [f"{row}: no longer a row" for row in was if row not in now]
+        lines += [f"{row}: a new row" for row in now if row not in was]
+        for row, cells in was.items():
+            for column, cell in cells.items():
+                other = now.get(row, cells).get(column, "no column")
+                if not is_same(cell, other, column):
+                    lines.append(f"{row}, {column}: {cell} on the page, {other} now")
+    return lines
+
+
+def _by_name(rows):
+    """Rows by their first cells, those before the first number; of the same name, in order."""
+    named = {}
+    for row in rows:
+        first, *cells = row.values()
+        name = ", ".join([first, *takewhile(lambda cell: not re.match(r"[*+-]*\d|—|$", cell), cells)])
+        same = sum(other.partition(" (")[0] == name for other in named)
+        named[f"{name} ({same + 1})" if same else name] = row
+    return named
+
+
+def is_same(old, new, column):
+    """True if a new cell lies within the interval of the old one, or differs by no more than its tolerance."""
+    if any(word in column for word in MACHINE):
+        return True
+    if interval := re.match(r"\**([\d.]+)( %)? \(([\d.]+)–([\d.]+)\)", old):
+        number = NUMBER.search(new)
+        return number is not None and float(interval[3]) <= float(number[0]) <= float(interval[4])
+    was, now = NUMBER.findall(old), NUMBER.findall(new)
+    if NUMBER.sub("", old).replace("*", "") != NUMBER.sub("", new).replace("*", "") or len(was) != len(now):
+        return False
+    units = (unit for place in (old, column) for unit in TOLERANCES if unit in place)
+    share, least = TOLERANCES.get(next(units, ""), OTHERWISE)
+    bounds = [max(share * abs(float(a)), least) + 1e-9 for a in was]
+    return all(abs(float(a) - float(b)) <= bound for a, b, bound in zip(was, now, bounds, strict=True))
+
+
+def excerpt(text, columns, rows):
+    """A text whose tables lack some columns and the rows that match a pattern; a table without rows is left out."""
+    parts = []
+    for part in text.split("\n\n"):
+        if part.startswith("| "):
+            header, _, *lines = [line[2:-2].split(" | ") for line in part.splitlines()]
+            lines = [line for line in lines if not re.match(rows, " | ".join(line))]
+            kept = [n for n, name in enumerate(header) if name not in columns]
+            part = table([header[n] for n in kept], [[line[n] for n in kept] for line in lines]) if lines else ""
+        parts.append(part)
+    return "\n\n".join(filter(None, parts))
+
+
+def marked(text, missed):
+    """A cell; bold where it misses a target."""
+    return f"**{text}**" if missed else text
 
 
 def is_wanted(name, words):
@@ -27,13 +147,17 @@ def is_wanted(name, words):
 
 
 def published(document, name):
-    """The tables between two markers of a document: a list of rows each, a row as a dict from header to cell.
+    """The tables between two markers of a document, see `parsed`."""
+    return parsed(re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", (DOCS / document).read_text(), re.DOTALL)[1])
+
+
+def parsed(text):
+    """The tables of a text: a list of rows each, a row as a dict from header to cell.
 
     A second column of the same header has " (2)" behind it, a third one " (3)".
     """
-    text = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", (DOCS / document).read_text(), re.DOTALL)[1]
     tables = []
-    for part in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+    for part in re.findall(r"(?:^\|.*\n)+", f"{text}\n", re.MULTILINE):
         header, _, *rows = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in part.splitlines()]
         before = [header[:n].count(name) for n, name in enumerate(header)]
         header = [f"{name} ({n + 1})" if n else name for name, n in zip(header, before, strict=True)]

@@ -1,13 +1,18 @@
-"""A Griffe extension: what our docstrings say as ``name: what it is; other: …`` becomes a list on the API pages."""
+"""For scripts/docs: equations become MathML, and docstrings' ``name: what it is; other: …`` becomes a list."""
 
 import re
+from xml.etree.ElementTree import Element
 
-from griffe import Class, Extension, Function, Module
+from griffe import Class, Function, Module
+from griffe import Extension as GriffeExtension
+from latex2mathml.converter import convert_to_element
+from markdown import Extension, Markdown
+from markdown.treeprocessors import Treeprocessor
 
 NAMED = re.compile(r"(?:^|(?<=[;.:)] ))(\w+(?:, \w+)*): ")
 
 
-class Fields(Extension):
+class Fields(GriffeExtension):
     def on_package(self, *, pkg: Module, **_) -> None:
         mend(pkg)
 
@@ -42,3 +47,29 @@ def _listed(paragraph: str, names: set[str]) -> str:
     items = "\n".join(f"* **{m[1]}**: {line[m.end() : end].rstrip('; ')}" for m, end in zip(found, ends, strict=True))
     led_by = line[: found[0].start()].rstrip()
     return f"{led_by}\n\n{items}" if led_by else items
+
+
+# Equations
+
+BEFORE_TEXT_IS_RESTORED = 15  # after arithmatex (inline patterns, 20), before prettify (10)
+BRACKETS = slice(2, -2)  # \( … \) or \[ … \], as arithmatex's generic form has it
+
+
+class Equations(Treeprocessor):
+    """Every element of class arithmatex: its TeX replaced by MathML."""
+
+    def run(self, root: Element) -> None:
+        for found in list(root.iter()):
+            if found.get("class") == "arithmatex":
+                display = "block" if found.tag == "div" else "inline"
+                tex, found.text = (found.text or "").strip()[BRACKETS], None
+                found.append(convert_to_element(tex, display=display))
+
+
+class MathML(Extension):
+    def extendMarkdown(self, md: Markdown) -> None:
+        md.treeprocessors.register(Equations(md), "mathml", BEFORE_TEXT_IS_RESTORED)
+
+
+def makeExtension(**options) -> MathML:
+    return MathML(**options)
