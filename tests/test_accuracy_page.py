@@ -150,8 +150,8 @@ SETTINGS = {
         "1650 m",
         "1 m",
         "60 s",
-        "48 simulated days",
-        "20 simulated days",
+        "48 days of stays",
+        "20 of visits",
         "3 × r95",
     ],
 }
