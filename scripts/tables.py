@@ -101,7 +101,7 @@ def _by_name(rows):
     named = {}
     for row in rows:
         first, *cells = row.values()
-        name = ", ".join([first, *takewhile(lambda cell: not re.match(r"[*+-]*\d|—|$", cell), cells)])
+        name = ", ".join([first, *takewhile(lambda cell: re.match(r"[^\d*+;`—-][^;]*$", cell), cells)])
         same = sum(other.partition(" (")[0] == name for other in named)
         named[f"{name} ({same + 1})" if same else name] = row
     return named

@@ -150,8 +150,8 @@ SETTINGS = {
         "1650 m",
         "1 m",
         "60 s",
-        "48 simulated days",
-        "20 simulated days",
+        "48 days of stays",
+        "20 of visits",
         "3 × r95",
     ],
 }
@@ -204,7 +204,7 @@ def test_every_page_of_results_begins_with_its_command_or_its_commit():
         assert "<!-- " in RESULTS[name], name
 
 
-def test_every_script_finds_the_place_of_its_table():
+def test_every_script_finds_the_place_of_its_table(scripts):
     """What a script publishes has markers on its page; every other marker has the commit of its script."""
     published = set()
     for script in SCRIPTS.glob("*.py"):
@@ -218,6 +218,7 @@ def test_every_script_finds_the_place_of_its_table():
         for name in re.findall(rf"^{MADE_ONCE}\.\n\n<!-- (.*?) -->", text, re.MULTILINE)
     }
     assert published == markers - of_old
+    assert set(scripts[1].LEFT_OUT) <= {name for _, name in published}
 
 
 def test_every_table_that_is_made_again_has_its_commit():
