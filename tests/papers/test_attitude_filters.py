@@ -85,7 +85,7 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_samples_one_by_one_give_the_same_as_all_at_once(recording, name):
-    """The first 10 s, of which 4 s at rest: one by one and in parts of different sizes: no attitude depends on later samples."""
+    """Ten seconds, four of them at rest: no attitude depends on later samples."""
     _, period, values = on_one_grid(recording, *NAMES)
     values = [v[:1000] for v in values]
     whole = FILTERS[name](period).update(attitude_filters.Samples(*values))
