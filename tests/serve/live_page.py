@@ -67,9 +67,6 @@ class LivePage(ShownPage):
             "return [(r.left + r.right) / 2, (r.top + r.bottom) / 2]"
         )
 
-    def picture(self, file):
-        self.browser.save_screenshot(str(file))
-
     def foreign(self, *servers):
         """The addresses asked for that are of no such server, and the number of all."""
         messages = [json.loads(entry["message"])["message"] for entry in self.browser.get_log("performance")]

@@ -9,6 +9,7 @@ import simulated
 from pdr_graph.lab.simulation.streaming import batches, message
 
 PATIENCE = 30.0  # [s]
+LOCAL = "http://127.0.0.1"
 
 
 @cache
@@ -29,3 +30,16 @@ def until(condition):
         assert time.monotonic() < end
         time.sleep(0.05)
     return found
+
+
+def used(client, count, id_=None):
+    """The pose of a walker, by default the first, when so many of its messages were used; None before."""
+    poses = (pose for pose in client.get("/walkers").json() if id_ in (None, pose["id"]))
+    return next((pose for pose in poses if pose["message"] >= count), None)
+
+
+def finished_recording(client, id_):
+    """End a walk; its recording, as soon as it is there."""
+    client.post(f"/walkers/{id_}/finish").raise_for_status()
+    answer = until(lambda: (found := client.get(f"/walkers/{id_}/recording")).status_code == 200 and found)
+    return answer.content

@@ -20,7 +20,7 @@ from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
 
-pytestmark = pytest.mark.timeout(90)
+pytestmark = [pytest.mark.timeout(90), pytest.mark.thorough]
 MAPS = Path(__file__).parents[2] / "maps"
 HOSTILE = '<img src=x onerror="window.hacked=1"><b>A&B</b>'
 SMALLEST_TARGET = 40  # [px]
@@ -148,13 +148,15 @@ def check_layout(page, width, height):
 
 
 def test_on_a_phone_the_details_are_a_tap_away(browser, arcade):
-    arcade.pose(issues=["gyroscope: silent for 4 s"])
+    silent = {"issues": ["gyroscope: silent for 4 s"], "health": {"gyroscope": "silent for 4 s"}}
+    arcade.pose(**silent)
     page = shown(browser, arcade, 390, 844)
-    arcade.pose(issues=["gyroscope: silent for 4 s"])  # again: after 5 s without a pose the page says "no data"
+    arcade.pose(**silent)  # again: after 5 s without a pose the page says "no data"
     page.until("return /▲ gyroscope/.test(document.querySelector('.state').textContent)")
     assert page.run("return document.querySelector('.detail').hidden")
     page.run("document.querySelector('.walker').click()")
     page.until("return !document.querySelector('.detail').hidden")
+    assert page.run("return document.querySelector('dd.issue').textContent") == "silent for 4 s"
     page.run("document.querySelector('.walker').click()")
     page.until("return document.querySelector('.detail').hidden")
 
@@ -214,7 +216,7 @@ def test_the_keyboard_does_all(browser, arcade):
     page.until("return page.state.following")
 
 
-def test_a_key_chooses_a_walker(browser, canned):
+def test_a_key_chooses_a_walker_and_a_forgotten_one_disappears(browser, canned):
     canned.reset(ARCADE)
     canned.pose("one", name="first")
     canned.pose("two", x=30.0, name="second")
@@ -224,7 +226,10 @@ def test_a_key_chooses_a_walker(browser, canned):
         page.press(key)
         page.until(f"return document.querySelector('[aria-expanded=true] .name')?.textContent === '{name}'")
         page.until(f"return document.querySelector('.chosen .name')?.textContent === '{name}'")
-    assert page.run("return new Set([...page.walkers.values()].map(w => w.colour)).size") == 2
+    colours = page.run("return [...document.querySelectorAll('.pin .dot')].map(dot => dot.getAttribute('fill'))")
+    assert len(set(colours)) == 2
+    canned.publish("forget", "two")
+    page.until("return page.walkers.size === 1 && document.querySelectorAll('.pin').length === 1")
 
 
 def test_the_map_follows_its_walker_until_it_is_dragged(browser, arcade):
@@ -276,13 +281,6 @@ def test_a_plan_without_georeference_is_drawn_in_metres(browser, canned):
         page.until(f"return page.state.map.queryRenderedFeatures({{layers: ['{layer}']}}).length > 0")
 
 
-def test_without_a_plan_there_is_a_grid_of_ten_metres(browser, canned):
-    canned.reset()
-    canned.pose()
-    page = shown(browser, canned)
-    page.until("return page.state.map.queryRenderedFeatures({layers: ['grid']}).length > 0")
-
-
 def test_the_ways_that_remain_are_faint_and_the_heading_is_not_shown(browser, arcade):
     region = {"probability": 0.9, "semi_major": 1.5, "semi_minor": 1.0, "angle": 0.0}
     modes = [{"probability": p, "x": x, "y": 18.0, "lon": 135.00005, "lat": 35.00016, "heading": 0.0, "region": region}
@@ -298,14 +296,14 @@ def test_the_ways_that_remain_are_faint_and_the_heading_is_not_shown(browser, ar
     page.until("return /initialising heading/.test(document.querySelector('.state').textContent)")
 
 
-def test_before_the_first_position_the_state_is_shown(browser, canned):
+def test_before_the_first_position_the_state_is_shown_and_a_grid_of_ten_metres(browser, canned):
     canned.reset()
-    unknown = dict.fromkeys(
-        ("x", "y", "lon", "lat", "sigma", "heading", "heading_sigma", "region", "display", "bearing")
-    )
-    canned.pose(**unknown, state="waiting")
+    unknown = ("x", "y", "lon", "lat", "sigma", "heading", "heading_sigma", "region", "display", "bearing")
+    canned.pose(**dict.fromkeys(unknown), state="waiting")
     page = LivePage(browser, canned.url)
     page.until("return document.querySelector('.state')?.textContent === 'waiting'")
+    canned.pose()
+    page.until("return page.state.map.queryRenderedFeatures({layers: ['grid']}).length > 0")
     assert page.errors == []
 
 
@@ -317,19 +315,13 @@ def test_a_name_is_text(browser, arcade):
     assert page.run("return document.querySelectorAll('#panel img, .pin img').length") == 0
 
 
-def test_a_walker_without_news_is_stale(browser, arcade):
-    page = shown(browser, arcade)
-    page.run("[...page.walkers.values()][0].heard -= 20000")
-    page.until("return /no data for 2\\d s/.test(document.querySelector('.state').textContent)")
-    page.until("return +getComputedStyle(document.querySelector('.pin.stale svg')).opacity < 0.6")
-    arcade.pose(message=2)
-    page.until("return !document.querySelector('.pin.stale')")
-
-
-def test_a_page_that_is_opened_later_tells_how_old_a_pose_is(browser, arcade):
+def test_a_walker_without_news_is_stale_and_its_age_is_told(browser, arcade):
     arcade.pose(time=time.time() - 300)
     page = shown(browser, arcade)
     page.until("return document.querySelector('.state').textContent === 'no data for 5 min'")
+    page.until("return +getComputedStyle(document.querySelector('.pin.stale svg')).opacity < 0.6")
+    arcade.pose(message=2)
+    page.until("return !document.querySelector('.pin.stale')")
 
 
 def test_finished_walks_stand_behind_those_under_way(browser, canned):
@@ -345,14 +337,17 @@ def test_finished_walks_stand_behind_those_under_way(browser, canned):
     assert page.run("return [...page.walkers.values()].map(w => w.regions().length)") == [0, 1]
 
 
-def test_the_page_of_a_guarded_server_needs_its_token(browser, canned):
-    token = "0123456789abcdef"
-    canned.reset(tokens={"owner": token})
-    page = LivePage(browser, f"{canned.url}/?token={token}")
-    assert page.run("return location.search") == "", "in no history"
+@pytest.mark.parametrize("token", ["", "0123456789abcdef"], ids=["open", "guarded"])
+def test_without_a_phone_the_page_says_what_to_enter(browser, canned, token):
+    """And the token of a guarded server is shown nowhere, and in no history."""
+    canned.reset(tokens={"owner": token} if token else {})
+    page = LivePage(browser, f"{canned.url}/?token={token}" if token else canned.url)
     page.until("return !document.getElementById('empty').hidden")
-    assert page.run("return document.getElementById('address').textContent").endswith("/sensorlogger?token=…")
-    assert token not in page.run("return document.body.textContent + document.cookie")
+    expected = f"{canned.url}/sensorlogger" + ("?token=…" if token else "")
+    assert page.run("return document.getElementById('address').textContent") == expected
+    if token:
+        assert page.run("return location.search") == ""
+        assert token not in page.run("return document.body.textContent + document.cookie")
     assert page.errors == []
 
 
