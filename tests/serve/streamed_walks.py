@@ -1,5 +1,6 @@
 """Walks as the messages that Sensor Logger pushes, and waiting for what a server makes of them."""
 
+import asyncio
 import time
 from functools import cache
 
@@ -30,6 +31,13 @@ def until(condition):
         assert time.monotonic() < end
         time.sleep(0.05)
     return found
+
+
+async def soon(condition):
+    """Wait for a condition within a coroutine."""
+    async with asyncio.timeout(PATIENCE):
+        while not condition():
+            await asyncio.sleep(0.01)
 
 
 def used(client, count, id_=None):

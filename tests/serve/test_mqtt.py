@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from mqtt_broker import Broker, running
-from streamed_walks import bodies, outdoors
+from streamed_walks import PATIENCE, bodies, outdoors, soon
 
 from pdr_graph.apps.serve import pulling
 from pdr_graph.apps.serve.pulling import TOPIC, Sources, broker_of, subscribe
@@ -15,7 +15,6 @@ from pdr_graph.errors import InputError
 
 aiomqtt = pytest.importorskip("aiomqtt")
 pytestmark = [pytest.mark.timeout(30), pytest.mark.anyio]
-PATIENCE = 10.0  # [s] for a message to arrive
 
 
 @pytest.fixture(autouse=True)
@@ -37,18 +36,12 @@ async def listening(url):
     messages, said = [], []
     task = asyncio.create_task(subscribe(broker_of(url), messages.append, said.append))
     try:
-        await until(lambda: said)
+        await soon(lambda: said)
         yield messages, said
     finally:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
-
-
-async def until(condition):
-    async with asyncio.timeout(PATIENCE):
-        while not condition():
-            await asyncio.sleep(0.01)
 
 
 async def publish(broker, *payloads):
@@ -63,17 +56,17 @@ async def test_messages_arrive_and_a_lost_connection_is_made_again(broker):
         assert f"127.0.0.1:{broker.port}" in said[0]
         large = b'{"messageId": 2}' + b" " * 300_000
         await publish(broker, b'{"messageId": 1}', large)
-        await until(lambda: messages == [b'{"messageId": 1}', large])
+        await soon(lambda: messages == [b'{"messageId": 1}', large])
         broker.drop_all()
-        await until(lambda: len(said) == 3)
+        await soon(lambda: len(said) == 3)
         assert "again in" in said[1]
         await publish(broker, b"{}")
-        await until(lambda: len(messages) == 3)
+        await soon(lambda: len(messages) == 3)
 
 
 async def test_a_broker_that_is_not_there_is_tried_again():
     async with listening("mqtt://127.0.0.1:9") as (_, said):
-        await until(lambda: len(said) >= 2)
+        await soon(lambda: len(said) >= 2)
 
 
 async def test_a_password_is_given_and_not_told(broker):
@@ -89,9 +82,9 @@ async def test_messages_of_a_broker_are_walkers_and_others_are_ignored(tmp_path,
     app = build(Settings(tmp_path, workers=0, sources=sources))
     walkers = app.state.server.hub.walkers
     async with app.router.lifespan_context(app):
-        await until(lambda: broker.subscribers.get(TOPIC))
+        await soon(lambda: broker.subscribers.get(TOPIC))
         await publish(broker, b"no JSON", bodies(outdoors())[0])
-        await until(lambda: "walk-one" in walkers and walkers["walk-one"].pose["message"] == 1)
+        await soon(lambda: "walk-one" in walkers and walkers["walk-one"].pose["message"] == 1)
 
 
 def test_an_address_names_broker_and_user_and_a_password_may_come_from_the_environment(monkeypatch):

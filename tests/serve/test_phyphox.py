@@ -7,21 +7,10 @@ import numpy as np
 import pytest
 from phyphox_phone import Phone, serving
 from starlette.testclient import TestClient
-from streamed_walks import LOCAL, finished_recording, until, used
+from streamed_walks import LOCAL, finished_recording, soon, until, used
 
 from pdr_graph.apps.serve import pulling
-from pdr_graph.apps.serve.pulling import (
-    HISTORY,
-    Input,
-    PhoneError,
-    PhyphoxPhone,
-    Sources,
-    follow,
-    inputs_of,
-    messages_of,
-    query,
-    rows_of,
-)
+from pdr_graph.apps.serve.pulling import HISTORY, PhoneError, PhyphoxPhone, Sources, follow, messages_of
 from pdr_graph.apps.serve.sensor_messages import parse, tables_of
 from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
@@ -37,7 +26,11 @@ def poll_of(phone):
 
 @pytest.fixture
 def phone():
-    return Phone()
+    """A phone that has recorded a second."""
+    phone = Phone()
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    return phone
 
 
 @pytest.fixture
@@ -55,9 +48,11 @@ def walk(phone, begin, end, step=0.01):
 
 
 def test_each_sample_comes_once_at_its_unix_time(phone, polled):
-    """Each request has a connection of its own."""
+    """Each request has a connection of its own, and encodes what separates a threshold from its buffer."""
+    phone.clear()
     assert poll_of(polled).run == "", "it has not started"
     phone.start(0.0, UNIX)
+    assert len(poll_of(polled).tables["accelerometer"]) == 0
     tables = []
     for second in range(4):
         walk(phone, second, second + 1)
@@ -66,20 +61,16 @@ def test_each_sample_comes_once_at_its_unix_time(phone, polled):
     assert [len(table) for table in tables] == [100] * 4
     np.testing.assert_allclose(rows[:, 0], UNIX + np.arange(0, 4, 0.01), atol=1e-6)
     np.testing.assert_allclose(rows[:, 1], np.arange(0, 0.04, 0.0001), atol=1e-9)
-    assert {connection for _, connection in phone.asked} == {"close"}
+    assert {(connection, "|" in path) for path, connection in phone.asked} == {("close", False)}
 
 
 def test_the_location_has_its_accuracy_and_the_phone_its_name(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1)
     poll = poll_of(polled)
     np.testing.assert_allclose(poll.tables["location"], [[UNIX, 49.45, 11.08, 4.0]])
     assert (poll.name, poll.measuring, poll.ignored) == ("Fairphone 5", True, ("light",))
 
 
 def test_a_pause_is_a_gap_in_unix_time(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1)
     first = poll_of(polled)
     phone.pause(1.0, UNIX + 1.0)
     assert not poll_of(polled).measuring
@@ -91,8 +82,7 @@ def test_a_pause_is_a_gap_in_unix_time(phone, polled):
 
 
 def test_cleared_data_are_another_run(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 3)
+    walk(phone, 1, 3)
     first = poll_of(polled)
     phone.clear()
     assert poll_of(polled).run == ""
@@ -105,8 +95,7 @@ def test_cleared_data_are_another_run(phone, polled):
 
 
 def test_data_cleared_between_two_questions_of_a_poll_are_not_given_the_old_clock(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 3)
+    walk(phone, 1, 3)
     poll_of(polled)
     phone.clear()
     phone.start(0.0, UNIX)  # /time as before
@@ -116,8 +105,6 @@ def test_data_cleared_between_two_questions_of_a_poll_are_not_given_the_old_cloc
 
 
 def test_another_session_is_another_run(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1)
     first = poll_of(polled)
     phone.session = "ffee00"
     walk(phone, 1, 2)
@@ -126,8 +113,7 @@ def test_another_session_is_another_run(phone, polled):
 
 
 def test_messages_are_those_of_sensor_logger(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 50)
+    walk(phone, 1, 50)
     numbers, times = [], []
     for number, text in enumerate(messages_of(poll_of(polled), 3), 3):
         message = parse(text)
@@ -144,25 +130,18 @@ def test_messages_are_those_of_sensor_logger(phone, polled):
 async def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
     monkeypatch.setattr(pulling, "POLL_INTERVAL", 0.02)
     monkeypatch.setattr(pulling, "FIRST_RETRY", 0.02)
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1)
     received, said = [], []
 
     async def receive(message, name):
         received.append(parse(message).messageId)
 
-    async def until(condition):
-        async with asyncio.timeout(10):
-            while not condition():
-                await asyncio.sleep(0.01)
-
     with serving(phone) as url:
         task = asyncio.create_task(follow(PhyphoxPhone(url, timeout=1.0), receive, said.append))
-        await until(lambda: received)
+        await soon(lambda: received)
         phone.faults = ["reset", 500]
-        await until(lambda: len(said) == 3)
+        await soon(lambda: len(said) == 3)
         walk(phone, 1, 2)
-        await until(lambda: received == [0, 1])
+        await soon(lambda: received == [0, 1])
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
@@ -170,18 +149,15 @@ async def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
 
 
 def test_of_a_long_experiment_the_last_minutes_are_asked_for(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1000, step=1.0)
+    walk(phone, 1, 1000, step=1.0)
     times = poll_of(polled).tables["accelerometer"][:, 0]
     assert times[0] - UNIX == pytest.approx(999 - HISTORY, abs=1.0)
 
 
 def test_nulls_and_unequal_buffers_cost_only_their_rows(phone, polled):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 0.05)
     phone.buffers["accY"][2] = float("nan")
     phone.buffers["accZ"].pop()
-    assert len(poll_of(polled).tables["accelerometer"]) == 3
+    assert len(poll_of(polled).tables["accelerometer"]) == 98
     phone.buffers["accZ"].append(9.8)
     assert len(poll_of(polled).tables["accelerometer"]) == 1, "the row whose last value came late"
 
@@ -202,8 +178,6 @@ def test_what_is_no_phyphox_is_one_line(phone, polled, text):
 
 @pytest.mark.parametrize("fault", ["reset", "half", 500])
 def test_a_fault_is_one_line_and_loses_nothing(phone, polled, fault):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 1)
     poll_of(polled)
     walk(phone, 1, 2)
     phone.faults = [None, fault]  # of /get, after /time
@@ -219,22 +193,8 @@ def test_an_address_may_lack_the_scheme():
         PhyphoxPhone("ftp://phone")
 
 
-def test_the_query_encodes_its_thresholds():
-    assert query([Input("accelerometer", "t", ("x",))], {"t": 1.5}) == "t=1.5000000&x=1.5000000%7Ct"
-
-
-def test_inputs_without_times_are_ignored():
-    config = {"inputs": [{"source": "pressure", "outputs": [{"x": "p"}]}, {"source": "bluetooth"}]}
-    assert inputs_of(config) == ([], ["pressure", "bluetooth"])
-
-
-def test_an_empty_answer_has_no_rows():
-    assert rows_of({}, Input("accelerometer", "t", ("x", "y", "z"))).shape == (0, 4)
-
-
 def test_a_phone_with_phyphox_is_a_walker_that_goes_on_after_a_restart(phone, tmp_path):
-    phone.start(0.0, UNIX)
-    walk(phone, 0, 8)
+    walk(phone, 1, 8)
     with serving(phone) as url:
         settings = Settings(tmp_path, workers=0, sources=Sources(phyphox=(url,)))
         with TestClient(build(settings), base_url=LOCAL) as client:

@@ -71,17 +71,6 @@ def test_the_walk_goes_on_after_kill_9(start, tmp_path):
     assert [pose[name] for name in names] == [expected[name] for name in names]
 
 
-@pytest.mark.thorough
-def test_an_estimating_process_that_dies_is_replaced(start):
-    server = start()
-    server.post(*BODIES[:10])
-    server.published(10)
-    for pid in server.estimators():
-        os.kill(pid, signal.SIGKILL)
-    assert server.post(*BODIES[10:]) in TAKEN
-    assert server.published(len(BODIES))["state"] in ("running", "initialising heading")
-
-
 def test_poses_and_paths_are_streamed(start):
     server = start()
     with server.connected() as connection:

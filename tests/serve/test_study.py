@@ -10,7 +10,7 @@ import pytest
 import recorders
 from stand_in_server import QuietHandler, served
 from starlette.testclient import TestClient
-from streamed_walks import LOCAL, PATIENCE
+from streamed_walks import LOCAL, soon
 
 from pdr_graph.apps.serve import study
 from pdr_graph.apps.serve.pulling import Sources
@@ -93,9 +93,7 @@ async def reported(tmp_path, cloud, upload=UPLOAD):
         if upload is not None:
             reports.accept(upload)
         running = asyncio.create_task(reports.run())
-        async with asyncio.timeout(PATIENCE):
-            while reports._pending():
-                await asyncio.sleep(0.02)
+        await soon(lambda: not reports._pending())
         running.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await running
