@@ -6,11 +6,12 @@ from functools import cache
 
 import numpy as np
 import simulated
+from starlette.testclient import TestClient
 
+from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.lab.simulation.streaming import batches, message
 
 PATIENCE = 30.0  # [s]
-LOCAL = "http://127.0.0.1"
 
 
 @cache
@@ -38,6 +39,11 @@ async def soon(condition):
     async with asyncio.timeout(PATIENCE):
         while not condition():
             await asyncio.sleep(0.01)
+
+
+def local_server(folder, **settings):
+    """The client of a server without tokens, on this machine; estimates in a thread."""
+    return TestClient(build(Settings(folder, workers=0, **settings)), base_url="http://127.0.0.1")
 
 
 def used(client, count, id_=None):

@@ -6,13 +6,11 @@ import contextlib
 import numpy as np
 import pytest
 from phyphox_phone import Phone, serving
-from starlette.testclient import TestClient
-from streamed_walks import LOCAL, finished_recording, soon, until, used
+from streamed_walks import finished_recording, local_server, soon, until, used
 
 from pdr_graph.apps.serve import pulling
 from pdr_graph.apps.serve.pulling import HISTORY, PhoneError, PhyphoxPhone, Sources, follow, messages_of
 from pdr_graph.apps.serve.sensor_messages import parse, tables_of
-from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 
@@ -196,13 +194,13 @@ def test_an_address_may_lack_the_scheme():
 def test_a_phone_with_phyphox_is_a_walker_that_goes_on_after_a_restart(phone, tmp_path):
     walk(phone, 1, 8)
     with serving(phone) as url:
-        settings = Settings(tmp_path, workers=0, sources=Sources(phyphox=(url,)))
-        with TestClient(build(settings), base_url=LOCAL) as client:
+        sources = Sources(phyphox=(url,))
+        with local_server(tmp_path, sources=sources) as client:
             first = until(lambda: used(client, 1))
             assert (first["name"], first["lat"]) == ("Fairphone 5", pytest.approx(49.45, abs=1e-3))
             assert {"accelerometer", "gyroscope"} <= set(first["health"])
         walk(phone, 8, 14)
-        with TestClient(build(settings), base_url=LOCAL) as client:
+        with local_server(tmp_path, sources=sources) as client:
             assert until(lambda: used(client, 2))["id"] == first["id"]
             (tmp_path / "walk.zip").write_bytes(finished_recording(client, first["id"]))
     samples = load(tmp_path / "walk.zip").accelerometer
@@ -211,6 +209,5 @@ def test_a_phone_with_phyphox_is_a_walker_that_goes_on_after_a_restart(phone, tm
 
 
 def test_a_phone_that_is_not_there_keeps_nothing_from_starting(tmp_path):
-    settings = Settings(tmp_path, workers=0, sources=Sources(phyphox=("http://127.0.0.1:9",)))
-    with TestClient(build(settings), base_url=LOCAL) as client:
+    with local_server(tmp_path, sources=Sources(phyphox=("http://127.0.0.1:9",))) as client:
         assert client.get("/walkers").json() == []

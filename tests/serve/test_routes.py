@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
-from streamed_walks import LOCAL, bodies, finished_recording, outdoors, until, used
+from streamed_walks import bodies, finished_recording, local_server, outdoors, until, used
 
 import pdr_graph
 from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
@@ -35,7 +35,7 @@ def client(tmp_path_factory):
 @pytest.fixture
 def local(tmp_path):
     """A server without tokens."""
-    with TestClient(build(Settings(tmp_path, workers=0)), base_url=LOCAL) as client:
+    with local_server(tmp_path) as client:
         yield client
 
 
@@ -267,8 +267,8 @@ def test_a_deleted_walk_leaves_no_file(client):
 
 def test_a_finished_walk_is_a_recording_that_smooth_opens(tmp_path):
     """All samples, as they were sent; after a restart it is still there, and a late message resumes it."""
-    settings, walk = Settings(tmp_path, workers=0), outdoors()
-    with TestClient(build(settings), base_url=LOCAL) as client:
+    walk = outdoors()
+    with local_server(tmp_path) as client:
         for body in WALK:
             post(client, body)
         until(lambda: used(client, len(WALK)))
@@ -279,7 +279,7 @@ def test_a_finished_walk_is_a_recording_that_smooth_opens(tmp_path):
         assert np.allclose(signal.values, walk.signals[sensor].values, rtol=0, atol=1e-12)
         assert np.allclose(signal.time, walk.signals[sensor].time, rtol=0, atol=1e-6)
     assert len(loaded.fixes) == len(walk.fixes)
-    with TestClient(build(settings), base_url=LOCAL) as client:
+    with local_server(tmp_path) as client:
         pose = client.get("/walkers/walk-one").json()
         assert pose["state"] == "finished"
         features = client.get("/walkers/walk-one.geojson").json()["features"]

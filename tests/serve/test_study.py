@@ -9,12 +9,10 @@ from contextlib import contextmanager
 import pytest
 import recorders
 from stand_in_server import QuietHandler, served
-from starlette.testclient import TestClient
-from streamed_walks import LOCAL, soon
+from streamed_walks import local_server, soon
 
 from pdr_graph.apps.serve import study
 from pdr_graph.apps.serve.pulling import Sources
-from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.apps.serve.study import MOST_LISTED, StudyReports, Upload, plain, refusal, report, upload_of
 from pdr_graph.errors import InputError
 
@@ -161,8 +159,7 @@ def test_a_call_is_stored_if_its_study_is_configured_and_there_is_room(tmp_path,
         (reports, CALL, 200),
         (reports, CALL | {"uploadId": "more"}, 507),
     ):
-        settings = Settings(tmp_path, workers=0, sources=Sources(study=configured))
-        with TestClient(build(settings), base_url=LOCAL) as client:
+        with local_server(tmp_path, sources=Sources(study=configured)) as client:
             assert client.post("/study", json=call).status_code == status
     assert len(list((tmp_path / "study").glob("*.json"))) == 1, "the cloud could not be reached: it is tried again"
     StudyReports(tmp_path / "any", [study.ANY]).accept(UPLOAD)
