@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 from commands import run
@@ -117,69 +117,70 @@ def memory(pid):
 # Ending
 
 
-def streaming(stack, server):
+@contextmanager
+def streaming(start):
     """Clients hold an event stream and a WebSocket open, or send a body for ever."""
-    connect(stack, server, EVENTS, SOCKET, ENDLESS_BODY, EVENTS[:-4])
-    time.sleep(0.5)
+    server = start()
+    with ExitStack() as stack:
+        connect(stack, server, EVENTS, SOCKET, ENDLESS_BODY, EVENTS[:-4])
+        time.sleep(0.5)
+        yield server
 
 
-def frozen(stack, server):
+@contextmanager
+def frozen(start):
     """Its estimating process is stopped."""
-    for pid in server.estimators():
+    server = start()
+    pids = server.estimators()
+    for pid in pids:
         os.kill(pid, signal.SIGSTOP)
-        stack.callback(kill_if_alive, pid)
+    yield server
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
-def kill_if_alive(pid):
-    with suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGKILL)
+@contextmanager
+def dripping(start):
+    """A phone sends a byte of its answer now and then."""
+    with attacking(lambda path: ATTACKS["a byte of the body each 0.2 s"]) as (host, paths):
+        server = start("--phyphox", host)
+        until(lambda: paths)
+        yield server
 
 
-def stop(server, ending=signal.SIGINT):
-    """Send a signal to a server, which must end."""
-    server.process.send_signal(ending)
-    assert server.process.wait(STOPPED) in BY_SIGNAL[ending]
-    assert "Traceback" not in server.printed()
+@contextmanager
+def silent_broker(start):
+    with socket.create_server(("127.0.0.1", 0)) as broker:
+        server = start("--mqtt", f"mqtt://127.0.0.1:{broker.getsockname()[1]}")
+        broker.settimeout(STOPPED)
+        with broker.accept()[0]:
+            yield server
+
+
+@contextmanager
+def silent_names(start):
+    """A look-up runs in a thread that cannot be interrupted, and for which Python waits five minutes."""
+    server = start("--phyphox", "http://phone.example:8080", before=SILENT_NAMES)
+    until(lambda: "asked for a name" in server.printed())
+    yield server
 
 
 @pytest.mark.parametrize(
     ("harm", "ending"),
     [
         (streaming, signal.SIGTERM),
-        pytest.param(streaming, signal.SIGINT, marks=pytest.mark.thorough),
-        pytest.param(frozen, signal.SIGINT, marks=pytest.mark.thorough),
+        *(
+            pytest.param(harm, signal.SIGINT, marks=pytest.mark.thorough)
+            for harm in (streaming, frozen, dripping, silent_broker, silent_names)
+        ),
     ],
 )
-def test_a_server_stops_whatever_its_clients_and_processes_do(start, harm, ending):
-    server = start()
-    with ExitStack() as stack:
-        harm(stack, server)
-        stop(server, ending)
-
-
-@pytest.mark.thorough
-def test_a_server_stops_while_a_phone_drips(start):
-    with attacking(lambda path: ATTACKS["a byte of the body each 0.2 s"]) as (host, paths):
-        server = start("--phyphox", host)
-        until(lambda: paths)
-        stop(server)
-
-
-@pytest.mark.thorough
-def test_a_server_stops_while_a_broker_is_silent(start):
-    with socket.create_server(("127.0.0.1", 0)) as broker:
-        server = start("--mqtt", f"mqtt://127.0.0.1:{broker.getsockname()[1]}")
-        broker.settimeout(STOPPED)
-        with broker.accept()[0]:
-            stop(server)
-
-
-@pytest.mark.thorough
-def test_a_server_stops_while_a_name_server_is_silent(start):
-    """A look-up runs in a thread that cannot be interrupted, and for which Python waits five minutes."""
-    server = start("--phyphox", "http://phone.example:8080", before=SILENT_NAMES)
-    until(lambda: "asked for a name" in server.printed())
-    stop(server)
+def test_a_server_stops_whatever_its_clients_processes_and_sources_do(start, harm, ending):
+    with harm(start) as server:
+        server.process.send_signal(ending)
+        assert server.process.wait(STOPPED) in BY_SIGNAL[ending]
+        assert "Traceback" not in server.printed()
 
 
 # The command line
