@@ -189,13 +189,23 @@ def entry(identity, received=0.0):
     return Entry(identity, received, identity, identity + 1)
 
 
-def test_a_message_waits_two_seconds_for_those_before_it():
+TOO_MANY = list(range(5, 5 + live_walk.MOST_WAITING + 1))
+
+
+@pytest.mark.parametrize(
+    ("identities", "now", "order"),
+    [
+        ([0, 2, 3], 101.9, [0]),
+        ([0, 2, 3], 102.1, [0, 2, 3]),
+        (TOO_MANY, 100.0, TOO_MANY),
+    ],
+    ids=["one is missing", "for two seconds", "too many wait"],
+)
+def test_a_message_waits_two_seconds_for_those_before_it_unless_too_many_wait(identities, now, order):
     queue = Queue(ordered=True)
-    for identity in (0, 2, 3):
+    for identity in identities:
         queue.add(entry(identity, received=100.0))
-    assert queue.next(100.0).identity == 0
-    assert queue.next(101.9) is None
-    assert [queue.next(102.1).identity, queue.next(102.1).identity] == [2, 3]
+    assert emptied(queue, now) == order
 
 
 def test_the_order_does_not_depend_on_when_it_is_asked_for():
@@ -215,13 +225,6 @@ def emptied(queue, now=np.inf):
     while (due := queue.next(now)) is not None:
         order.append(due.identity)
     return order
-
-
-def test_too_many_waiting_messages_go_on_without_the_lost_one():
-    queue = Queue(ordered=True)
-    for identity in range(5, 5 + live_walk.MOST_WAITING + 1):
-        queue.add(entry(identity, received=100.0))
-    assert queue.next(100.0).identity == 5
 
 
 def test_a_message_that_is_damaged_or_cut_short_by_a_kill_is_no_message(tmp_path):
