@@ -94,25 +94,22 @@ class Handler(QuietHandler):
         if trial is None:
             return self.answer(404, "unknown trial")
         if trial.down:
-            return self.close_connection_now()
+            return self.connection.close()
         trial.log.append(self.path)
-        if verb == "state":
-            return self.answer(200, trial.state())
-        if verb == "log":
-            return self.answer(200, "\n".join(trial.log) + "\n")
+        texts = {"state": trial.state(), "log": "\n".join(trial.log) + "\n"}
         if verb != "nextdata":
-            return self.answer(404, "unknown call")
+            return self.answer(200 if verb in texts else 404, texts.get(verb, "unknown call"))
         trial.calls += 1
         trial.now += trial.took
         fault = trial.faults.get(trial.calls)
         trial.down = str(fault).startswith("dies")
         if fault in ("away", "dies before it counts"):
-            return self.close_connection_now()
+            return self.connection.close()
         if isinstance(fault, int):
             return self.answer(fault, "not now")
         code, body = trial.next_data(parse_qs(parts.query, keep_blank_values=True))
         if fault in ("lost", "dies after it counted"):
-            return self.close_connection_now()
+            return self.connection.close()
         return self.answer(code, body, cut=fault == "cut")
 
     def do_POST(self):
@@ -120,7 +117,7 @@ class Handler(QuietHandler):
         trial = self.server.trials[name]
         trial.log.append(self.path)
         body = self.rfile.read(int(self.headers["Content-Length"]))
-        return self.answer(*trial.take(self.headers["Content-type"], body))
+        self.answer(*trial.take(self.headers["Content-type"], body))
 
     def answer(self, code, text, cut=False):
         body = text.encode("utf-8")
@@ -129,9 +126,6 @@ class Handler(QuietHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body[: len(body) // 2] if cut else body)
-
-    def close_connection_now(self):
-        self.connection.close()
 
 
 class Server(ThreadingHTTPServer):

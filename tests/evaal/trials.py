@@ -33,11 +33,9 @@ class Echo:
     def finish(self):
         if not self._poses:
             raise ValueError("no fix came")
-        rows = self._poses
-        position = np.array([(p.x, p.y) for p in rows])
-        floors = tuple(p.floor for p in rows)
-        track = Trajectory(np.array([p.time for p in rows]), position, np.zeros(len(rows)), floors)
-        track = Trajectory(track.time, position, track.heading, floors, np.tile(np.eye(3), (len(rows), 1, 1)))
+        time, x, y = np.array([(pose.time, pose.x, pose.y) for pose in self._poses]).T
+        floors, covariance = tuple(pose.floor for pose in self._poses), np.tile(np.eye(3), (len(time), 1, 1))
+        track = Trajectory(time, np.column_stack([x, y]), 0 * time, floors, covariance)
         return Estimate(track, track, None, {}, 0, 0.0, True)
 
 
@@ -45,14 +43,9 @@ def rows_of(text):
     return [row for row in text.splitlines() if row and not row.startswith(("%", "POSI"))]
 
 
-def no_pauses(pauses=None):
-    """A sleep that returns at once and notes its duration."""
-    return (lambda seconds: None) if pauses is None else pauses.append
-
-
-def run(url, out, trial="t", echo=None, lonlat=True, ignored=False, pauses=None):
-    echo = Echo() if echo is None else echo
-    api = Api(url, trial, no_pauses(pauses))
+def run(url, out, trial="t", lonlat=True, ignored=False, pauses=None):
+    """How a trial ends, and its navigator. pauses: a list, to which each pause [s] is added instead of made."""
+    echo, api = Echo(), Api(url, trial, [].append if pauses is None else pauses.append)
     return run_trial(api, out, lonlat=lonlat, ignore_initial=ignored, kind=lambda **_: echo), echo
 
 

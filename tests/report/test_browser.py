@@ -5,8 +5,8 @@ import csv
 import json
 import re
 import time
+from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ import simulated
 from browser import Page, chromium
 from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
+from plans import MAPS
 
 from pdr_graph.apps.replay import replay_recording
 from pdr_graph.apps.report.content import content
@@ -23,7 +24,10 @@ from pdr_graph.floor.plan_files import Building
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
 from pdr_graph.walk import Options
 
-MAPS = Path(__file__).parents[2] / "maps"
+pytestmark = pytest.mark.thorough
+AT = "return document.getElementById('slider').valueAsNumber"
+NAMES = ("trajectory", "causal")
+RIGHT, ESCAPE = "\ue014", "\ue00c"
 HOUR = 70  # laps of 55 s
 FIRST_PICTURE = 2.0  # [s] of an hour's walk, from the click on the file
 ARROW = 6.0  # [px] from the middle of the arrow's box to the point that it turns about: its tip is longer than its tail
@@ -54,8 +58,10 @@ def trajectory(path):
     return table[:, 0] - table[0, 0], table[:, 1:3], table[:, 3]
 
 
-def first_time(path):
-    return float(path.read_text().splitlines()[1].split(",")[0])
+@pytest.fixture
+def report(browser, walk):
+    """The report of the smoothed walk, on a screen."""
+    return Page(browser, walk / "out" / "report.html")
 
 
 def written(folder, said):
@@ -65,6 +71,25 @@ def written(folder, said):
 
 def begins(report):
     return report.run("return +document.getElementById('slider').min")
+
+
+def extent(report):
+    """What the map shows: ((west, east), (south, north)) [m]."""
+    return report.run("const { xaxis: x, yaxis: y } = document.getElementById('map').layout; return [x.range, y.range]")
+
+
+@contextmanager
+def dressed(browser, scheme):
+    """Choose light or dark in the system's settings."""
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+    yield
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def parts(colour):
+    """Red, green and blue of a colour such as rgb(0, 0, 0)."""
+    return [int(part) for part in re.findall(r"\d+", colour)[:3]]
 
 
 def test_a_report_opens_from_disk_without_an_error_or_a_request(browser, walk):
@@ -87,8 +112,7 @@ def test_requests_and_errors_are_detected(browser, tmp_path):
     assert report.asked_for[0] == ["https://example.org/"]
 
 
-def test_the_slider_moves_the_walker_along_the_trajectory(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_the_slider_moves_the_walker_along_the_trajectory(report, walk):
     time, position, _ = trajectory(walk / "out" / "trajectory.csv")
     start, metre = begins(report), report.metre
     for share in (0.0, 0.13, 0.5, 0.77, 1.0):
@@ -98,52 +122,57 @@ def test_the_slider_moves_the_walker_along_the_trajectory(browser, walk):
         assert np.hypot(*np.subtract(report.walker, there)) * metre < ARROW, f"after {when:.1f} s"
 
 
-def test_the_walker_has_the_heading_of_the_trajectory(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_the_walker_has_the_heading_of_the_trajectory_and_the_text_says_it_clockwise_from_north(report, walk):
+    """As compasses, `--start-heading` and the map's arrow have it; the file has it from the x axis."""
     time, _, heading = trajectory(walk / "out" / "trajectory.csv")
-    for row in (10, 25, 40):
+    for row in (10, 25, len(time) - 20):
         report.slide(begins(report) + time[row])
         tip = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'walker').path")
         x, y = map(float, tip[1:].split("L")[0].split(","))
         assert np.cos(np.arctan2(y, x) - heading[row]) > np.cos(0.02), "a hundredth of a radian is what the page keeps"
+        said = re.search(r"heading (\d+)° from north", report.run("return document.getElementById('readout').value"))
+        assert said is not None
+        assert np.cos(np.radians(90 - int(said[1])) - heading[row]) > np.cos(0.03), "rounded to a degree"
 
 
-def test_the_charts_cursor_and_the_clock_follow_the_slider(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_the_charts_cursor_and_the_clock_follow_the_slider(report):
     report.slide(25.0)
     assert report.run("return document.getElementById('charts').layout.shapes[0].x0") == 25.0
     assert report.run("return document.getElementById('clock').textContent") == "0:25"
 
 
-def test_play_and_the_keyboard_move_the_walker(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
-    at = "return document.getElementById('slider').valueAsNumber"
-    before = report.run(at)
-    report.run("document.getElementById('play').click()")
-    report.until(f"{at} > {before + 0.3}")
-    report.run("document.getElementById('play').click()")
-    assert report.run("return document.getElementById('play').getAttribute('aria-label')") == "Play"
-    stopped = report.run(at)
-    slider = browser.find_element("id", "slider")
-    slider.send_keys("\ue014")  # the right arrow
-    assert report.run(at) > stopped
+def test_play_and_the_keyboard_move_the_walker_and_escape_shows_all_again(browser, report):
+    play = browser.find_element("id", "play")
+    everywhere = browser.find_element("tag name", "body")
+    for begin in (play.click, lambda: everywhere.send_keys(" ")):
+        before = report.run(AT)
+        begin()
+        report.until(f"{AT} > {before + 0.2}")
+        begin()
+        assert play.get_attribute("aria-label") == "Play"
+        for element in (browser.find_element("id", "slider"), everywhere):
+            stopped = report.run(AT)
+            element.send_keys(RIGHT)
+            assert report.run(AT) > stopped
+    all_of_it = extent(report)[0]
+    report.run("Plotly.relayout('map', {'xaxis.range': [3, 4], 'yaxis.range': [18, 19]})")
+    everywhere.send_keys(ESCAPE)
+    report.until("return document.getElementById('map').layout.xaxis.range[1] > 4")
+    assert extent(report)[0] == pytest.approx(all_of_it, abs=0.2)
 
 
 def test_a_replay_shows_the_causal_track_beside_the_smoothed_one(browser, walk):
     report = Page(browser, walk / "live" / "report.html")
     time, position, _ = trajectory(walk / "live" / "causal.csv")
-    when, later = (
-        0.6 * time[-1],
-        first_time(walk / "live" / "causal.csv") - first_time(walk / "live" / "trajectory.csv"),
-    )
-    report.slide(begins(report) + later + when)
+    smoothed, causal = (np.loadtxt(walk / "live" / f"{n}.csv", delimiter=",", skiprows=1, usecols=0)[0] for n in NAMES)
+    when = 0.6 * time[-1]
+    report.slide(begins(report) + causal - smoothed + when)
     dot = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'live, known at once')")
     there = [np.interp(when, time, axis) for axis in position.T]
     assert [dot["xanchor"], dot["yanchor"]] == pytest.approx(there, abs=0.03), "a centimetre per row and 10 ms of time"
 
 
-def test_no_control_sends_the_walk_anywhere(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_no_control_sends_the_walk_anywhere(report):
     titles = report.run("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
     assert len(titles) > 3
     assert not [title for title in titles if any(word in title.lower() for word in ("share", "cloud", "send", "edit"))]
@@ -231,23 +260,25 @@ def test_hostile_names_are_shown_as_text(browser, tmp_path):
     assert "<img" not in beacon_text
 
 
-def test_tables_agree_with_the_summary(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
-    summary = json.loads((walk / "out" / "summary.json").read_text())
+def test_tables_agree_with_the_summary_and_their_rows_move_the_walker_into_sight(report, walk):
+    """Where the map is zoomed elsewhere, it follows."""
+    fixes = json.loads((walk / "out" / "summary.json").read_text())["fixes"]
     rows = report.run(
         "const d = [...document.querySelectorAll('details')].find(d => d.innerText.startsWith('Fixes'));"
         "return [...d.querySelectorAll('tbody tr')].map(r => [...r.cells].map(c => c.textContent))"
     )
-    assert [row[-1] for row in rows] == [fix["reason"] for fix in summary["fixes"]]
-    assert [float(row[4]) for row in rows] == pytest.approx([f["residual"] for f in summary["fixes"]], abs=0.005)
+    assert [row[-1] for row in rows] == [fix["reason"] for fix in fixes]
+    assert [float(row[4]) for row in rows] == pytest.approx([fix["residual"] for fix in fixes], abs=0.005)
+    report.run("Plotly.relayout('map', {'xaxis.range': [-30, -20], 'yaxis.range': [0, 10]})")
     report.run("[...document.querySelectorAll('td button')][2].click()")
-    report.until("return document.getElementById('slider').valueAsNumber > 1")
-    when = summary["fixes"][2]["time"] - float(
-        (walk / "out" / "trajectory.csv").read_text().splitlines()[1].split(",")[0]
-    )
-    assert report.run("return document.getElementById('slider').valueAsNumber") == pytest.approx(
-        begins(report) + when, abs=0.011
-    )
+    report.until("return document.getElementById('map').layout.xaxis.range[0] > -20")
+    start = np.loadtxt(walk / "out" / "trajectory.csv", delimiter=",", skiprows=1, usecols=0)[0]
+    assert report.run(AT) - begins(report) == pytest.approx(fixes[2]["time"] - start, abs=0.011)
+    ((west, east), (south, north)), (x, y) = extent(report), report.walker
+    assert west < x < east
+    assert south < y < north
+    box = "const r = document.getElementById('map').getBoundingClientRect(); return r.bottom > 0 && r.top < innerHeight"
+    assert report.run(box)
 
 
 def test_the_map_is_whole_above_the_slider(browser, walk):
@@ -255,77 +286,14 @@ def test_the_map_is_whole_above_the_slider(browser, walk):
     box = "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.top, r.bottom]"
     assert report.run(box, "#map")[1] <= report.run(box, "#player")[0]
     _, position, _ = trajectory(walk / "out" / "trajectory.csv")
-    (west, east), (south, north) = report.run(
-        "const { xaxis, yaxis } = document.getElementById('map').layout; return [xaxis.range, yaxis.range]"
-    )
+    (west, east), (south, north) = extent(report)
     assert west < position[:, 0].min() < position[:, 0].max() < east
     assert south < position[:, 1].min() < position[:, 1].max() < north
 
 
-def pressed(browser, key):
-    browser.find_element("tag name", "body").send_keys(key)
-
-
-def test_space_plays_arrows_step_and_escape_shows_all_again(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
-    at = "return document.getElementById('slider').valueAsNumber"
-    pressed(browser, " ")
-    report.until(f"{at} > 0.2")
-    pressed(browser, " ")
-    stopped = report.run(at)
-    pressed(browser, "\ue014")
-    assert report.run(at) > stopped
-    ranges = "return document.getElementById('map').layout.xaxis.range"
-    all_of_it = report.run(ranges)
-    report.run("Plotly.relayout('map', {'xaxis.range': [3, 4], 'yaxis.range': [18, 19]})")
-    pressed(browser, "\ue00c")
-    report.until("return document.getElementById('map').layout.xaxis.range[1] > 4")
-    assert report.run(ranges) == pytest.approx(all_of_it, abs=0.2)
-
-
-def test_a_row_of_a_table_moves_the_walker_into_sight(browser, walk):
-    """Where the map is zoomed elsewhere, it follows."""
-    report = Page(browser, walk / "out" / "report.html")
-    report.run("Plotly.relayout('map', {'xaxis.range': [-30, -20], 'yaxis.range': [0, 10]})")
-    report.run("[...document.querySelectorAll('td button')][1].click()")
-    report.until("return document.getElementById('map').layout.xaxis.range[0] > -20")
-    (west, east), (south, north) = report.run(
-        "const { xaxis, yaxis } = document.getElementById('map').layout; return [xaxis.range, yaxis.range]"
-    )
-    x, y = report.walker
-    assert west < x < east
-    assert south < y < north
-    box = "const r = document.getElementById('map').getBoundingClientRect(); return r.bottom > 0 && r.top < innerHeight"
-    assert report.run(box)
-
-
-def test_hovering_says_time_place_sigma_and_heading(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_hovering_says_time_place_sigma_and_heading(report):
     text = report.run("return document.getElementById('map').data.find(d => d.name === 'graph').text[10]")
     assert re.fullmatch(r"graph \d:\d\d<br>x -?[\d.]+, y -?[\d.]+ ± [\d.]+ m, heading \d+° from north", text)
-
-
-def test_headings_are_clockwise_from_north(browser, walk):
-    """As compasses, `--start-heading` and the map's arrow have them; the file has them from the x axis."""
-    report = Page(browser, walk / "out" / "report.html")
-    time, _, heading = trajectory(walk / "out" / "trajectory.csv")
-    for row in (20, len(time) - 20):
-        report.slide(begins(report) + time[row])
-        said = re.search(r"heading (\d+)° from north", report.run("return document.getElementById('readout').value"))
-        assert said is not None
-        assert np.cos(np.radians(90 - int(said[1])) - heading[row]) > np.cos(0.03), "rounded to a degree"
-
-
-def test_the_legend_shows_its_colours_by_night(browser, walk):
-    """On the light ground of the map, on which the tracks are."""
-    night = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", night)
-    try:
-        report = Page(browser, walk / "out" / "report.html")
-        ground = report.run("return document.querySelector('#map .legend .bg').style.fill")
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    assert min(int(part) for part in re.findall(r"\d+", ground)[:3]) > 200, ground
 
 
 def test_a_table_that_is_cut_off_says_so(browser, walk):
@@ -339,8 +307,7 @@ def test_a_table_that_is_cut_off_says_so(browser, walk):
         assert any(cut for _, cut in found) == (width == 390)
 
 
-def test_the_scale_bar_is_as_long_as_it_says(browser, walk):
-    report = Page(browser, walk / "out" / "report.html")
+def test_the_scale_bar_is_as_long_as_it_says(report):
     length, unit = report.run("return document.getElementById('length').textContent").split()
     pixels = report.run("return document.getElementById('bar').getBoundingClientRect().width")
     assert unit == "m"
@@ -360,22 +327,20 @@ def test_a_time_without_samples_is_dashed_on_the_map(browser, tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_is_readable_by_day_and_by_night(browser, walk, scheme):
-    browser.execute_cdp_cmd(
-        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    )
-    report = Page(browser, walk / "out" / "report.html")
-    colours = report.run(
-        "const tick = document.querySelector('#charts .ytick text'), page = document.getElementById('charts');"
-        "return [getComputedStyle(tick).fill, getComputedStyle(page).backgroundColor]"
-    )
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    text, ground = (lightness([int(part) for part in re.findall(r"\d+", colour)[:3]]) for colour in colours)
-    assert abs(text - ground) > 45
+def test_text_is_readable_and_the_legend_light_by_day_and_by_night(browser, walk, scheme):
+    """The legend has the light ground of the map, on which the tracks are."""
+    with dressed(browser, scheme):
+        report = Page(browser, walk / "out" / "report.html")
+        text, ground, legend = report.run(
+            "const tick = document.querySelector('#charts .ytick text'), page = document.getElementById('charts');"
+            "return [getComputedStyle(tick).fill, getComputedStyle(page).backgroundColor,"
+            "document.querySelector('#map .legend .bg').style.fill]"
+        )
+    assert abs(lightness(parts(text)) - lightness(parts(ground))) > 45
+    assert min(parts(legend)) > 200
 
 
-def test_a_page_of_paper_has_no_text_beyond_its_border(browser, walk, tmp_path):
-    Page(browser, walk / "out" / "report.html")
+def test_a_page_of_paper_has_no_text_beyond_its_border(browser, report):
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True})
     document = pytest.importorskip("pypdfium2").PdfDocument(base64.b64decode(printed["data"]))
     widths = [page.get_width() for page in document]

@@ -24,13 +24,12 @@ class Phone:
         self.buffers = {name: [] for outputs in BUFFERS.values() for name in outputs.values()}
         self.lock = threading.Lock()
 
-    def start(self, experiment, system):
-        self.measuring = True
-        self.events.append({"event": "START", "experimentTime": experiment, "systemTime": system})
+    def start(self, experiment, system, event="START"):
+        self.measuring = event == "START"
+        self.events.append({"event": event, "experimentTime": experiment, "systemTime": system})
 
     def pause(self, experiment, system):
-        self.measuring = False
-        self.events.append({"event": "PAUSE", "experimentTime": experiment, "systemTime": system})
+        self.start(experiment, system, "PAUSE")
 
     def clear(self):
         """As the button does: data and times begin again, the session stays."""
@@ -51,8 +50,7 @@ class Phone:
                 {"source": sensor, "outputs": [{key: name} for key, name in outputs.items()]}
                 for sensor, outputs in BUFFERS.items()
             ]
-            sizes = [{"name": name, "size": 0} for name in self.buffers]
-            return {"crc32": "1f", "title": "Walk", "buffers": sizes, "inputs": inputs, "export": []}
+            return {"crc32": "1f", "title": "Walk", "inputs": inputs, "export": []}
         if path == "/meta":
             return {"deviceBrand": "Fairphone", "deviceModel": "5", "version": "1.2.1", "sensors": {}}
         if path == "/time":

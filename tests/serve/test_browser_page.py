@@ -1,46 +1,146 @@
-"""The page in headless Chromium: layout, themes, keyboard, floors, frames, and what it asks for. Poses are canned."""
+"""The page in headless Chromium: a walk as it is posted; then layout, themes, keyboard, floors with canned poses."""
 
 import asyncio
+import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated
 import uvicorn
 from browser import chromium
-from live_page import PATIENCE, LivePage, browser_of
+from live_page import PATIENCE, SOFTWARE_GL, LivePage
+from plans import MAPS
+from running_server import RunningServer
 from stand_in_server import QuietHandler, served
+from streamed_walks import bodies
 
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
-from pdr_graph.apps.serve.publishing import Hub, plan_layers
+from pdr_graph.apps.serve.publishing import Hub, nowhere, path_columns, plan_layers
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
+from pdr_graph.types import Trajectory
 
-pytestmark = pytest.mark.timeout(90)
-MAPS = Path(__file__).parents[2] / "maps"
+pytestmark = [pytest.mark.timeout(120), pytest.mark.thorough]
+MAP = MAPS / "arcade.geojson"
+ARCADE, TWO_FLOORS = (Building.load(MAPS / f"{name}.geojson") for name in ("arcade", "two_floors"))
+FRAME = ARCADE.floors[0].frame
+WALK = simulated.walk_along(np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6)]), seed=4)
 HOSTILE = '<img src=x onerror="window.hacked=1"><b>A&B</b>'
+SILENT = {"issues": ["gyroscope: silent for 4 s"], "health": {"accelerometer": "100 Hz", "gyroscope": "silent for 4 s"}}
 SMALLEST_TARGET = 40  # [px]
 LEAST_CONTRAST = 4.5  # WCAG 2.2 level AA, text
-NEAR = 2.0  # [px]
+FIRST = "[...page.walkers.values()][0]"
+FOLLOWING = "return document.getElementById('follow').getAttribute('aria-pressed') === '{}'"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium that reaches this machine alone."""
+    with chromium(offline=False, arguments=SOFTWARE_GL) as found:
+        yield found
+
+
+# A walk as it is posted
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    running = RunningServer(tmp_path_factory.mktemp("server") / "out", "--map", str(MAP))
+    yield running
+    running.kill()
+
+
+@pytest.fixture
+def page(browser, server):
+    for walker in server.walkers():
+        server.ask(f"/walkers/{walker['id']}", method="DELETE")
+    return LivePage(browser, server.url)
+
+
+def messages():
+    """The walk in the plan's frame, a message a second, by a clock that is right."""
+    recording = simulated.with_receiver(WALK, every=250)
+    fixes = replace(recording.fixes, position=FRAME.to_lonlat(WALK.position[::250]))
+    return bodies(replace(recording, fixes=fixes, epoch=time.time() - WALK.time[-1]))
+
+
+def test_a_walk_being_posted_is_on_the_map(page, server):
+    server.post(*messages()[:25])
+    walker = server.published(25)
+    page.until(f"return page.walkers.size === 1 && {FIRST}.pose.message >= 25")
+    page.settle()
+    # the dot is where the display position is, and near the truth
+    assert page.dot_is_at(walker["display"])
+    truth = WALK.position[np.searchsorted(WALK.time, 25) - 1]
+    error = np.hypot(*(FRAME.from_lonlat(np.array([walker["display"]]))[0] - truth))
+    assert error < 4 * walker["sigma"] + 2.0, "of the estimate"
+    # the state in words, the sensors, the accuracy
+    text = page.text("#walkers")
+    for part in (walker["name"], walker["state"], f"± {walker['sigma']:.1f} m", "accelerometer", "gyroscope", "50 Hz"):
+        assert part in text
+    page.drawn("current", "region", "ground", "walkable")
+    assert page.errors == []
+    foreign, requests = page.foreign(server.url)
+    assert foreign == []
+    assert requests > 5, "a control: requests are seen"
+    # the cone points along the heading
+    shape, turned = page.run(
+        "const c = document.querySelector('.cone'); return ['d', 'transform'].map(a => c.getAttribute(a))"
+    )
+    assert walker["heading_sigma"] < 1.0
+    assert shape.startswith("M0 0L")
+    assert float(turned[7:-1]) == pytest.approx(walker["bearing"])
+    # a page that is opened later has the path so far
+    again = LivePage(page.browser, server.url)
+    again.shows(1)
+    again.drawn("current")
+
+
+def test_a_server_that_restarts_is_found_again(page, server):
+    walk = messages()
+    server.post(*walk[:15])
+    page.shows(1)
+    server.kill()
+    page.until("return /trying again/.test(document.getElementById('notice').textContent)")
+    server.start(server.port)
+    server.post(*walk[15:20])
+    page.until("return document.getElementById('notice').hidden")
+    page.until(f"return {FIRST}.pose.message >= 20")
+    page.shows(1)
+
+
+# Canned poses
 
 
 class CannedServer:
     """The application without phones: poses are published by the test."""
 
     def __init__(self):
-        self.hub, self.loop, self.plan = Hub(), None, None
+        self.hub, self.plan, self.started = Hub(), None, threading.Event()
         self.server = Server(self.hub, Access({}))
-        config = uvicorn.Config(application(self.server), port=0, log_level="critical", timeout_graceful_shutdown=0)
-        self.uvicorn = uvicorn.Server(config)
-        self.thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
-        self.started = threading.Event()
+        config = uvicorn.Config(
+            application(self.server, self._lifespan), log_level="critical", timeout_graceful_shutdown=0
+        )
+        self.uvicorn, listening = uvicorn.Server(config), socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        self.thread = threading.Thread(target=self.uvicorn.run, args=([listening],), daemon=True)
         self.thread.start()
         assert self.started.wait(PATIENCE)
-        self.url = f"http://127.0.0.1:{self.uvicorn.servers[0].sockets[0].getsockname()[1]}"
+
+    @asynccontextmanager
+    async def _lifespan(self, _):
+        self.loop = asyncio.get_running_loop()
+        self.started.set()
+        yield
+
+    def end(self):
+        self.uvicorn.should_exit = True
+        self.thread.join(PATIENCE)
 
     def reset(self, plan=None, tiles=None, tokens=None):
         """Forget all walkers, and take another plan, tile server and tokens."""
@@ -50,45 +150,21 @@ class CannedServer:
         self.loop.call_soon_threadsafe(lambda: ([self.hub.forget(id_) for id_ in list(self.hub.walkers)], done.set()))
         assert done.wait(PATIENCE)
 
-    async def _serve(self):
-        self.loop = asyncio.get_running_loop()
-        serving = asyncio.create_task(self.uvicorn.serve())
-        while not self.uvicorn.started:
-            await asyncio.sleep(0.01)
-        self.started.set()
-        await serving
-
     def publish(self, name, *arguments):
         self.loop.call_soon_threadsafe(getattr(self.hub, name), *arguments)
 
     def pose(self, id_="one", x=5.0, y=18.0, **more):
-        """Publish a pose at a place [m] of the plan's frame."""
-        frame = self.plan.floors[0].frame if self.plan else Frame()
-        lon, lat = frame.to_lonlat(np.array([[x, y]]))[0].tolist() if frame.georeferenced else (None, None)
-        region = {"probability": 0.9, "semi_major": 3.0, "semi_minor": 2.0, "angle": 0.4}
-        pose = {"id": id_, "name": "Pixel 7", "state": "running", "time": time.time(), "message": 1, "x": x, "y": y}
-        pose |= {"lon": lon, "lat": lat, "sigma": 1.4, "heading": 0.0, "heading_sigma": 0.2, "floor": "", "modes": []}
-        pose |= {"region": region, "display": [x, y] if lon is None else [lon, lat], "bearing": 90.0, "steps": 20}
+        """Publish a pose at a place [m] of the plan's frame; nowhere without x."""
+        pose = {"id": id_, "name": "Pixel 7", "state": "running", "message": 1, "steps": 20, **nowhere()}
         pose |= {"notes": [], "missing": [], "issues": [], "health": {"accelerometer": "100 Hz"}, "ignored": {}}
+        if x is not None:
+            frame = self.plan.floors[0].frame if self.plan else Frame()
+            lon, lat = frame.to_lonlat(np.array([[x, y]]))[0].tolist() if frame.georeferenced else (None, None)
+            region = {"probability": 0.9, "semi_major": 3.0, "semi_minor": 2.0, "angle": 0.4}
+            pose |= {"time": time.time(), "x": x, "y": y, "lon": lon, "lat": lat, "sigma": 1.4, "region": region}
+            pose |= {"heading": 0.0, "heading_sigma": 0.2, "bearing": 90.0}
+            pose |= {"display": [x, y] if lon is None else [lon, lat]}
         self.publish("pose", "owner", pose | more)
-
-    def path(self, id_="one", *places, floor=""):
-        """Publish a path through places [m] of a frame without georeference, half of it finalised."""
-        x, y = np.array(places).T.tolist()
-        columns = {"time": [0.0] * len(x), "x": x, "y": y, "lon": None, "lat": None, "floor": [floor] * len(x)}
-        half = len(x) // 2
-        parts = [{k: v and v[rows] for k, v in columns.items()} for rows in (slice(half), slice(half, None))]
-        self.publish("path", {"id": id_, "from": 0, "finalised": parts[0], "current": parts[1]})
-
-    def end(self):
-        self.uvicorn.should_exit = True
-        self.thread.join(PATIENCE)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with browser_of() as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +172,6 @@ def canned():
     server = CannedServer()
     yield server
     server.end()
-
-
-ARCADE, TWO_FLOORS = (Building.load(MAPS / f"{name}.geojson") for name in ("arcade", "two_floors"))
 
 
 @pytest.fixture
@@ -129,34 +202,30 @@ def check_layout(page, width, height):
     """Everything is in the window, large enough to touch, and not on the walker."""
     assert page.run("return document.documentElement.scrollWidth") <= width
     boxes = page.run(
-        "return [...document.querySelectorAll('#panel, #tools, #tools button, .walker')].map(element => {"
-        "const r = element.getBoundingClientRect(); return [element.id, r.left, r.top, r.right, r.bottom]; })"
+        "return [...document.querySelectorAll('#panel, #tools, #tools button, .walker, button')]"
+        ".filter(e => e.offsetParent || e.matches('#panel, #tools')).map(e => { const r = e.getBoundingClientRect();"
+        "return [e.id, e.tagName, r.left, r.top, r.right, r.bottom]; })"
     )
-    for name, left, top, right, bottom in boxes:
+    inside = {"panel", "tools", "closer", "farther", "follow", "everything"}
+    assert inside <= {name for name, *_ in boxes}
+    for name, tag, left, top, right, bottom in boxes:
         assert min(left, top, width - right, height - bottom) >= 0, name
-    smallest = page.run(
-        "return Math.min(...[...document.querySelectorAll('button')].filter(b => b.offsetParent).map(b => {"
-        "const r = b.getBoundingClientRect(); return Math.min(r.width, r.height); }))"
-    )
-    assert smallest >= SMALLEST_TARGET
-    covered = page.run(
-        "const p = document.getElementById('panel').getBoundingClientRect(), t = arguments[0];"
-        "return t[0] > p.left && t[0] < p.right && t[1] > p.top && t[1] < p.bottom",
-        page.dot(),
-    )
-    assert not covered, "the panel lies on the walker"
+        if tag == "BUTTON":
+            assert min(right - left, bottom - top) >= SMALLEST_TARGET, name
+        if name == "panel":
+            x, y = page.dot()
+            assert not (left < x < right and top < y < bottom), "the panel lies on the walker"
 
 
 def test_on_a_phone_the_details_are_a_tap_away(browser, arcade):
-    arcade.pose(issues=["gyroscope: silent for 4 s"])
+    arcade.pose(**SILENT)
     page = shown(browser, arcade, 390, 844)
-    arcade.pose(issues=["gyroscope: silent for 4 s"])  # again: after 5 s without a pose the page says "no data"
+    arcade.pose(**SILENT)  # again: after 5 s without a pose the page says "no data"
     page.until("return /▲ gyroscope/.test(document.querySelector('.state').textContent)")
-    assert page.run("return document.querySelector('.detail').hidden")
-    page.run("document.querySelector('.walker').click()")
-    page.until("return !document.querySelector('.detail').hidden")
-    page.run("document.querySelector('.walker').click()")
-    page.until("return document.querySelector('.detail').hidden")
+    for hidden in ("true", "false", "true"):
+        page.until(f"return document.querySelector('.detail').hidden === {hidden}")
+        page.click(".walker")
+    assert page.text("dd.issue") == "silent for 4 s"
 
 
 def luminance(colour):
@@ -167,9 +236,9 @@ def luminance(colour):
 
 
 def test_texts_are_legible_in_both_themes(browser, arcade):
-    arcade.pose(issues=["gyroscope: silent for 4 s"], health={"accelerometer": "100 Hz", "gyroscope": "silent for 4 s"})
+    arcade.pose(**SILENT)
     page = shown(browser, arcade, 390, 844)
-    page.run("document.querySelector('.walker').click()")
+    page.click(".walker")
     page.until("return document.querySelector('.detail li')")
     for theme in ("light", "dark"):
         page.dress(theme)
@@ -207,105 +276,93 @@ def test_the_keyboard_does_all(browser, arcade):
     page.press("+")
     page.until(f"return page.state.map.getZoom() > {zoom + 0.5} && !page.state.map.isMoving()")
     page.press("f")
-    page.until("return document.getElementById('follow').getAttribute('aria-pressed') === 'false'")
+    page.until(FOLLOWING.format("false"))
     page.press("0")
     page.until(f"return Math.abs(page.state.map.getZoom() - {zoom}) < 0.3")
     page.press("f")
-    page.until("return page.state.following")
+    page.until(FOLLOWING.format("true"))
 
 
-def test_a_key_chooses_a_walker(browser, canned):
+def test_a_key_chooses_a_walker_and_a_forgotten_one_disappears(browser, canned):
     canned.reset(ARCADE)
     canned.pose("one", name="first")
     canned.pose("two", x=30.0, name="second")
     page = shown(browser, canned)
-    page.until("return page.walkers.size === 2")
+    page.shows(2)
     for key, name in (("2", "second"), ("1", "first")):
         page.press(key)
-        page.until(f"return document.querySelector('[aria-expanded=true] .name')?.textContent === '{name}'")
-        page.until(f"return document.querySelector('.chosen .name')?.textContent === '{name}'")
-    assert page.run("return new Set([...page.walkers.values()].map(w => w.colour)).size") == 2
+        page.says("[aria-expanded=true] .name", name)
+        page.says(".chosen .name", name)
+    colours = page.run("return [...document.querySelectorAll('.pin .dot')].map(dot => dot.getAttribute('fill'))")
+    assert len(set(colours)) == 2
+    canned.publish("forget", "two")
+    page.shows(1)
 
 
 def test_the_map_follows_its_walker_until_it_is_dragged(browser, arcade):
     page = shown(browser, arcade)
     page.run("page.state.map.jumpTo({center: [135.001, 35.001], zoom: 21})")
     arcade.pose(x=6.0)
-    inside = "const p = page.state.map.project([...page.walkers.values()][0].at);"
-    page.until(f"{inside} return p.x > 0 && p.x < 800 && p.y > 0 && p.y < 600")
+    page.until(f"const p = page.state.map.project({FIRST}.at); return p.x > 0 && p.x < 800 && p.y > 0 && p.y < 600")
     page.run("page.state.map.fire('dragstart')")
-    page.until("return document.getElementById('follow').getAttribute('aria-pressed') === 'false'")
-    page.run("document.getElementById('follow').click()")
-    page.until("return page.state.following")
+    page.until(FOLLOWING.format("false"))
+    page.click("#follow")
+    page.until(FOLLOWING.format("true"))
 
 
 def test_floors_are_shown_one_at_a_time(browser, canned):
     canned.reset(TWO_FLOORS)
     canned.pose(floor="1")
     page = shown(browser, canned)
-    rooms = "return page.state.map.queryRenderedFeatures({layers: ['room', 'walkable']}).map(f => f.properties.floor)"
-    checked = "return document.querySelector('#floors [aria-checked=true]').textContent"
-    page.until(f"{rooms}.length")
-    page.until("return new Set(" + rooms.removeprefix("return ") + ").size === 1")
-    assert set(page.run(rooms)) == {"1"}
+    rooms = "page.state.map.queryRenderedFeatures({layers: ['room', 'walkable']}).map(f => f.properties.floor)"
+    checked = "#floors [aria-checked=true]"
+    page.until(f"return String([...new Set({rooms})]) === '1'")
     assert page.run("return [...document.getElementById('floors').children].map(b => b.textContent)") == ["2", "1"]
     page.press("PageUp")
-    page.until(f"{checked} === '2'")
+    page.says(checked, "2")
     page.until("return document.querySelector('.pin.elsewhere')")
-    page.until("return " + rooms.removeprefix("return ") + ".every(floor => floor === '2')")
-    page.until(f"{rooms}.length")
-    page.run("document.querySelectorAll('#floors button')[1].click()")
-    assert page.run(checked) == "1"
+    page.until(f"return String([...new Set({rooms})]) === '2'")
+    page.click("#floors button:last-child")
+    page.says(checked, "1")
     canned.pose(floor="2")  # the walker climbs the stairs: the map follows
-    page.until(f"{checked} === '2'")
-    page.run("document.querySelector('#floors [aria-checked=true]').focus()")
+    page.says(checked, "2")
+    page.run(f"document.querySelector('{checked}').focus()")
     page.press("ArrowDown")
-    page.until(f"{checked} === '1'")
+    page.says(checked, "1")
 
 
 def test_a_plan_without_georeference_is_drawn_in_metres(browser, canned):
-    floors = ARCADE.floors
-    canned.reset(Building.of(*[replace(floor, frame=Frame()) for floor in floors]))
+    canned.reset(Building.of(*[replace(floor, frame=Frame()) for floor in ARCADE.floors]))
     canned.pose(x=10.0, y=20.0)
-    canned.path("one", (5.0, 18.0), (7.0, 18.0), (8.0, 19.0), (10.0, 20.0))
+    places = np.array([[(5.0, 18.0), (7.0, 18.0)], [(8.0, 19.0), (10.0, 20.0)]])
+    parts = [path_columns(Trajectory(np.zeros(2), part, np.zeros(2), ("", "")), None, 0.0) for part in places]
+    canned.publish("path", {"id": "one", "from": 0, "finalised": parts[0], "current": parts[1]})
     page = shown(browser, canned)
-    lonlat = (np.array([10.0, 20.0]) / METRES_PER_DEGREE).tolist()
-    there = page.run("const p = page.state.map.project(arguments[0]); return [p.x, p.y]", lonlat)
-    assert np.hypot(*np.subtract(page.dot(), there)) < NEAR
-    for layer in ("ground", "walkable", "finalised", "current"):
-        page.until(f"return page.state.map.queryRenderedFeatures({{layers: ['{layer}']}}).length > 0")
-
-
-def test_without_a_plan_there_is_a_grid_of_ten_metres(browser, canned):
-    canned.reset()
-    canned.pose()
-    page = shown(browser, canned)
-    page.until("return page.state.map.queryRenderedFeatures({layers: ['grid']}).length > 0")
+    assert page.dot_is_at((np.array([10.0, 20.0]) / METRES_PER_DEGREE).tolist(), 2.0)
+    page.drawn("ground", "walkable", "finalised", "current")
 
 
 def test_the_ways_that_remain_are_faint_and_the_heading_is_not_shown(browser, arcade):
     region = {"probability": 0.9, "semi_major": 1.5, "semi_minor": 1.0, "angle": 0.0}
-    modes = [{"probability": p, "x": x, "y": 18.0, "lon": 135.00005, "lat": 35.00016, "heading": 0.0, "region": region}
-             for p, x in ((0.6, 5.0), (0.39, 8.0), (0.01, 9.0))]  # fmt: skip
+    way = {"y": 18.0, "lon": 135.00005, "lat": 35.00016, "heading": 0.0, "region": region}
+    modes = [way | {"probability": p, "x": x} for p, x in ((0.6, 5.0), (0.39, 8.0), (0.01, 9.0))]
     arcade.pose(state="initialising heading", modes=modes)
     page = shown(browser, arcade)
-    page.until("return [...page.walkers.values()][0].regions().length === 3")  # two ways and the whole
-    weights = page.run("return [...page.walkers.values()][0].regions().map(f => f.properties.weight)")
+    page.until(f"return {FIRST}.regions().length === 3")  # two ways and the whole
+    weights = page.run(f"return {FIRST}.regions().map(f => f.properties.weight)")
     assert weights[1] < weights[0] < weights[2]
     assert not page.run("return document.querySelector('.cone').getAttribute('d')")
-    # Again: after 5 s without a pose the page says "no data"
-    arcade.pose(state="initialising heading", modes=modes)
+    arcade.pose(state="initialising heading", modes=modes)  # again: after 5 s without a pose the page says "no data"
     page.until("return /initialising heading/.test(document.querySelector('.state').textContent)")
 
 
-def test_before_the_first_position_the_state_is_shown(browser, canned):
+def test_before_the_first_position_the_state_is_shown_and_a_grid_of_ten_metres(browser, canned):
     canned.reset()
-    unknown = dict.fromkeys(
-        ("x", "y", "lon", "lat", "sigma", "heading", "heading_sigma", "region", "display", "bearing")
-    )
-    canned.pose(**unknown, state="waiting")
+    canned.pose(x=None, state="waiting")
     page = LivePage(browser, canned.url)
-    page.until("return document.querySelector('.state')?.textContent === 'waiting'")
+    page.says(".state", "waiting")
+    canned.pose()
+    page.drawn("grid")
     assert page.errors == []
 
 
@@ -317,19 +374,13 @@ def test_a_name_is_text(browser, arcade):
     assert page.run("return document.querySelectorAll('#panel img, .pin img').length") == 0
 
 
-def test_a_walker_without_news_is_stale(browser, arcade):
+def test_a_walker_without_news_is_stale_and_its_age_is_told(browser, arcade):
+    arcade.pose(time=time.time() - 300)
     page = shown(browser, arcade)
-    page.run("[...page.walkers.values()][0].heard -= 20000")
-    page.until("return /no data for 2\\d s/.test(document.querySelector('.state').textContent)")
+    page.says(".state", "no data for 5 min")
     page.until("return +getComputedStyle(document.querySelector('.pin.stale svg')).opacity < 0.6")
     arcade.pose(message=2)
     page.until("return !document.querySelector('.pin.stale')")
-
-
-def test_a_page_that_is_opened_later_tells_how_old_a_pose_is(browser, arcade):
-    arcade.pose(time=time.time() - 300)
-    page = shown(browser, arcade)
-    page.until("return document.querySelector('.state').textContent === 'no data for 5 min'")
 
 
 def test_finished_walks_stand_behind_those_under_way(browser, canned):
@@ -337,22 +388,24 @@ def test_finished_walks_stand_behind_those_under_way(browser, canned):
     canned.pose("old", name="old", state="finished")
     canned.pose("new", name="new", x=20.0)
     page = shown(browser, canned)
-    page.until("return document.querySelector('[aria-expanded=true] .name')?.textContent === 'new'")
-    page.until("return document.querySelectorAll('.pin').length === 2")
-    tops = page.run("return ['old', 'new'].map(name => [...document.querySelectorAll('.name')]"
-                    ".find(e => e.textContent === name).getBoundingClientRect().top)")  # fmt: skip
-    assert tops[1] < tops[0]
+    page.shows(2)
+    page.says("[aria-expanded=true] .name", "new")
+    tops = page.run(
+        "return [...document.querySelectorAll('.name')].map(e => [e.getBoundingClientRect().top, e.textContent])"
+    )
+    assert next(name for _, name in sorted(tops) if name in ("old", "new")) == "new"
     assert page.run("return [...page.walkers.values()].map(w => w.regions().length)") == [0, 1]
 
 
-def test_the_page_of_a_guarded_server_needs_its_token(browser, canned):
-    token = "0123456789abcdef"
-    canned.reset(tokens={"owner": token})
-    page = LivePage(browser, f"{canned.url}/?token={token}")
-    assert page.run("return location.search") == "", "in no history"
+@pytest.mark.parametrize("token", ["", "0123456789abcdef"], ids=["open", "guarded"])
+def test_without_a_phone_the_page_says_what_to_enter(browser, canned, token):
+    """And the token of a guarded server is shown nowhere, and in no history."""
+    canned.reset(tokens={"owner": token} if token else {})
+    page = LivePage(browser, f"{canned.url}/?token={token}" if token else canned.url)
     page.until("return !document.getElementById('empty').hidden")
-    assert page.run("return document.getElementById('address').textContent").endswith("/sensorlogger?token=…")
-    assert token not in page.run("return document.body.textContent + document.cookie")
+    assert page.text("#address") == f"{canned.url}/sensorlogger" + ("?token=…" if token else "")
+    assert page.run("return location.search") == ""
+    assert not token or token not in page.run("return document.body.textContent + document.cookie")
     assert page.errors == []
 
 
@@ -378,9 +431,8 @@ def test_tiles_come_from_the_chosen_server_and_nothing_else_from_outside(browser
         canned.pose()
         page = shown(browser, canned)
         page.until("return page.state.map.getLayer('tiles') !== undefined")
-        foreign, _ = page.foreign(canned.url, tiles)
-        assert foreign == []
-        assert "tiles: 127.0.0.1" in page.run("return document.querySelector('.maplibregl-ctrl-attrib').textContent")
+        assert page.foreign(canned.url, tiles)[0] == []
+        assert "tiles: 127.0.0.1" in page.text(".maplibregl-ctrl-attrib")
         assert asked
 
 
@@ -389,8 +441,6 @@ def test_the_policy_allows_no_request_to_outside(browser, arcade):
     page = shown(browser, arcade)
     page.run(
         "window.refused = 0; document.addEventListener('securitypolicyviolation', () => { window.refused += 1; });"
-    )
-    page.run(
         "fetch('https://example.org/').catch(() => 0); const i = new Image(); i.src = 'https://example.org/x.png';"
     )
     page.until("return window.refused === 2")
@@ -398,8 +448,7 @@ def test_the_policy_allows_no_request_to_outside(browser, arcade):
 
 def test_without_webgl_the_list_works(arcade):
     with chromium(offline=False, arguments=("--disable-3d-apis",)) as browser:
-        browser.set_page_load_timeout(PATIENCE)
         page = LivePage(browser, arcade.url, 390, 844)
         page.until("return document.querySelectorAll('.walker').length === 1")
-        assert "no WebGL" in page.run("return document.getElementById('notice').textContent")
+        assert "no WebGL" in page.text("#notice")
         assert page.errors == []

@@ -51,26 +51,24 @@ def failures(updates):
     return [update for kind, update in updates if kind == "failed"]
 
 
-def test_a_walker_that_kills_its_process_again_and_again_is_left_alone(tmp_path, quick):
+@pytest.mark.parametrize(
+    ("walker", "text"),
+    [
+        ("deadly", "its process was killed or crashed"),
+        pytest.param("freezing", "its process did not answer for 2 s", marks=pytest.mark.thorough),
+    ],
+)
+def test_a_walker_that_ends_or_hangs_its_process_again_and_again_is_left_alone(tmp_path, quick, walker, text):
     """And the others of the process go on."""
 
     def until(updates):
         return len(failures(updates)) >= MOST_ATTEMPTS and ("looked", {"id": "calm"}) in updates
 
-    found = failures(with_walkers(tmp_path, ["deadly", "calm"], until))
-    assert [failure["id"] for failure in found] == ["deadly"] * MOST_ATTEMPTS
+    found = failures(with_walkers(tmp_path, [walker, "calm"], until))
+    assert [failure["id"] for failure in found] == [walker] * MOST_ATTEMPTS
     assert [failure["again"] for failure in found] == [True, True, False]
-    assert found[-1]["text"] == (
-        "its process was killed or crashed; it is left alone until the next start; its messages are kept"
-    )
-
-
-def test_a_process_that_hangs_is_ended_and_its_walker_named(tmp_path, quick):
-    def until(updates):
-        return len(failures(updates)) >= MOST_ATTEMPTS and ("looked", {"id": "calm"}) in updates
-
-    found = failures(with_walkers(tmp_path, ["freezing", "calm"], until))
-    assert all(failure["text"].startswith("its process did not answer for 2 s") for failure in found)
+    assert all(failure["text"].startswith(text) for failure in found)
+    assert found[-1]["text"].endswith("; it is left alone until the next start; its messages are kept")
 
 
 def test_a_stopped_process_is_replaced_and_no_message_to_it_waits(tmp_path, quick):

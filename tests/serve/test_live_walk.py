@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 import simulated
+from streamed_walks import bodies
 
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.serve import live_walk
 from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session, finish
 from pdr_graph.errors import InputError
-from pdr_graph.lab.simulation.streaming import batches, message
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.journal import MESSAGES, Entry, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
@@ -32,8 +32,8 @@ def recording():
 
 
 @pytest.fixture(scope="module")
-def bodies(recording):
-    return [message("s", n, payload) for n, payload in enumerate(batches(recording)[:SECONDS])]
+def messages(recording):
+    return bodies(recording, "s")[:SECONDS]
 
 
 def opened(folder):
@@ -46,11 +46,11 @@ def received(n):
     return EPOCH + n + 1.0
 
 
-def logged(folder, bodies, numbers=None, late=0.0):
+def logged(folder, messages, numbers=None, late=0.0):
     """A log of messages; numbers: their order of arrival; late [s]: by the server's clock."""
     log = MessageLog(folder / LOG)
-    for n in range(len(bodies)) if numbers is None else numbers:
-        log.add(n, received(n) + late, bodies[n])
+    for n in range(len(messages)) if numbers is None else numbers:
+        log.add(n, received(n) + late, messages[n])
     log.close()
 
 
@@ -61,16 +61,21 @@ def used(walk, now=np.inf):
 
 
 @pytest.fixture(scope="module")
-def expected(bodies, tmp_path_factory):
+def expected(messages, tmp_path_factory):
     """The pose after all messages, in order and without an interruption."""
     folder = tmp_path_factory.mktemp("expected")
-    logged(folder, bodies)
-    walk = opened(folder)
-    pose = used(walk)
-    return pose
+    logged(folder, messages)
+    return used(opened(folder))
 
 
-def test_the_pose_is_that_of_a_navigator_that_gets_the_recording(recording, bodies, expected):
+@pytest.fixture
+def walk(messages, tmp_path):
+    """A walk whose messages wait."""
+    logged(tmp_path, messages)
+    return opened(tmp_path)
+
+
+def test_the_pose_is_that_of_a_navigator_that_gets_the_recording(recording, expected):
     """To the millimetre: its events are the same."""
     nav = Navigator(lag=20.0, epoch=recording.epoch)
     for event in events_of(recording):
@@ -82,47 +87,45 @@ def test_the_pose_is_that_of_a_navigator_that_gets_the_recording(recording, bodi
     assert expected["steps"] == nav.steps
 
 
-def test_messages_out_of_order_are_put_in_order(bodies, expected, tmp_path):
-    numbers = list(range(SECONDS))
-    for n in range(2, SECONDS - 2, 5):
-        numbers[n], numbers[n + 1] = numbers[n + 1], numbers[n]
-    logged(tmp_path, bodies, numbers)
-    walk = opened(tmp_path)
-    assert used(walk, now=0.0) | {"message": 0} == expected | {"message": 0}
+SWAPPED = [n + 1 - 2 * (n % 2) if 2 <= n < SECONDS - 2 else n for n in range(SECONDS)]
 
 
-def test_a_repeated_message_changes_nothing(bodies, expected, tmp_path):
-    logged(tmp_path, bodies, [n for n in range(SECONDS) for _ in range(2)])
-    walk = opened(tmp_path)
-    assert used(walk) == expected
+@pytest.mark.parametrize(
+    "numbers", [SWAPPED, [n for n in range(SECONDS) for _ in range(2)]], ids=["out of order", "repeated"]
+)
+def test_messages_are_put_in_order_and_used_once(messages, expected, tmp_path, numbers):
+    """Files of earlier versions beside the log are ignored."""
+    logged(tmp_path, messages, numbers)
+    (tmp_path / "walk.journal").write_bytes(b"of an earlier version")
+    assert used(opened(tmp_path), now=0.0) == expected
 
 
-def test_a_lost_message_is_a_gap_of_the_walk(bodies, tmp_path):
-    logged(tmp_path, bodies, [n for n in range(SECONDS) if n != 15])
-    walk = opened(tmp_path)
-    assert used(walk)["state"] == "running"
+def test_a_lost_message_is_a_gap_of_the_walk(messages, tmp_path):
+    logged(tmp_path, messages, [n for n in range(SECONDS) if n != 15])
+    assert used(opened(tmp_path))["state"] == "running"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_walk_goes_on_after_an_end_at_any_moment(bodies, expected, tmp_path, seed, monkeypatch):
-    """The process ends within a message: before, after or between its events; it had published poses and paths."""
-    rng, ends = np.random.default_rng(seed), 4
-    for end in range(ends + 1):
-        logged(tmp_path, bodies[: SECONDS * (end + 1) // (ends + 1)])
-        walk = opened(tmp_path)
-        if end < ends:
-            remaining = int(rng.integers(1, 250))
-            with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
-                _end_after(patch, remaining)
-                while walk.work(np.inf):
-                    walk.pose()
-                    walk.path()
-    assert used(walk) == expected
+def test_the_walk_goes_on_after_its_process_ended_within_a_message(messages, expected, tmp_path, monkeypatch):
+    """Before, after or between its events; it had published poses and paths."""
+    random, push = np.random.default_rng(0), Navigator.push
+    for end in range(4):
+        logged(tmp_path, messages[: SECONDS * (end + 1) // 4])
+        walk, remaining = opened(tmp_path), iter(range(random.integers(1, 250)))
+
+        def interrupted(navigator, event, remaining=remaining):
+            if next(remaining, None) is None:
+                raise KeyboardInterrupt  # it passes all handlers, as a signal does
+            push(navigator, event)
+
+        with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+            patch.setattr(Navigator, "push", interrupted)
+            while walk.work(np.inf):
+                walk.pose()
+                walk.path()
+    assert used(opened(tmp_path)) == expected
 
 
-def test_poses_and_paths_between_messages_change_nothing(bodies, expected, tmp_path):
-    logged(tmp_path, bodies)
-    walk = opened(tmp_path)
+def test_poses_and_paths_between_messages_change_nothing(walk, expected):
     assert walk.catching_up
     while walk.work(np.inf):
         assert walk.pose()["message"] == SECONDS - walk.waiting
@@ -136,22 +139,8 @@ def without_display(pose):
     return {name: value for name, value in pose.items() if name != "display"}
 
 
-def _end_after(patch, remaining):
-    """KeyboardInterrupt after some events: it passes all handlers, as a signal does."""
-    push, left = Navigator.push, [remaining]
-
-    def interrupted(navigator, event):
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        push(navigator, event)
-
-    patch.setattr(Navigator, "push", interrupted)
-
-
-def test_an_event_that_fails_is_counted_and_the_walk_goes_on(bodies, tmp_path, monkeypatch):
-    logged(tmp_path, bodies)
-    push, walk = Navigator.push, opened(tmp_path)
+def test_an_event_that_fails_is_counted_and_the_walk_goes_on(walk, monkeypatch):
+    push = Navigator.push
 
     def failing(navigator, event):
         if event.time[0] == pytest.approx(10.0, abs=0.01):
@@ -164,17 +153,10 @@ def test_an_event_that_fails_is_counted_and_the_walk_goes_on(bodies, tmp_path, m
     assert pose["steps"] > 25
 
 
-def test_files_of_earlier_versions_beside_the_log_are_ignored(bodies, expected, tmp_path):
-    logged(tmp_path, bodies)
-    for name in ("turns.db", "walk.journal"):
-        (tmp_path / name).write_bytes(b"of an earlier version")
-    assert used(opened(tmp_path)) == expected
-
-
-def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
+def test_the_path_comes_in_parts_that_are_the_whole(messages, tmp_path):
     log, points = MessageLog(tmp_path / LOG), {"time": [], "x": []}
     walk = opened(tmp_path)
-    for n, body in enumerate(bodies):
+    for n, body in enumerate(messages):
         log.add(n, received(n), body)
         walk.look()
         used(walk)
@@ -191,32 +173,39 @@ def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
     log.close()
 
 
-def test_a_finished_walk_has_its_whole_path(bodies, tmp_path):
-    logged(tmp_path, bodies)
-    walk = opened(tmp_path)
+def test_a_finished_walk_has_its_whole_path(walk):
     pose, path = walk.finish()
     assert pose["state"] == "finished"
     assert path["current"]["time"] == []
     assert len(path["finalised"]["time"]) > 18
 
 
-def test_a_clock_hours_off_is_an_issue(bodies, tmp_path):
-    logged(tmp_path, bodies[:5], late=2 * 3600.0)
-    walk = opened(tmp_path)
-    assert "the phone's clock is 2.0 h behind this machine's" in used(walk)["issues"]
+def test_a_clock_hours_off_is_an_issue(messages, tmp_path):
+    logged(tmp_path, messages[:5], late=2 * 3600.0)
+    assert "the phone's clock is 2.0 h behind this machine's" in used(opened(tmp_path))["issues"]
 
 
 def entry(identity, received=0.0):
     return Entry(identity, received, identity, identity + 1)
 
 
-def test_a_message_waits_two_seconds_for_those_before_it():
+TOO_MANY = list(range(5, 5 + live_walk.MOST_WAITING + 1))
+
+
+@pytest.mark.parametrize(
+    ("identities", "now", "order"),
+    [
+        ([0, 2, 3], 101.9, [0]),
+        ([0, 2, 3], 102.1, [0, 2, 3]),
+        (TOO_MANY, 100.0, TOO_MANY),
+    ],
+    ids=["one is missing", "for two seconds", "too many wait"],
+)
+def test_a_message_waits_two_seconds_for_those_before_it_unless_too_many_wait(identities, now, order):
     queue = Queue(ordered=True)
-    for identity in (0, 2, 3):
+    for identity in identities:
         queue.add(entry(identity, received=100.0))
-    assert queue.next(100.0).identity == 0
-    assert queue.next(101.9) is None
-    assert [queue.next(102.1).identity, queue.next(102.1).identity] == [2, 3]
+    assert emptied(queue, now) == order
 
 
 def test_the_order_does_not_depend_on_when_it_is_asked_for():
@@ -238,36 +227,20 @@ def emptied(queue, now=np.inf):
     return order
 
 
-def test_too_many_waiting_messages_go_on_without_the_lost_one():
-    queue = Queue(ordered=True)
-    for identity in range(5, 5 + live_walk.MOST_WAITING + 1):
-        queue.add(entry(identity, received=100.0))
-    assert queue.next(100.0).identity == 5
-
-
-def test_a_message_cut_short_by_a_kill_is_no_message(tmp_path):
+def test_a_message_that_is_damaged_or_cut_short_by_a_kill_is_no_message(tmp_path):
     log = MessageLog(tmp_path / "log")
     log.add(1, 0.0, b"one")
     log.add(2, 0.0, b"two" * 100)
     log.close()
     whole = (tmp_path / "log").read_bytes()
-    for end in range(len(MESSAGES), len(whole)):
-        (tmp_path / "log").write_bytes(whole[:end])
+    for damaged in (whole[:-1] + b"?", *(whole[:end] for end in range(len(MESSAGES), len(whole)))):
+        (tmp_path / "log").write_bytes(damaged)
         log = MessageLog(tmp_path / "log")
         assert log.identities <= {1}
         assert log.add(2, 0.0, b"again")
         log.close()
-        bodies = [read_body(tmp_path / "log", each) for each in read_entries(tmp_path / "log")]
-        assert bodies[-1] == b"again"
-
-
-def test_a_damaged_last_message_is_no_message(tmp_path):
-    log = MessageLog(tmp_path / "log")
-    log.add(1, 0.0, b"one")
-    log.close()
-    content = (tmp_path / "log").read_bytes()
-    (tmp_path / "log").write_bytes(content[:-1] + b"?")
-    assert MessageLog(tmp_path / "log").identities == set()
+        read = [read_body(tmp_path / "log", each) for each in read_entries(tmp_path / "log")]
+        assert read[-1] == b"again"
 
 
 def test_another_file_is_no_log(tmp_path):
@@ -276,10 +249,10 @@ def test_another_file_is_no_log(tmp_path):
         MessageLog(tmp_path / "log")
 
 
-def test_a_finished_walk_is_a_day_of_the_lifelog(bodies, tmp_path):
+def test_a_finished_walk_is_a_day_of_the_lifelog(messages, tmp_path):
     folder = tmp_path / "s"
     folder.mkdir()
-    logged(folder, bodies)
+    logged(folder, messages)
     session = Session("s", "s", "phone", "ann", "sensorlogger", "android", EPOCH, True)
     (folder / SESSION).write_bytes(msgspec.json.encode(session))
     for _ in range(2):  # a walk that was resumed is finished again

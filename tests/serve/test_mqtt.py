@@ -1,31 +1,118 @@
-"""Sensor Logger by MQTT: against a small broker of the tests, and Mosquitto where it is installed."""
+"""Sensor Logger by MQTT, against a broker of MQTT 3.1.1 with quality of service 0 and exact topics, over TCP."""
 
 import asyncio
 import contextlib
-import shutil
-import socket
-import subprocess
 import sys
-import time
 
 import pytest
-from mqtt_broker import Broker, running
+from streamed_walks import PATIENCE, bodies, outdoors, soon
 
 from pdr_graph.apps.serve import pulling
-from pdr_graph.apps.serve.pulling import TOPIC, broker_of, subscribe
+from pdr_graph.apps.serve.pulling import TOPIC, Sources, broker_of, subscribe
+from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
 
 aiomqtt = pytest.importorskip("aiomqtt")
-pytestmark = pytest.mark.timeout(30)
-PATIENCE = 10.0  # [s] for a message to arrive
+pytestmark = [pytest.mark.timeout(30), pytest.mark.anyio]
+
+
+CONNECT, CONNACK, PUBLISH, SUBSCRIBE, SUBACK = 1, 2, 3, 8, 9
+ACCEPTED, BAD_CREDENTIALS = 0, 4
+
+
+def packet(kind, body, flags=0):
+    size, length = len(body), bytearray()
+    while True:
+        size, digit = divmod(size, 128)
+        length.append(digit | (128 if size else 0))
+        if not size:
+            return bytes([kind << 4 | flags]) + bytes(length) + body
+
+
+async def received(reader):
+    """Kind and body of the next packet."""
+    head, size, shift = (await reader.readexactly(1))[0], 0, 0
+    while True:
+        digit = (await reader.readexactly(1))[0]
+        size |= (digit & 127) << shift
+        shift += 7
+        if not digit & 128:
+            return head >> 4, await reader.readexactly(size)
+
+
+def text(body, at):
+    """A text at an offset of a body, and the offset behind it."""
+    end = at + 2 + int.from_bytes(body[at : at + 2], "big")
+    return body[at + 2 : end].decode(), end
+
+
+class Broker:
+    """password: that clients need, None without; subscribers: writers by topic."""
+
+    def __init__(self):
+        self.password, self.subscribers, self.writers = None, {}, set()
+
+    async def serve(self, reader, writer):
+        self.writers.add(writer)
+        try:
+            while True:
+                kind, body = await received(reader)
+                if kind == CONNECT:
+                    accepted = self.password is None or body.endswith(self.password.encode())  # its last field
+                    writer.write(packet(CONNACK, bytes([0, ACCEPTED if accepted else BAD_CREDENTIALS])))
+                elif kind == SUBSCRIBE:
+                    topic, _ = text(body, 2)
+                    self.subscribers.setdefault(topic, set()).add(writer)
+                    writer.write(packet(SUBACK, body[:2] + b"\0"))
+                elif kind == PUBLISH:
+                    topic, _ = text(body, 0)
+                    for other in self.subscribers.get(topic, ()):
+                        other.write(packet(PUBLISH, body))
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self.writers.discard(writer)
+            for others in self.subscribers.values():
+                others.discard(writer)
+            writer.close()
+
+    def drop_all(self):
+        """Lose all connections."""
+        for writer in list(self.writers):
+            writer.transport.abort()
 
 
 @contextlib.asynccontextmanager
-async def listening(url, topic=TOPIC):
-    """A subscription; yields the list of the messages and that of what was said."""
-    messages, said = [], []
-    task = asyncio.create_task(subscribe(broker_of(url, topic), messages.append, said.append))
+async def running(broker):
+    """Serve on a free port of this machine, which it yields."""
+    server = await asyncio.start_server(broker.serve, "127.0.0.1", 0)
     try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        broker.drop_all()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Lost connections are made again at once."""
+    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.02)
+
+
+@pytest.fixture
+async def broker():
+    found = Broker()
+    async with running(found) as found.port:
+        yield found
+
+
+@contextlib.asynccontextmanager
+async def listening(url):
+    """A subscription; yields the list of the messages and that of what was said, with one line at least."""
+    messages, said = [], []
+    task = asyncio.create_task(subscribe(broker_of(url), messages.append, said.append))
+    try:
+        await soon(lambda: said)
         yield messages, said
     finally:
         task.cancel()
@@ -33,87 +120,57 @@ async def listening(url, topic=TOPIC):
             await task
 
 
-async def until(condition):
-    async with asyncio.timeout(PATIENCE):
-        while not condition():
-            await asyncio.sleep(0.01)
-
-
-async def publish(port, *payloads, **more):
+async def publish(broker, *payloads):
     """Publish as the app does."""
-    async with aiomqtt.Client("127.0.0.1", port, timeout=PATIENCE) as phone:
+    async with aiomqtt.Client("127.0.0.1", broker.port, timeout=PATIENCE) as phone:
         for payload in payloads:
-            await phone.publish(TOPIC, payload, qos=0, **more)
+            await phone.publish(TOPIC, payload)
 
 
-def test_messages_of_a_phone_arrive_in_order():
-    async def run():
-        async with running(Broker()) as port, listening(f"mqtt://127.0.0.1:{port}") as (messages, said):
-            await until(lambda: said)
-            await publish(port, b'{"messageId": 1}', b'{"messageId": 2}' + b" " * 300_000)
-            await until(lambda: len(messages) == 2)
-            assert messages[0] == b'{"messageId": 1}'
-            assert len(messages[1]) == 300_016
-            assert f"127.0.0.1:{port}" in said[0]
-
-    asyncio.run(run())
-
-
-def test_a_lost_connection_is_made_again(monkeypatch):
-    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.05)
-
-    async def run():
-        broker = Broker()
-        async with running(broker) as port, listening(f"mqtt://127.0.0.1:{port}") as (messages, said):
-            await until(lambda: said)
-            broker.drop_all()
-            await until(lambda: len(said) == 3)
-            assert "again in" in said[1]
-            await publish(port, b"{}")
-            await until(lambda: messages)
-
-    asyncio.run(run())
+async def test_messages_arrive_and_a_lost_connection_is_made_again(broker):
+    async with listening(f"mqtt://127.0.0.1:{broker.port}") as (messages, said):
+        assert f"127.0.0.1:{broker.port}" in said[0]
+        large = b'{"messageId": 2}' + b" " * 300_000
+        await publish(broker, b'{"messageId": 1}', large)
+        await soon(lambda: messages == [b'{"messageId": 1}', large])
+        broker.drop_all()
+        await soon(lambda: len(said) == 3)
+        assert "again in" in said[1]
+        await publish(broker, b"{}")
+        await soon(lambda: len(messages) == 3)
 
 
-def test_a_broker_that_is_not_there_is_tried_again(monkeypatch):
-    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.02)
-
-    async def run():
-        async with listening("mqtt://127.0.0.1:9") as (_, said):
-            await until(lambda: len(said) >= 2)
-
-    asyncio.run(run())
+async def test_a_broker_that_is_not_there_is_tried_again():
+    async with listening("mqtt://127.0.0.1:9") as (_, said):
+        await soon(lambda: len(said) >= 2)
 
 
-def test_a_password_is_given_and_not_told(monkeypatch):
-    monkeypatch.setattr(pulling, "FIRST_RECONNECT", 0.02)
-
-    async def run():
-        broker = Broker(password="s3cret")
-        async with running(broker) as port:
-            async with listening(f"mqtt://me:wrong@127.0.0.1:{port}") as (_, said):
-                await until(lambda: said)
-                assert "subscribed" not in said[0]
-            async with listening(f"mqtt://me:s3cret@127.0.0.1:{port}") as (_, said):
-                await until(lambda: said)
-                assert "subscribed" in said[0]
-                assert "s3cret" not in said[0]
-
-    asyncio.run(run())
+async def test_a_password_is_given_and_not_told(broker):
+    broker.password = "s3cret"
+    for password, accepted in (("wrong", False), ("s3cret", True)):
+        async with listening(f"mqtt://me:{password}@127.0.0.1:{broker.port}") as (_, said):
+            assert ("subscribed" in said[0], "s3cret" in said[0]) == (accepted, False)
     assert "s3cret" not in repr(broker_of("mqtt://me:s3cret@host"))
 
 
-def test_a_password_may_come_from_the_environment(monkeypatch):
-    monkeypatch.setenv(pulling.PASSWORD, "from outside")
-    assert broker_of("mqtt://me@host").password == "from outside"
+async def test_messages_of_a_broker_are_walkers_and_others_are_ignored(tmp_path, broker):
+    sources = Sources(broker=broker_of(f"mqtt://127.0.0.1:{broker.port}"))
+    app = build(Settings(tmp_path, workers=0, sources=sources))
+    walkers = app.state.server.hub.walkers
+    async with app.router.lifespan_context(app):
+        await soon(lambda: broker.subscribers.get(TOPIC))
+        await publish(broker, b"no JSON", bodies(outdoors())[0])
+        await soon(lambda: "walk-one" in walkers and walkers["walk-one"].pose["message"] == 1)
 
 
-def test_addresses():
+def test_an_address_names_broker_and_user_and_a_password_may_come_from_the_environment(monkeypatch):
     broker = broker_of("wss://me:a%40b@broker.example/ws", "walks")
     assert (broker.host, broker.port, broker.tls, broker.websocket) == ("broker.example", 8884, True, True)
     assert (broker.path, broker.username, broker.password, broker.topic) == ("/ws", "me", "a@b", "walks")
     assert broker_of("mqtt://h").port == 1883
     assert broker_of("mqtts://h").tls
+    monkeypatch.setenv(pulling.PASSWORD, "from outside")
+    assert broker_of("mqtt://me@host").password == "from outside"
 
 
 @pytest.mark.parametrize(
@@ -124,36 +181,7 @@ def test_other_addresses_are_refused(url):
         broker_of(url)
 
 
-def test_without_aiomqtt_the_message_names_what_to_install(monkeypatch):
+async def test_without_aiomqtt_the_message_names_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "aiomqtt", None)
     with pytest.raises(InputError, match="serve-mqtt"):
-        asyncio.run(subscribe(broker_of("mqtt://h"), print, print))
-
-
-@pytest.mark.skipif(not shutil.which("mosquitto"), reason="no Mosquitto (Debian: apt-get install mosquitto)")
-@pytest.mark.parametrize("scheme", ["mqtt", "ws"])
-def test_messages_arrive_through_mosquitto(tmp_path, scheme):
-    ports = []
-    for _ in range(2):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            ports.append(free.getsockname()[1])
-    lines = [f"listener {ports[0]} 127.0.0.1", f"listener {ports[1]} 127.0.0.1", "protocol websockets"]
-    (tmp_path / "conf").write_text("\n".join([*lines, "allow_anonymous true"]))
-    broker = subprocess.Popen(["mosquitto", "-c", str(tmp_path / "conf")], stderr=subprocess.DEVNULL)
-    try:
-        end = time.monotonic() + PATIENCE
-        while socket.socket().connect_ex(("127.0.0.1", ports[0])) and time.monotonic() < end:
-            time.sleep(0.05)
-
-        async def run():
-            port = ports[scheme == "ws"]
-            async with listening(f"{scheme}://127.0.0.1:{port}") as (messages, said):
-                await until(lambda: said)
-                await publish(ports[0], b"{}")
-                await until(lambda: messages)
-
-        asyncio.run(run())
-    finally:
-        broker.terminate()
-        broker.wait(PATIENCE)
+        await subscribe(broker_of("mqtt://h"), print, print)

@@ -2,24 +2,21 @@
 
 import gzip
 import json
-import time
 
 import numpy as np
 import pytest
-import simulated
 from starlette.testclient import TestClient
+from streamed_walks import bodies, finished_recording, local_server, outdoors, until, used
 
 import pdr_graph
 from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
-from pdr_graph.apps.serve.application import document
 from pdr_graph.apps.serve.reception import Limits
 from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
-from pdr_graph.lab.simulation.streaming import batches, message
+from pdr_graph.lab.simulation.streaming import message
 
-PATIENCE = 30.0  # [s]
-LOCAL = "http://127.0.0.1"
+WALK = bodies(outdoors())
 TOKENS = {OWNER: "owner-token-0123456789", "ann": "ann-token-01234567890"}
 OWN, ANN = ({"Authorization": f"Bearer {TOKENS[user]}"} for user in (OWNER, "ann"))
 LIMITS = Limits(body=1 << 20, samples=2000, rate=1e6, burst=3.0, sessions=12)
@@ -35,29 +32,19 @@ def client(tmp_path_factory):
         yield client
 
 
-@pytest.fixture(scope="module")
-def walk():
-    """Twenty seconds with a fix every four."""
-    return simulated.with_receiver(simulated.walk_along(np.array([[0.0, 0.0], [16.0, 0.0]]), seed=2), every=200)
+@pytest.fixture
+def local(tmp_path):
+    """A server without tokens."""
+    with local_server(tmp_path) as client:
+        yield client
 
 
-def bodies(walk, session):
-    return [message(session, n, payload) for n, payload in enumerate(batches(walk))]
+def first_message(session):
+    return WALK[0].replace(b"walk-one", session.encode())
 
 
 def post(client, body, path="/sensorlogger", **options):
     return client.post(path, content=body, **options)
-
-
-def published(client, id_, until, **options):
-    """The pose of a walker as soon as ``until`` holds of it."""
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        pose = next((pose for pose in client.get("/walkers", **options).json() if pose["id"] == id_), None)
-        if pose is not None and until(pose):
-            return pose
-        time.sleep(0.05)
-    raise AssertionError(f"{id_}: {pose}")
 
 
 def one_line(answer, status):
@@ -68,12 +55,11 @@ def one_line(answer, status):
 
 
 @pytest.fixture(scope="module")
-def walker(client, walk):
+def walker(client):
     """The pose of a walker after a whole walk."""
-    messages = bodies(walk, "walk-one")
-    for body in messages:
+    for body in WALK:
         assert post(client, body, params={"platform": "android"}).status_code == 200
-    return published(client, "walk-one", lambda pose: pose["message"] == len(messages))
+    return until(lambda: used(client, len(WALK), "walk-one"))
 
 
 def test_a_pose_has_all_that_the_contract_names(walker):
@@ -89,11 +75,7 @@ def test_a_pose_has_all_that_the_contract_names(walker):
 def test_the_geojson_of_a_walk_has_both_parts_and_the_pose(client, walker):
     answer = client.get("/walkers/walk-one.geojson")
     assert answer.headers["content-type"].startswith("application/geo+json")
-    for _ in range(100):
-        features = client.get("/walkers/walk-one.geojson").json()["features"]
-        if features[1]["geometry"]:
-            break
-        time.sleep(0.05)
+    features = until(lambda: (found := client.get(answer.url).json()["features"])[1]["geometry"] and found)
     assert [feature["properties"]["part"] for feature in features] == ["finalised", "current", "pose"]
     line = np.array(features[1]["geometry"]["coordinates"])
     assert np.allclose(line, [11.0, 48.0], atol=1e-3)
@@ -123,50 +105,48 @@ def test_the_description_has_every_route(client):
     described = client.get("/openapi.json").json()
     assert routes == {(method, path) for path, operations in described["paths"].items() for method in operations}
     assert described["openapi"].startswith("3.1")
+    assert described["info"]["version"] == pdr_graph.__version__
     assert "/sensorlogger" in client.get("/api").text
 
 
-@pytest.mark.parametrize("path", ["/", "/walkers", "/walkers/x", "/events", "/plan", "/openapi.json", "/web/x"])
-def test_nothing_is_readable_without_a_token(client, path):
-    one_line(client.get(path, headers={"Authorization": ""}), 401)
-    one_line(client.get(path, headers={"Authorization": "Bearer wrong"}), 401)
+READ = ("/", "/walkers", "/walkers/x", "/events", "/plan", "/openapi.json", "/web/x")
+WRITTEN = ("/sensorlogger", "/owntracks", "/overland", "/osmand", "/walkers/walk-one/finish")
 
 
-@pytest.mark.parametrize("path", ["/sensorlogger", "/owntracks", "/overland", "/osmand", "/walkers/walk-one/finish"])
-def test_nothing_is_writable_without_a_token(client, path):
-    assert "token" in one_line(post(client, b"{}", path, headers={"Authorization": "Basic eDp5"}), 401)
+@pytest.mark.parametrize(("method", "paths"), [("GET", READ), ("POST", WRITTEN)])
+def test_nothing_is_readable_or_writable_without_a_token(client, method, paths):
+    for path in paths:
+        for header in ("", "Bearer wrong", "Basic eDp5"):
+            answer = client.request(method, path, headers={"Authorization": header})
+            assert "token" in one_line(answer, 401), path
 
 
-@pytest.mark.parametrize("how", ["query", "bearer", "basic", "cookie"])
-def test_a_token_is_taken_in_four_ways(client, how):
-    token, options = TOKENS["ann"], {"headers": {"Authorization": ""}}
-    if how == "query":
-        options["params"] = {"token": token}
-    elif how == "cookie":
-        options["headers"]["Cookie"] = f"pdr_graph_token={token}"
-    elif how == "bearer":
-        options["headers"]["Authorization"] = f"Bearer {token}"
-    else:
-        options = {"headers": {}, "auth": ("anyone", token)}
-    assert client.get("/walkers", **options).status_code == 200
+@pytest.mark.parametrize(
+    "request_options",
+    [
+        {"params": {"token": TOKENS["ann"]}, "headers": {"Authorization": ""}},
+        {"headers": {"Authorization": "", "Cookie": f"pdr_graph_token={TOKENS['ann']}"}},
+        {"headers": ANN},
+        {"auth": ("anyone", TOKENS["ann"])},
+    ],
+    ids=["query", "cookie", "bearer", "basic"],
+)
+def test_a_token_is_taken_in_four_ways(client, request_options):
+    assert client.get("/walkers", **request_options).status_code == 200
 
 
-def test_a_user_sees_and_changes_only_the_own_walkers(client, walker, walk):
+def test_a_user_sees_and_changes_only_the_own_walkers(client, walker):
     assert client.get("/walkers", headers=ANN).json() == []
     for path in ("/walkers/walk-one", "/walkers/walk-one.geojson", "/walkers/walk-one/recording"):
         one_line(client.get(path, headers=ANN), 404)
     one_line(client.delete("/walkers/walk-one", headers=ANN), 404)
     one_line(post(client, b"", "/walkers/walk-one/finish", headers=ANN), 404)
+    assert "another user" in one_line(post(client, WALK[0], headers=ANN), 403)
+    assert client.get("/walkers/walk-one").json()["message"] == walker["message"]
 
 
-def test_the_session_of_another_user_is_refused(client, walker, walk):
-    number = walker["message"]
-    assert "another user" in one_line(post(client, bodies(walk, "walk-one")[0], headers=ANN), 403)
-    assert client.get("/walkers/walk-one").json()["message"] == number
-
-
-def test_pages_of_other_sites_are_refused(client, walk):
-    body = bodies(walk, "foreign")[0]
+def test_pages_of_other_sites_are_refused(client):
+    body = first_message("foreign")
     one_line(post(client, body, headers={"Origin": "https://example.org"}), 403)
     assert post(client, body, headers={"Origin": "http://testserver"}).status_code in (200, 499)
     assert is_foreign({"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors", "host": "x"})
@@ -182,33 +162,35 @@ def test_a_malformed_message_is_refused(client, path, body):
     assert client.get("/walkers/bad").status_code == 404
 
 
-def test_a_body_that_is_too_large_is_refused(client):
-    one_line(post(client, b" " * (LIMITS.body + 1)), 413)
-
-    def endless():
-        for _ in range(1000):
-            yield b" " * 10_000
-
-    one_line(post(client, endless()), 413)
+def endless():
+    for _ in range(1000):
+        yield b" " * 10_000
 
 
-def test_a_bomb_is_refused(client):
-    bomb = gzip.compress(b" " * (50 << 20))
-    assert len(bomb) < LIMITS.body
-    one_line(post(client, bomb, headers={"Content-Encoding": "gzip"}), 413)
-    one_line(post(client, b"no gzip", headers={"Content-Encoding": "gzip"}), 400)
-    one_line(post(client, b"x", headers={"Content-Encoding": "br"}), 415)
+BOMB = gzip.compress(b" " * (50 << 20))
+SAMPLES = message("many", 1, [{"name": "x", "time": 1}] * (LIMITS.samples + 1))
 
 
-def test_a_compressed_message_is_taken(client, walk):
-    body = gzip.compress(bodies(walk, "compressed")[0])
+@pytest.mark.parametrize(
+    ("body", "encoding", "status", "text"),
+    [
+        (b" " * (LIMITS.body + 1), "identity", 413, "more than 1 MB"),
+        (endless(), "identity", 413, "more than 1 MB"),
+        (BOMB, "gzip", 413, "more than 1 MB"),
+        (b"no gzip", "gzip", 400, "damaged gzip"),
+        (b"x", "br", 415, "'br'"),
+        (SAMPLES, "identity", 413, "2001 samples"),
+    ],
+    ids=["too large", "endless", "a bomb", "no gzip", "another encoding", "too many samples"],
+)
+def test_a_body_that_harms_is_refused(client, body, encoding, status, text):
+    assert text in one_line(post(client, body, headers={"Content-Encoding": encoding}), status)
+
+
+def test_a_compressed_message_is_taken(client):
+    body = gzip.compress(first_message("compressed"))
     assert post(client, body, headers={"Content-Encoding": "gzip"}).status_code == 200
     client.delete("/walkers/compressed")
-
-
-def test_too_many_samples_are_refused(client):
-    payload = [{"name": "x", "time": 1}] * (LIMITS.samples + 1)
-    assert "samples" in one_line(post(client, message("many", 1, payload)), 413)
 
 
 def test_a_flood_is_refused_and_told_when_to_come_again(client):
@@ -220,23 +202,25 @@ def test_a_flood_is_refused_and_told_when_to_come_again(client):
     client.delete("/walkers/flood")
 
 
-def test_too_many_sessions_of_a_user_are_refused(client, walk):
-    body = bodies(walk, "SESSION")[0]
-    answers = [post(client, body.replace(b"SESSION", b"many%04d" % n), headers=ANN) for n in range(LIMITS.sessions + 1)]
+def test_too_many_sessions_of_a_user_are_refused(client):
+    names = [f"many{n:04d}" for n in range(LIMITS.sessions + 1)]
+    answers = [post(client, first_message(name), headers=ANN) for name in names]
     assert [answer.status_code for answer in answers[:-1]] == [200] * LIMITS.sessions
     assert "sessions" in one_line(answers[-1], 429)
-    assert post(client, bodies(walk, "walk-one")[-1]).status_code == 200  # the others are unharmed
-    for n in range(LIMITS.sessions):
-        assert client.delete(f"/walkers/many{n:04d}", headers=ANN).status_code == 204
+    assert post(client, WALK[-1]).status_code == 200  # the others are unharmed
+    for name in names[:-1]:
+        assert client.delete(f"/walkers/{name}", headers=ANN).status_code == 204
 
 
-def test_a_session_of_any_name_stays_in_its_folder(client, walk):
+def test_a_session_of_any_name_stays_in_its_folder(client):
+    """The files are their owner's alone."""
     for name in ("../../evil", "a/b", "", "x" * 10_000, "ünï", "con", "."):
         answer = post(client, json.dumps({"messageId": 0, "sessionId": name, "payload": []}).encode())
         assert answer.status_code == (400 if name == "" else 200)
     inside = [path.name for path in (client.folder / "sessions").iterdir()]
     assert all(name.replace("-", "").replace("_", "").isalnum() for name in inside)
     assert sorted(path.name for path in client.folder.iterdir()) == ["sessions"]
+    assert all(path.stat().st_mode & 0o077 == 0 for path in (client.folder / "sessions").rglob("*"))
     for pose in client.get("/walkers").json():
         if pose["id"] != "walk-one":
             client.delete(f"/walkers/{pose['id']}")
@@ -245,14 +229,11 @@ def test_a_session_of_any_name_stays_in_its_folder(client, walk):
 def test_what_is_degraded_is_shown_to_the_user_of_the_phone_once(client):
     values = {"x": 0.1, "y": 0.0, "z": 0.0}
     samples = [{"name": "accelerometer", "time": 10**18 + n * 10**7, "values": values} for n in range(300)]
-    answers = []
-    for n in range(60):
-        answers.append(post(client, message("poor", n, samples if n == 0 else [])))
-        if answers[-1].status_code == 499:
-            break
-        time.sleep(0.1)
-    assert "switch on Gravity" in answers[-1].text
-    assert post(client, message("poor", 100, [])).status_code == 200
+    post(client, message("poor", 0, samples))
+    numbers = iter(range(1, 1000))
+    shown = until(lambda: (found := post(client, message("poor", next(numbers), []))).status_code == 499 and found)
+    assert "switch on Gravity" in shown.text
+    assert post(client, message("poor", 1000, [])).status_code == 200
     assert client.delete("/walkers/poor").status_code == 204
 
 
@@ -268,63 +249,43 @@ def test_each_app_gets_the_answer_that_it_expects(client):
     assert post(client, "&".join(f"{k}={v}" for k, v in query.items()).encode(), "/osmand").status_code == 200
     names = {pose["name"]: pose["id"] for pose in client.get("/walkers").json()}
     assert {"xy", "iphone", "7"} <= names.keys()
-    pose = published(client, names["xy"], lambda pose: pose["state"] == "fixes alone")
+    pose = until(lambda: (found := client.get(f"/walkers/{names['xy']}").json())["state"] == "fixes alone" and found)
     assert (pose["lat"], pose["lon"]) == pytest.approx((48.1, 11.5))
-    assert post(client, b"", f"/walkers/{names['xy']}/finish").status_code == 202
-    published(client, names["xy"], lambda pose: pose["state"] == "finished")
-    for _ in range(100):
-        answer = client.get(f"/walkers/{names['xy']}/recording")
-        if answer.status_code == 200:
-            break
-        time.sleep(0.1)
-    assert b"<trkpt" in answer.content
+    assert b"<trkpt" in finished_recording(client, names["xy"])
     for name in ("xy", "iphone", "7"):
         client.delete(f"/walkers/{names[name]}")
 
 
-def test_a_deleted_walk_leaves_no_file(client, walk):
-    post(client, bodies(walk, "secret")[0])
-    assert (client.folder / "sessions" / "secret").exists()
+def test_a_deleted_walk_leaves_no_file(client):
+    post(client, first_message("secret"))
+    folder = client.folder / "sessions" / "secret"
+    assert folder.exists()
     assert client.delete("/walkers/secret").status_code == 204
-    end = time.monotonic() + PATIENCE
-    while (client.folder / "sessions" / "secret").exists():  # the estimating process may be writing
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    until(lambda: not folder.exists())  # the estimating process may be writing
     one_line(client.get("/walkers/secret"), 404)
 
 
-def test_files_are_their_owners_alone(client, walker):
-    for path in (client.folder / "sessions").rglob("*"):
-        assert path.stat().st_mode & 0o077 == 0, path
-
-
-def test_a_finished_walk_is_a_recording_that_smooth_opens(tmp_path, walk):
+def test_a_finished_walk_is_a_recording_that_smooth_opens(tmp_path):
     """All samples, as they were sent; after a restart it is still there, and a late message resumes it."""
-    messages, settings = bodies(walk, "walk-two"), Settings(tmp_path, workers=0)
-    with TestClient(build(settings), base_url=LOCAL) as client:
-        for body in messages:
+    walk = outdoors()
+    with local_server(tmp_path) as client:
+        for body in WALK:
             post(client, body)
-        published(client, "walk-two", lambda pose: pose["message"] == len(messages))
-        one_line(client.get("/walkers/walk-two/recording"), 409)
-        post(client, b"", "/walkers/walk-two/finish")
-        published(client, "walk-two", lambda pose: pose["state"] == "finished")
-        end = time.monotonic() + PATIENCE
-        while (answer := client.get("/walkers/walk-two/recording")).status_code != 200:
-            assert time.monotonic() < end
-            time.sleep(0.1)
-    (tmp_path / "walk.zip").write_bytes(answer.content)
+        until(lambda: used(client, len(WALK)))
+        one_line(client.get("/walkers/walk-one/recording"), 409)
+        (tmp_path / "walk.zip").write_bytes(finished_recording(client, "walk-one"))
     loaded = load(tmp_path / "walk.zip")
     for sensor, signal in loaded.signals.items():
         assert np.allclose(signal.values, walk.signals[sensor].values, rtol=0, atol=1e-12)
         assert np.allclose(signal.time, walk.signals[sensor].time, rtol=0, atol=1e-6)
     assert len(loaded.fixes) == len(walk.fixes)
-    with TestClient(build(settings), base_url=LOCAL) as client:
-        pose = published(client, "walk-two", lambda pose: pose["state"] == "finished")
-        features = client.get("/walkers/walk-two.geojson").json()["features"]
+    with local_server(tmp_path) as client:
+        pose = client.get("/walkers/walk-one").json()
+        assert pose["state"] == "finished"
+        features = client.get("/walkers/walk-one.geojson").json()["features"]
         assert len(features[0]["geometry"]["coordinates"]) > 15
-        post(client, message("walk-two", len(messages), []))
-        again = published(client, "walk-two", lambda pose: pose["message"] == len(messages) + 1)
-        assert again["steps"] == pose["steps"]
+        post(client, message("walk-one", len(WALK), []))
+        assert until(lambda: used(client, len(WALK) + 1))["steps"] == pose["steps"]
 
 
 def test_tokens_are_created_once_in_a_file_of_their_owner(tmp_path):
@@ -342,21 +303,16 @@ def test_tokens_are_created_once_in_a_file_of_their_owner(tmp_path):
         load_tokens(file, [], None)
 
 
-def test_the_version_is_in_the_description():
-    assert document()["info"]["version"] == pdr_graph.__version__
-
-
 @pytest.mark.parametrize(
     ("host", "headers"),
     [("walks.example.org", {}), ("", {}), ("127.0.0.1:8080", {"X-Forwarded-For": "192.0.2.7"}), ("[", {})],
 )
-def test_without_tokens_a_proxy_and_other_names_are_refused(tmp_path, host, headers):
+def test_without_tokens_a_proxy_and_other_names_are_refused(local, host, headers):
     """Behind a proxy all users would be the owner; a name of another site may point to this machine."""
-    with TestClient(build(Settings(tmp_path, workers=0)), base_url=LOCAL) as client:
-        assert client.get("/walkers").status_code == 200
-        assert client.get("/walkers", headers={"Host": "localhost:8080"}).status_code == 200
-        refused = client.get("/walkers", headers={"Host": host} | headers)
-        assert (refused.status_code, "--token" in refused.text) == (403, True)
+    assert local.get("/walkers").status_code == 200
+    assert local.get("/walkers", headers={"Host": "localhost:8080"}).status_code == 200
+    refused = local.get("/walkers", headers={"Host": host} | headers)
+    assert (refused.status_code, "--token" in refused.text) == (403, True)
 
 
 @pytest.mark.parametrize(
@@ -366,8 +322,7 @@ def test_without_tokens_a_proxy_and_other_names_are_refused(tmp_path, host, head
         {"messageId": 0, "sessionId": "test", "deviceId": "a", "payload": [{"name": "test", "time": 1, "values": {}}]},
     ],
 )
-def test_the_apps_test_of_the_address_is_answered_and_makes_no_walker(tmp_path, body):
+def test_the_apps_test_of_the_address_is_answered_and_makes_no_walker(local, body):
     """As sk-sensorlogger-plugin, another receiver of the app, recognises it."""
-    with TestClient(build(Settings(tmp_path, workers=0)), base_url=LOCAL) as client:
-        assert client.post("/sensorlogger", json=body).status_code == 200
-        assert client.get("/walkers").json() == []
+    assert local.post("/sensorlogger", json=body).status_code == 200
+    assert local.get("/walkers").json() == []

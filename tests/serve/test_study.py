@@ -3,32 +3,37 @@
 import asyncio
 import contextlib
 import json
-import threading
 import urllib.parse
 from contextlib import contextmanager
 
 import pytest
 import recorders
 from stand_in_server import QuietHandler, served
+from streamed_walks import local_server, soon
 
 from pdr_graph.apps.serve import study
+from pdr_graph.apps.serve.pulling import Sources
 from pdr_graph.apps.serve.study import MOST_LISTED, StudyReports, Upload, plain, refusal, report, upload_of
 from pdr_graph.errors import InputError
 
-pytestmark = pytest.mark.timeout(60)
-PATIENCE = 30.0  # [s] for a report
+pytestmark = [pytest.mark.timeout(60), pytest.mark.anyio]
 UPLOAD = Upload("studyone", "upload-7", "s3cr3t")
+CALL = {"studyId": "mine", "uploadId": "u", "secretCode": "c"}
+REFUSING = "import sys; print(f'{sys.argv[2]}: found no zip, expected one', file=sys.stderr); sys.exit(2)"
+HANGING, CRASHING = "import time; time.sleep(60)", "import os; os.abort()"
 
 
 class Cloud:
-    """recording: the file of the upload; faults: statuses of the next answers; reports: what was posted."""
+    """recording: the file of the upload; faults: statuses of the next answers; reports: what was posted; codes: sent
+    with each call; elsewhere: address to which downloads are redirected; accepts: method of a report.
+    """
 
-    def __init__(self, recording):
-        self.recording, self.faults, self.reports, self.calls = recording, [], [], []
-        self.reported, self.elsewhere, self.accepts = threading.Event(), None, "POST"
+    def __init__(self, recording=b"this is no zip", faults=(), elsewhere=None, accepts="POST"):
+        self.recording, self.faults, self.reports, self.codes = recording, list(faults), [], []
+        self.elsewhere, self.accepts = elsewhere, accepts
 
     def answer(self, method, path, query, headers, body):
-        self.calls.append((method, path))
+        self.codes.append(headers.get("Authorization"))
         if self.faults:
             return self.faults.pop(0), b""
         if headers.get("Authorization") != UPLOAD.secretCode:
@@ -40,8 +45,8 @@ class Cloud:
         if path == "/api/study/webhook/v1":
             if method != self.accepts:
                 return 405, b""
-            self.reports.append((headers["Content-Type"], body.decode()))
-            self.reported.set()
+            assert headers["Content-Type"] == "text/markdown"
+            self.reports.append(body.decode())
             return 200, b""
         return 404, b""
 
@@ -78,126 +83,86 @@ def recording(tmp_path_factory):
     return (folder / "walk.zip").read_bytes()
 
 
-@pytest.fixture
-def refusing(monkeypatch):
-    """An estimate that refuses its recording at once."""
-    script = "import sys; print('recording: found no zip, expected one', file=sys.stderr); sys.exit(2)"
-    monkeypatch.setattr(study, "SMOOTH", script)
-
-
-def reported(tmp_path, cloud, upload=UPLOAD, **more):
-    """Run the reports until the cloud has one, or no upload waits any more; returns what was said."""
+async def reported(tmp_path, cloud, upload=UPLOAD):
+    """Run the reports until no upload waits any more; returns what was said."""
     said = []
-
-    async def until():
-        with serving(cloud) as api:
-            reports = StudyReports(tmp_path / "study", ["studyone"], say=said.append, api=api, pause=0.01, **more)
-            if upload is not None:
-                reports.accept(upload)
-            running = asyncio.create_task(reports.run())
-            async with asyncio.timeout(PATIENCE):
-                while reports._pending():
-                    await asyncio.sleep(0.02)
-            running.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await running
-
-    asyncio.run(until())
+    with serving(cloud) as api:
+        reports = StudyReports(tmp_path / "study", ["studyone"], say=said.append, api=api, pause=0.01)
+        if upload is not None:
+            reports.accept(upload)
+        running = asyncio.create_task(reports.run())
+        await soon(lambda: not reports._pending())
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
     return said
 
 
-def test_an_upload_is_fetched_smoothed_and_reported(tmp_path, recording):
+async def test_an_upload_is_fetched_smoothed_and_reported(tmp_path, recording):
     cloud = Cloud(recording)
-    reported(tmp_path, cloud)
-    ((kind, text),) = cloud.reports
-    assert kind == "text/markdown"
+    await reported(tmp_path, cloud)
+    (text,) = cloud.reports
     assert text.startswith("# Your walk")
     assert "| distance | 2" in text, "21 m"
     assert list((tmp_path / "study").iterdir()) == []
 
 
-def test_a_recording_that_cannot_be_used_is_reported_in_one_line(tmp_path):
-    cloud = Cloud(b"this is no zip")
-    reported(tmp_path, cloud)
-    ((_, text),) = cloud.reports
-    assert "could not be reconstructed" in text
-    assert "expected" in text
-    assert "/tmp" not in text.replace(str(tmp_path), "/tmp"), "no path of the server"
+@pytest.mark.parametrize(
+    ("script", "report", "cause"),
+    [
+        (REFUSING, "could not be reconstructed.\n\nrecording: found no zip, expected one\n", "reported"),
+        (HANGING, "took more than", "reported"),
+        (CRASHING, "the estimate failed", "ended with"),
+    ],
+    ids=["refuses", "hangs", "crashes"],
+)
+async def test_an_estimate_without_a_result_is_reported(tmp_path, monkeypatch, script, report, cause):
+    monkeypatch.setattr(study, "SMOOTH", script)
+    monkeypatch.setattr(study, "SMOOTHING_TIMEOUT", 0.5 if script == HANGING else 30.0)
+    cloud = Cloud()
+    said = await reported(tmp_path, cloud)
+    assert report in cloud.reports[0]
+    assert cause in said[0]
 
 
-def test_an_upload_outlives_the_process(tmp_path, refusing):
-    cloud = Cloud(b"this is no zip")
+async def test_an_upload_outlives_the_process_and_a_cloud_that_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "SMOOTH", REFUSING)
     StudyReports(tmp_path / "study", ["studyone"]).accept(UPLOAD)
     (file,) = (tmp_path / "study").iterdir()
     assert file.stat().st_mode & 0o077 == 0, "it holds the code"
-    reported(tmp_path, cloud, upload=None)
+    cloud = Cloud(faults=[503, 500], accepts="PUT")
+    assert "attempt 2" in (await reported(tmp_path, cloud, upload=None))[0]
     assert len(cloud.reports) == 1
 
 
-def test_a_cloud_that_fails_is_asked_again(tmp_path, refusing):
-    cloud = Cloud(b"this is no zip")
-    cloud.faults = [503, 500]
-    said = reported(tmp_path, cloud)
-    assert len(cloud.reports) == 1
-    assert "attempt 2" in said[0]
+async def test_a_cloud_that_refuses_is_not_asked_again(tmp_path):
+    cloud = Cloud(faults=[403])
+    assert "403" in (await reported(tmp_path, cloud))[0]
+    assert len(cloud.codes) == 1
 
 
-def test_a_cloud_that_refuses_is_not(tmp_path):
-    cloud = Cloud(b"")
-    cloud.faults = [403]
-    assert "403" in reported(tmp_path, cloud)[0]
-    assert len(cloud.calls) == 1
-
-
-def test_a_cloud_that_accepts_put_alone_gets_put(tmp_path, refusing):
-    cloud = Cloud(b"this is no zip")
-    cloud.accepts = "PUT"
-    reported(tmp_path, cloud)
-    assert len(cloud.reports) == 1
-
-
-def test_the_code_follows_no_redirect_to_another_host(tmp_path, refusing):
-    storage, cloud = Cloud(b"no"), Cloud(b"no")
-    seen = []
-    storage.answer = lambda method, path, query, headers, body: (
-        seen.append(headers.get("Authorization")) or 200,
-        b"no",
-    )
+async def test_the_code_follows_no_redirect_to_another_host(tmp_path):
+    storage = Cloud(faults=[404])
     with serving(storage) as elsewhere:
-        cloud.elsewhere = elsewhere
-        reported(tmp_path, cloud)
-    assert seen == [None]
+        await reported(tmp_path, Cloud(elsewhere=elsewhere))
+    assert storage.codes == [None]
 
 
-def test_an_estimate_that_hangs_is_ended(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "SMOOTH", "import time; time.sleep(60)")
-    monkeypatch.setattr(study, "SMOOTHING_TIMEOUT", 0.5)
-    cloud = Cloud(b"this is no zip")
-    reported(tmp_path, cloud)
-    assert "took more than" in cloud.reports[0][1]
-
-
-def test_an_estimate_that_crashes_is_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "SMOOTH", "import os; os.abort()")
-    cloud = Cloud(b"this is no zip")
-    said = reported(tmp_path, cloud)
-    assert "the estimate failed" in cloud.reports[0][1]
-    assert "ended with" in said[0]
-
-
-def test_an_upload_of_another_study_is_refused(tmp_path):
-    reports = StudyReports(tmp_path, ["studyone"])
-    with pytest.raises(InputError, match="another study"):
-        reports.accept(Upload("other", "u", "s"))
-    StudyReports(tmp_path, [study.ANY]).accept(Upload("other", "u", "s"))
-
-
-def test_more_uploads_than_can_wait_are_refused(tmp_path, monkeypatch):
+def test_a_call_is_stored_if_its_study_is_configured_and_there_is_room(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "MOST_PENDING", 1)
-    reports = StudyReports(tmp_path, ["studyone"])
-    reports.accept(UPLOAD)
-    with pytest.raises(OSError, match="waiting"):
-        reports.accept(Upload("studyone", "another", "s"))
+    nowhere = "http://127.0.0.1:9/api"
+    reports = StudyReports(tmp_path / "study", ["mine"], say=lambda text: None, api=nowhere, pause=60.0)
+    for configured, call, status in (
+        (None, CALL, 404),
+        (reports, CALL | {"studyId": "other"}, 400),
+        (reports, "x", 400),
+        (reports, CALL, 200),
+        (reports, CALL | {"uploadId": "more"}, 507),
+    ):
+        with local_server(tmp_path, sources=Sources(study=configured)) as client:
+            assert client.post("/study", json=call).status_code == status
+    assert len(list((tmp_path / "study").glob("*.json"))) == 1, "the cloud could not be reached: it is tried again"
+    StudyReports(tmp_path / "any", [study.ANY]).accept(UPLOAD)
 
 
 @pytest.mark.parametrize(

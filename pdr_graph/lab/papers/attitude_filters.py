@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError, install
 from pdr_graph.geometry import compose
-from pdr_graph.inertial.attitude import Attitude, lasting_runs, on_one_grid, running_mean, runs, upright
+from pdr_graph.inertial.attitude import Attitude, on_one_grid, running_mean, runs, upright
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, OneLineRepr, Recording
 
 
@@ -160,8 +160,8 @@ class Vqf:
 class Switching:
     """[stationary-switch] Sec. 2.5: accelerometer and magnetometer while |ω| ≤ λ, else the gyroscope from there on.
 
-    threshold: λ [rad/s], from `rest_threshold`; 0 never switches. shortest: samples at rest before a switch,
-    over which both sensors are averaged; 1 in the paper.
+    threshold: λ [rad/s], the largest |ω| at rest; 0 never switches. shortest: samples at rest before a switch, over
+    which both sensors are averaged; 1 in the paper.
     """
 
     def __init__(self, period: float, threshold: float, shortest: int = 1):
@@ -234,20 +234,6 @@ def _level_north(acceleration: Array, field: Array) -> Rotation:
     x = np.cross(field, z)
     x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
-
-
-def rest_threshold(angular_rate: Array) -> float:
-    """λ [rad/s] of [stationary-switch] Sec. 2.5: the largest |ω| of samples ``(n, 3)`` at rest."""
-    return float(np.linalg.norm(angular_rate, axis=1).max())
-
-
-def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> Mask:
-    """``(n,)`` True at rest by [stationary-switch] Sec. 2.5: |ω| ≤ λ, for at least ``samples`` samples in a row.
-
-    The paper requires one; a rattling cart is below λ for single samples now and then.
-    """
-    below = np.linalg.norm(angular_rate, axis=1) <= threshold
-    return lasting_runs(below, max(1, samples))
 
 
 @dataclass(frozen=True)

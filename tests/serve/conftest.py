@@ -1,0 +1,7 @@
+import pytest
+
+
+@pytest.fixture
+def anyio_backend():
+    """What runs the tests that are coroutines."""
+    return "asyncio"
