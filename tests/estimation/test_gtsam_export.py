@@ -1,4 +1,4 @@
-"""The exported graph of an estimate: GTSAM's own optimisers stay at the optimum."""
+"""The exported graph: GTSAM's own optimisers and algebra have the same optimum, covariance and cost."""
 
 import copy
 import pickle
@@ -15,6 +15,7 @@ import pdr_graph as pdr
 from pdr_graph.estimation.factors.base import Loss, extract
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.io.tables import drawn_beacons
 
@@ -73,6 +74,7 @@ def test_ranges_with_detours(with_fixes):
     assert farthest(estimate) < STAYS
 
 
+@pytest.mark.thorough
 def test_beacons_one_of_which_was_moved():
     """In the mall, without any fix."""
     made, steps = simulated("mall", seed=2)
@@ -104,6 +106,57 @@ def assert_equal_export(graph, state):
     ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
     for key in state.keys("x").tolist():
         assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+
+
+def levenberg_marquardt(factors, start):
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-10)
+    return gtsam.LevenbergMarquardtOptimizer(factors, start, params).optimize()
+
+
+def incremental(factors, start):
+    """By ISAM2, relinearised to the end."""
+    params = gtsam.ISAM2Params()
+    params.setRelinearizeThreshold(0.0)
+    params.relinearizeSkip = 1
+    isam = gtsam.ISAM2(params)
+    isam.update(factors, start)
+    for _ in range(20):
+        isam.update()
+    return isam.calculateEstimate()
+
+
+@pytest.mark.parametrize("method", [levenberg_marquardt, incremental])
+def test_gtsam_finds_the_same_walk(method):
+    """The same optimum to a millimetre."""
+    steps, fixes, _ = drawn_from_the_model(60, seed=5)
+    graph = WalkGraph(steps, fixes)
+    ours, exported = optimize(graph, graph.start, 1e-12), graph.to_gtsam()
+    theirs = method(exported, graph.start.to_values())
+    assert ours.cost == pytest.approx(exported.error(theirs), rel=1e-5)
+    assert np.hypot(*(ours.state.poses - extract(theirs, "x"))[:, :2].T).max() < 1e-3
+
+
+def test_step_determinant_and_covariance_are_gtsams():
+    """Of a walk of several calibration segments, to rounding."""
+    steps, fixes, _ = drawn_from_the_model(240, seed=4)
+    graph = WalkGraph(steps, fixes)
+    at = graph.evaluate(graph.start)
+    assert len(graph.start.c) > 1
+    linear, solution = linear_graph(at), graph.normal_equations(at).assembled(at).solution
+    net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
+    step = net.optimize()
+    for symbol, moves in solution.moves.items():
+        theirs = np.array([step.at(key) for key in at.state.keys(symbol).tolist()])
+        assert moves == pytest.approx(theirs, rel=1e-7, abs=1e-9)
+    assert solution.log_determinant == pytest.approx(net.logDeterminant(), rel=1e-9)
+    tree, i = linear.eliminateMultifrontal(), np.arange(len(graph.segment))
+    joints = solution.joint(("x", i), ("x", i + 1), ("c", graph.segment))
+    first, segment = at.state.keys("x")[:-1].tolist(), at.state.keys("c", graph.segment).tolist()
+    for x, c, ours in zip(first, segment, joints, strict=True):
+        theirs, keys = tree.jointMarginalCovariance([x, x + 1, c]), (x, x + 1, c)
+        expected = np.block([[theirs.at(row, column) for column in keys] for row in keys])
+        assert ours == pytest.approx(expected, rel=1e-6, abs=1e-10)
 
 
 class Cubic(Loss):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
 import shapely
@@ -10,7 +9,6 @@ from walks import dead_reckon, fixes_at, square_walk, steps_of, wandering_walk
 
 from pdr_graph import Headings, kalman_filter, smooth
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.factors.base import extract
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -74,14 +72,6 @@ def test_a_compass_that_nothing_contradicts_may_still_be_off():
     share = 2 * np.exp(-PRICES.compass_off)  # to either side
     variance = 0.2**2 + share / (1 + share) * COMPASS.off**2
     assert np.sqrt(estimate.trajectory.covariance[2, 2, 2]) == pytest.approx(np.sqrt(variance), rel=0.1)
-
-
-def test_gtsam_and_our_loop_agree_on_headings():
-    steps = wandering_walk(25)
-    graph = WalkGraph(steps, fixes_at([0.0], [[1.0, 2.0]]), headings=told(steps.time[12], 1.0))
-    optimum = gtsam.LevenbergMarquardtOptimizer(graph.to_gtsam(), graph.start.to_values()).optimize()
-    ours = smooth(graph).trajectory
-    assert extract(optimum, "x")[-1, :2] == pytest.approx(ours.position[-1], abs=1e-3)
 
 
 def test_headings_outside_the_recording_are_left_out():

@@ -1,13 +1,11 @@
 """The smoother's own sparse algebra against dense matrices and GTSAM: solution, determinant, inverse."""
 
-import gtsam
 import numpy as np
 import pytest
-from derivatives import linear_graph
 from walks import drawn_from_the_model
 
 from pdr_graph import WalkGraph
-from pdr_graph.estimation.linear_system import Elimination, Factorization, NormalEquations
+from pdr_graph.estimation.linear_system import Elimination, Factorization
 
 COUNT = 300  # variables: several rounds, and a root
 
@@ -107,19 +105,6 @@ def test_an_indeterminate_matrix_is_refused():
         blocks[elimination.diagonal[0]] -= np.diag([0.0, 0.0, blocks[elimination.diagonal[0], 2, 2]])
         with pytest.raises(RuntimeError, match="do not determine"):
             Factorization(elimination, blocks, right)
-
-
-def test_the_step_of_a_walk_and_its_covariance_are_gtsams():
-    steps, fixes, _ = drawn_from_the_model(240, seed=4)
-    graph = WalkGraph(steps, fixes)
-    at = graph.evaluate(graph.start)
-    linear = linear_graph(at)
-    net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
-    solution = NormalEquations(at).assembled(at).solution
-    for symbol, moves in solution.moves.items():
-        theirs = [net.optimize().at(key) for key in at.state.keys(symbol).tolist()]
-        assert moves == pytest.approx(np.array(theirs), rel=1e-7, abs=1e-9)
-    assert solution.log_determinant == pytest.approx(net.logDeterminant(), rel=1e-9)
 
 
 def test_graphs_with_the_same_factors_share_the_places_of_their_blocks():

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
 import shapely
-from derivatives import linear_graph
 from walks import (
     dead_reckon,
     drawn_from_the_model,
@@ -19,16 +17,12 @@ from walks import (
 
 from pdr_graph import Prior, smooth
 from pdr_graph.estimation.factors import chain as chains
-from pdr_graph.estimation.factors.base import extract
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.priors import MOTION, changed
-
-EXACTLY = 1e-12  # of the cost: the optimiser ends there
 
 
 def apart(first, second):
@@ -44,33 +38,6 @@ def test_exact_measurements_are_reproduced():
     assert apart(estimate.trajectory.position, truth.position) < 1e-4
     assert wrap_angle(estimate.trajectory.heading - truth.heading) == pytest.approx(0, abs=1e-4)
     assert estimate.converged
-
-
-def test_gtsams_optimiser_finds_the_same_walk():
-    """Levenberg–Marquardt in C++ over CustomFactors: slow, and the same optimum to a millimetre."""
-    steps, fixes, _ = drawn_from_the_model(60, seed=5)
-    graph = WalkGraph(steps, fixes)
-    ours = optimize(graph, graph.start, EXACTLY)
-    params = gtsam.LevenbergMarquardtParams()
-    params.setRelativeErrorTol(1e-10)
-    theirs = gtsam.LevenbergMarquardtOptimizer(graph.to_gtsam(), graph.start.to_values(), params).optimize()
-    assert ours.cost == pytest.approx(graph.to_gtsam().error(theirs), rel=1e-5)
-    assert apart(ours.state.poses[:, :2], extract(theirs, "x")[:, :2]) < 1e-3
-
-
-def test_isam2_finds_the_same_walk():
-    """The same factors, added keyframe by keyframe to GTSAM's incremental smoother, relinearised to the end."""
-    steps, fixes, _ = drawn_from_the_model(60, seed=6)
-    graph = WalkGraph(steps, fixes)
-    params = gtsam.ISAM2Params()
-    params.setRelinearizeThreshold(0.0)
-    params.relinearizeSkip = 1
-    isam, factors, start = gtsam.ISAM2(params), graph.to_gtsam(), graph.start.to_values()
-    isam.update(factors, start)
-    for _ in range(20):
-        isam.update()
-    ours = optimize(graph, graph.start, EXACTLY)
-    assert apart(ours.state.poses[:, :2], extract(isam.calculateEstimate(), "x")[:, :2]) < 1e-3
 
 
 def test_linear_case_is_kalman():
@@ -128,25 +95,6 @@ def test_rotating_the_world_rotates_the_track(angle):
     assert apart(single.trajectory.position @ R.T, other.trajectory.position) < 0.05
     of_position = R @ single.trajectory.covariance[:, :2, :2] @ R.T
     assert other.trajectory.covariance[:, :2, :2] == pytest.approx(of_position, rel=0.05, abs=0.08)
-
-
-def test_covariance_is_gtsams_marginal():
-    """Walking the Bayes net gives GTSAM's own marginals and joints, to rounding."""
-    steps, fixes, _ = drawn_from_the_model(240, seed=4)
-    graph = WalkGraph(steps, fixes)
-    at = graph.evaluate(graph.start)
-    linear = linear_graph(at)
-    i = np.arange(len(graph.segment))
-    joints = graph.normal_equations(at).assembled(at).solution.joint(("x", i), ("x", i + 1), ("c", graph.segment))
-    tree = linear.eliminateMultifrontal()
-    assert len(graph.start.c) > 1, "several calibration segments"
-    keys = zip(at.state.keys("x")[:-1].tolist(), at.state.keys("c", graph.segment).tolist(), joints, strict=True)
-    for x, c, ours in keys:
-        joint = tree.jointMarginalCovariance([x, x + 1, c])
-        for n, row in enumerate((x, x + 1, c)):
-            for m, column in enumerate((x, x + 1, c)):
-                block = ours[3 * n : 3 * n + 3, 3 * m : 3 * m + 3]
-                assert block == pytest.approx(joint.at(row, column), rel=1e-6, abs=1e-10)
 
 
 def test_a_fix_acts_at_its_own_time():
