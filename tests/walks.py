@@ -61,7 +61,7 @@ def pushing(live: LiveSmoother, steps: Steps, *tables, size: int = 1, late=0.0) 
     Yields the number of steps after every chunk; what comes later than the walk ends is pushed at last.
     """
     waiting = [(table, last_time(table) + late, np.ones(len(table), dtype=bool)) for table in tables]
-    for begin in range(0, len(steps), size):
+    for begin in range(0, max(len(steps), 1), size):
         chunk = part(steps, begin, begin + size)
         live.extend(chunk)
         _append_due(live, waiting, chunk.end)
@@ -82,6 +82,31 @@ def pushed(live: LiveSmoother, steps: Steps, *tables, **how) -> LiveSmoother:
     for _ in pushing(live, steps, *tables, **how):
         pass
     return live
+
+
+def live_track(steps: Steps, fixes: Fixes | None = None, prior=None, lag: float = np.inf, **how) -> Trajectory:
+    """All rows of a walk that was pushed and finished; of an endless window, solved by its own factors until it rests.
+
+    The batch would solve it at its end, and take its place.
+    """
+    from pdr_graph.estimation.live.live_smoother import LiveSmoother
+
+    live = pushed(LiveSmoother(prior, lag), steps, *([] if fixes is None else [fixes]), **how)
+    if lag < np.inf:
+        live.finish()
+        assert live.final is None, "these are the batch's rows"
+    else:
+        live.graph.solve(40)
+    return live_rows(live)
+
+
+def live_rows(live: LiveSmoother) -> Trajectory:
+    """The rows that left the window, those in it, and those predicted since the last keyframe."""
+    from pdr_graph.estimation.live.finalization import TrajectoryRows
+
+    past = live.graph.finalized
+    rows = TrajectoryRows.joined([*past.final, *past.left, live.output.rows(), live.output.predicted_rows()])
+    return Trajectory(rows.time, rows.pose[:, :2], rows.pose[:, 2], covariance=rows.covariance)
 
 
 def square_walk(side: int = 20, laps: int = 1) -> Steps:

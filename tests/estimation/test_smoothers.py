@@ -1,28 +1,38 @@
-"""The batch smoother, against independent answers."""
+"""The batch smoother, and what the smoother of a walk under way and the Kalman smoother have in common with it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from plans import plan
 from walks import (
     dead_reckon,
     drawn_from_the_model,
     fixes_at,
     fixes_on,
+    live_track,
+    pushed,
+    pushing,
     square_walk,
     steps_of,
+    straight,
     wandering_walk,
 )
 
-from pdr_graph import Prior, smooth
+from pdr_graph import Prior, kalman_filter, kalman_smoother, smooth
 from pdr_graph.estimation.factors import chain as chains
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.floor.cells import Area
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.priors import MOTION, changed
+
+
+def batch_track(steps, fixes=None, prior=None):
+    return smooth(WalkGraph(steps, fixes, prior=prior)).trajectory
+
+
+ENGINES = pytest.mark.parametrize("track_of", [batch_track, live_track])
 
 
 def apart(first, second):
@@ -40,27 +50,98 @@ def test_exact_measurements_are_reproduced():
     assert estimate.converged
 
 
-def test_linear_case_is_kalman():
+@ENGINES
+def test_linear_case_is_kalman(track_of):
     """Straight on with a known calibration, the along-track position is a linear Gaussian chain.
 
     Its smoother, mean and variance, by the normal equations of that chain alone.
     """
-    n, sigma_step, sigma_fix = 40, 0.1, 0.8
-    steps = steps_of(np.full(n, 0.7), np.zeros(n), sigma_length=sigma_step, sigma_turn=1e-4)
-    random = np.random.default_rng(1)
-    at = np.array([5, 17, 39])
-    measured = 0.7 * (at + 1) + random.normal(0, sigma_fix, 3)
-    fixes = fixes_at(steps.time[at], np.stack([measured, np.zeros(3)], axis=1), sigma_fix)
-    certain = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
-    estimate = smooth(WalkGraph(steps, fixes, prior=certain))
+    steps, fixes, prior = linear_walk()
+    track, (mean, variance) = track_of(steps, fixes, prior), chain_of(fixes, len(steps))
+    assert track.position[: len(mean), 0] == pytest.approx(mean, abs=2e-3)
+    assert track.covariance[: len(mean), 0, 0] == pytest.approx(variance, rel=1e-2)
 
-    moves = np.diff(np.eye(n + 1), axis=0) / np.hypot(sigma_step, chains.SIGMA_STILL)
-    A = np.concatenate([moves, np.eye(n + 1)[at + 1] / sigma_fix])
-    y = np.concatenate([np.full(n, 0.7) / np.hypot(sigma_step, chains.SIGMA_STILL), measured / sigma_fix])
-    information = A.T @ A
-    expected, variance = np.linalg.solve(information, A.T @ y), np.diag(np.linalg.inv(information))
-    assert estimate.trajectory.position[:-1, 0] == pytest.approx(expected, abs=1e-3)
-    assert estimate.trajectory.covariance[:-1, 0, 0] == pytest.approx(variance, rel=1e-2)
+
+def test_in_the_linear_case_the_belief_of_a_walk_under_way_is_the_kalman_filter():
+    """Four steps after the last fix, as the filter knows it."""
+    steps, fixes, prior = linear_walk()
+    live, now = LiveSmoother(prior), 37
+    for n in pushing(live, steps, fixes):
+        if n == now:
+            belief = live.output.belief()
+    mean, variance = chain_of(fixes, now)
+    assert belief.mean[0] == pytest.approx(mean[-1], abs=2e-3)
+    assert belief.covariance[0, 0] == pytest.approx(variance[-1], rel=1e-2)
+
+
+SIGMA_STEP, SIGMA_FIX = 0.1, 0.8  # [m] of the linear walk
+
+
+def linear_walk():
+    steps = straight(40, sigma_length=SIGMA_STEP, sigma_turn=1e-4)
+    along = 0.7 * np.array([6, 18, 34]) + np.random.default_rng(1).normal(0, SIGMA_FIX, 3)
+    fixes = fixes_at(steps.time[[5, 17, 33]], np.stack([along, np.zeros(3)], axis=1), SIGMA_FIX)
+    return steps, fixes, Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
+
+
+def chain_of(fixes, until):
+    """Mean and variance of the positions until a step, which Gaussian steps and fixes determine."""
+    sigma, every = np.hypot(SIGMA_STEP, chains.SIGMA_STILL), np.eye(until + 1)
+    A = np.concatenate([np.diff(every, axis=0) / sigma, every[[6, 18, 34]] / SIGMA_FIX])
+    y = np.concatenate([np.full(until, 0.7) / sigma, fixes.position[:, 0] / SIGMA_FIX])
+    return np.linalg.solve(A.T @ A, A.T @ y), np.diag(np.linalg.inv(A.T @ A))
+
+
+@ENGINES
+def test_one_fix_determines_the_position_but_no_direction(track_of):
+    """The walk may have gone any way, and the covariance of its end admits all."""
+    track = track_of(straight(30), fixes_at([0.0], [[7.0, 8.0]], 1.0))
+    assert track.position[0] == pytest.approx([7.0, 8.0], abs=0.01)
+    assert track.covariance[-1, 2, 2] > 1.0
+    end, covariance = track.position[-1], track.covariance[-1, :2, :2]
+    for angle in np.linspace(0, 2 * np.pi, 12):
+        gap = [7.0, 8.0] + 21.0 * np.array([np.cos(angle), np.sin(angle)]) - end
+        assert gap @ np.linalg.solve(covariance, gap) < 9.2  # 99 % of two dimensions
+
+
+def test_that_one_fix_determines_no_direction_is_said():
+    steps, fix = straight(60), fixes_at([0.3], [[7.0, 8.0]], 1.0)
+    assert any("direction of the walk is unknown" in w for w in smooth(WalkGraph(steps, fix)).warnings)
+    assert not pushed(LiveSmoother(lag=60.0), steps, fix).sure
+
+
+@pytest.mark.parametrize("method", [smooth, kalman_filter, kalman_smoother, None])
+def test_without_a_fix_the_start_defines_the_frame(method):
+    """The walk is that of the steps, of the live smoother too."""
+    steps = wandering_walk(150)
+    if method is None:
+        track = live_track(steps, lag=60.0)
+    else:
+        estimate = method(WalkGraph(steps))
+        assert any("no position fix" in w for w in estimate.warnings)
+        track = estimate.trajectory
+        assert np.sqrt(track.covariance[0, 0, 0]) < 0.01
+    assert track.position == pytest.approx(dead_reckon(steps).position, abs=1e-6)
+
+
+@ENGINES
+def test_without_a_step_the_walker_stays(track_of):
+    steps = replace(steps_of(np.empty(0), np.empty(0)), end=10.0)
+    track = track_of(steps, fixes_at([2.0, 9.0], [[1.0, 2.0], [1.2, 2.2]], 0.5))
+    assert len(track) == 2
+    assert track.position[-1] == pytest.approx([1.1, 2.1], abs=0.02)
+
+
+def test_a_fix_just_outside_the_recording_has_a_wider_sigma():
+    """By 1.4 m/s: half a second before the start and two after the end it acts there; a minute after the end not."""
+    steps = wandering_walk(40)
+    place = dead_reckon(steps).position[[0, 18, -1, -1]]
+    graph = WalkGraph(steps, fixes_at([-0.5, 10.0, steps.end + 2, steps.end + 60], place, 0.5))
+    estimate = smooth(graph)
+    assert graph.positions.sigma[:3] == pytest.approx(np.hypot(0.5, [0.7, 0.0, 2.8]))
+    assert [fix.weight > 0 for fix in estimate.fixes] == [True, True, True, False]
+    assert "outside" in estimate.fixes[3].reason
+    assert any("outside" in w for w in estimate.warnings)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -88,9 +169,9 @@ def test_rotating_the_world_rotates_the_track(angle):
     R = rotation(angle)
     area = shapely.box(-40, -60, 70, 68)
     turned_area = shapely.transform(area, lambda xy: xy @ R.T)
-    plans = [FloorPlan("", (Area("corridor", "", a),), Frame()) for a in (area, turned_area)]
-    single = smooth(WalkGraph(steps, fixes, floor=plans[0]))
-    other = smooth(WalkGraph(steps, replace(fixes, position=fixes.position @ R.T), floor=plans[1]))
+    single = smooth(WalkGraph(steps, fixes, floor=plan(("corridor", area))))
+    turned = replace(fixes, position=fixes.position @ R.T)
+    other = smooth(WalkGraph(steps, turned, floor=plan(("corridor", turned_area))))
     # 5 cm: the distance grid is not turned with the walls, so that a stiff wall just holds a step, or just does not
     assert apart(single.trajectory.position @ R.T, other.trajectory.position) < 0.05
     of_position = R @ single.trajectory.covariance[:, :2, :2] @ R.T
@@ -126,7 +207,7 @@ def test_scale_turn_and_drift_are_estimated_from_fixes():
 
 
 def test_two_fixes_leave_the_drift_unobservable_with_a_warning():
-    steps = steps_of(np.full(150, 0.7), np.zeros(150))
+    steps = straight(150)
     truth = dead_reckon(steps)
     estimate = smooth(WalkGraph(steps, fixes_at(truth.time[[0, -1]], truth.position[[0, -1]], 0.5)))
     assert any("gyro drift b not observable from this walk: prior kept" in w for w in estimate.warnings)
@@ -152,33 +233,6 @@ def test_loop_closes_on_itself():
     assert any("different walks" in w for w in estimate.warnings)
 
 
-def test_one_fix_determines_the_position_but_no_direction():
-    """The true walk went the other way: two walk lengths off, and within what the covariance admits."""
-    steps = steps_of(np.full(30, 0.7), np.zeros(30))
-    estimate = smooth(WalkGraph(steps, fixes_at([0.0], [[7.0, 8.0]], 1.0)))
-    assert estimate.trajectory.position[0] == pytest.approx([7.0, 8.0], abs=0.01)
-    assert any("direction of the walk is unknown" in w for w in estimate.warnings)
-    end, covariance = estimate.trajectory.position[-1], estimate.trajectory.covariance[-1, :2, :2]
-    for angle in np.linspace(0, 2 * np.pi, 12):
-        gap = [7.0, 8.0] + 21.0 * np.array([np.cos(angle), np.sin(angle)]) - end
-        assert gap @ np.linalg.solve(covariance, gap) < 9.2  # 99 % of two dimensions
-
-
-def test_without_a_fix_the_start_defines_the_frame():
-    steps = wandering_walk(30)
-    estimate = smooth(WalkGraph(steps))
-    assert estimate.trajectory.position == pytest.approx(dead_reckon(steps).position, abs=1e-6)
-    assert np.sqrt(estimate.trajectory.covariance[0, 0, 0]) < 0.01
-    assert any("no position fix" in w for w in estimate.warnings)
-
-
-def test_without_a_step_the_walker_stays():
-    steps = steps_of(np.empty(0), np.empty(0))
-    estimate = smooth(WalkGraph(steps, fixes_at([0.2, 0.9], [[1.0, 2.0], [1.2, 2.2]], 0.5)))
-    assert len(estimate.trajectory) == 2
-    assert estimate.trajectory.position == pytest.approx(np.array([[1.1, 2.1]] * 2), abs=0.02)
-
-
 def test_an_outlier_is_reported_and_not_followed():
     """One fix of thirteen is 80 m off: it has almost no weight, with the reason, and the walk hardly moves."""
     steps, fixes, truth = drawn_from_the_model(200, seed=8)
@@ -193,32 +247,6 @@ def test_an_outlier_is_reported_and_not_followed():
     assert apart(estimate.trajectory.position, truth.position) < 6.0
 
 
-def test_fixes_outside_the_recording():
-    """Half a second before the start, a fix acts there with a wider sigma; a minute after the end it is not used."""
-    steps = wandering_walk(40)
-    truth = dead_reckon(steps)
-    fixes = fixes_at([-0.5, 10.0, steps.end + 60], [*truth.position[[0, 18]], [99.0, 99.0]], 0.5)
-    graph = WalkGraph(steps, fixes)
-    estimate = smooth(graph)
-    assert graph.positions.sigma[0] == pytest.approx(np.hypot(0.5, 0.7))
-    assert estimate.fixes[2].weight == 0.0
-    assert "outside" in estimate.fixes[2].reason
-    assert any("outside" in w for w in estimate.warnings)
-
-
-@pytest.mark.parametrize("late", [True, False])
-def test_a_fix_outside_the_recording_has_a_wider_sigma(late):
-    """Two seconds before the start or after the end, the walker may have been 2.8 m away."""
-    steps = wandering_walk(30)
-    track = dead_reckon(steps)
-    at = steps.end + 2.0 if late else -2.0
-    row = -1 if late else 0
-    fixes = fixes_at([at] if late else [at, steps.time[10]], track.position[[row] if late else [0, 11]], 0.1)
-    report = smooth(WalkGraph(steps, fixes))
-    sigma = np.sqrt(np.linalg.eigvalsh(report.trajectory.covariance[row, :2, :2]))
-    assert sigma.max() > 2.0
-
-
 def test_unobserved_calibration_uncertainty_grows_with_the_walk():
     """R_s, R_d and b walk randomly from segment to segment: the prior's variance adds a change for each."""
     prior = Prior()
@@ -231,25 +259,10 @@ def test_unobserved_calibration_uncertainty_grows_with_the_walk():
     assert not calibration.learnt.any()
 
 
-def test_a_pause_hardly_changes_the_heading_sigma():
-    """Nine pauses of a minute with a perfect gyro: 0.02 rad each."""
-    steps = square_walk(laps=2)
-    shift = 60.0 * (np.arange(len(steps)) // 16)
-    paused = replace(steps, time=steps.time + shift, end=steps.end + shift[-1])
-    no_drift = Prior(sigma=(0.2, 1e-3, 1e-6), change=(0.03, 1e-3, 1e-7))
-
-    def variance_gained(walk):
-        fix = fixes_at([0.0], [[0.0, 0.0]])
-        heading = smooth(WalkGraph(walk, fix, prior=no_drift)).trajectory.covariance[:, 2, 2]
-        return heading[-1] - heading[0]
-
-    assert variance_gained(paused) - variance_gained(steps) == pytest.approx(9 * 0.02**2, rel=0.1)
-
-
 def test_walls_keep_a_drifting_walk_in_its_corridor():
     """A straight corridor 2 m wide, a gyro that drifts: without walls the track leaves it, with them it stays."""
     steps = steps_of(np.full(100, 0.7), np.full(100, 0.004))
-    corridor = FloorPlan("", (Area("corridor", "", shapely.box(-2, -1, 75, 1)),), Frame())
+    corridor = plan(("corridor", shapely.box(-2, -1, 75, 1)))
     fixes = fixes_at([0.0, steps.time[7]], [[0.0, 0.0], [5.6, 0.0]], 0.3)
     free, held = (smooth(WalkGraph(steps, fixes, floor=f)).trajectory.position for f in (None, corridor))
     assert np.abs(free[:, 1]).max() > 4
@@ -257,6 +270,7 @@ def test_walls_keep_a_drifting_walk_in_its_corridor():
     assert not corridor.crosses_wall(held[:-1], held[1:]).any()
 
 
+@pytest.mark.thorough
 def test_long_walks_do_not_overflow():
     """30 000 steps, where GTSAM's default ordering overflows the stack; fixes 3 m, error well below."""
     steps, fixes, truth = drawn_from_the_model(30_000, seed=1, every=30)
