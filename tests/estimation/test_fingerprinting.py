@@ -1,6 +1,5 @@
-"""Radio maps: fixes of later walks by the scans of earlier ones, with their sigmas."""
+"""Radio maps: fixes of later walks by the scans of earlier ones, with their sigmas, also of a walk under way."""
 
-import io as bytes_io
 import zipfile
 from dataclasses import replace
 
@@ -9,14 +8,14 @@ import pytest
 
 from pdr_graph.errors import InputError
 from pdr_graph.estimation import fingerprinting
-from pdr_graph.estimation.fingerprinting import RadioMap, scans_of
+from pdr_graph.estimation.fingerprinting import RadioMap, ScanCollector, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import SCANS
-from pdr_graph.types import Recording, Sightings, Trajectory
+from pdr_graph.types import Recording, Sightings, Trajectory, take
 
 ROUND = [[0, 0], {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}]
 BACK = [[0, 0], {"to": [[0, 20], [40, 20], [40, 0], [0, 0]]}]
@@ -162,35 +161,33 @@ def test_a_map_is_read_as_it_was_written(learnt, later, tmp_path):
         assert second.sigma == pytest.approx(first.sigma, rel=1e-4)
 
 
-def damaged(whole):
-    """What may befall a file: cut off, a byte changed, another file."""
+def flipped_bits(whole, count=60):
     random = np.random.default_rng(0)
-    yield from (b"", b"time,x,y\n1,2,3\n", whole[: len(whole) // 2], whole[:-30])
-    for place in random.integers(0, len(whole), 60):
+    for place in random.integers(0, len(whole), count):
         yield whole[:place] + bytes([whole[place] ^ 1 << random.integers(8)]) + whole[place + 1 :]
-    plain = bytes_io.BytesIO()
-    with zipfile.ZipFile(plain, "w") as archive:
-        archive.writestr("level.npy", b"no array")
-    yield plain.getvalue()
-    other = bytes_io.BytesIO()
-    np.savez(other, level=np.array([{}], dtype=object), allow_pickle=True)
-    yield other.getvalue()
 
 
 def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
+    """Cut off, of another kind, or with a bit changed."""
     path = tmp_path / "map.npz"
     learnt.save(path)
-    said = []
-    for content in damaged(path.read_bytes()):
+    whole, refusals = path.read_bytes(), []
+    for content in (b"", b"time,x,y\n1,2,3\n", whole[: len(whole) // 2], whole[:-30], *flipped_bits(whole)):
         path.write_bytes(content)
         try:
             radio_map = RadioMap.load(path)
         except InputError as refusal:
-            said.append(str(refusal))
+            refusals.append(str(refusal))
         else:
             assert radio_map.level == pytest.approx(learnt.level, abs=1e-3)
-    assert len(said) > 50
-    assert all(str(path) in line and "\n" not in line for line in said)
+    assert len(refusals) > 50
+    assert all(str(path) in line and "\n" not in line for line in refusals)
+
+
+def with_array(path, name, change):
+    """Put another array, allowed to be of objects, in the place of one of a map."""
+    arrays = dict(np.load(path))
+    np.savez(path, **arrays | {name: change(arrays[name])})
 
 
 @pytest.mark.parametrize(
@@ -207,38 +204,34 @@ def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
 def test_arrays_of_inconsistent_shapes_are_input_errors(name, wrong, learnt, tmp_path):
     path = tmp_path / "map.npz"
     learnt.save(path)
-    arrays = dict(np.load(path))
-    np.savez(path, **arrays | {name: wrong(arrays[name])})
+    with_array(path, name, wrong)
     with pytest.raises(InputError, match=f"map.npz, {name}: found"):
         RadioMap.load(path)
 
 
-def with_levels(path, header, size=0):
-    """Put an array with another header and so many zeros in the place of a map's levels."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    text = header.encode().ljust(117) + b"\n"
-    levels = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(size)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in (members | {"level.npy": levels}).items():
-            archive.writestr(name, content)
-
-
-def test_a_map_that_states_terabytes_is_refused_before_they_are_needed(learnt, tmp_path):
-    path = tmp_path / "map.npz"
-    learnt.save(path)
-    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000, 1000000), }")
-    with pytest.raises(InputError, match=r"map.npz: found"):
-        RadioMap.load(path)
-
-
-def test_a_map_of_gigabytes_of_zeros_is_refused_by_its_size(learnt, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("shape", "size", "complaint"),
+    [
+        ((1_000_000, 1_000_000), 0, r"map.npz: found"),
+        ((1000, 1000), 4_000_000, r"map.npz: found \d+ bytes unpacked, expected at most 3000000"),
+    ],
+    ids=["terabytes by its header", "gigabytes of zeros, packed"],
+)
+def test_a_map_that_is_too_large_is_refused_before_it_is_unpacked(
+    shape, size, complaint, learnt, tmp_path, monkeypatch
+):
     path = tmp_path / "map.npz"
     learnt.save(path)
     monkeypatch.setattr(fingerprinting, "LARGEST_MAP", 3_000_000)
     RadioMap.load(path)
-    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000, 1000), }", 4_000_000)
-    with pytest.raises(InputError, match=r"map.npz: found \d+ bytes unpacked, expected at most 3000000"):
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
+    members["level.npy"] = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(size)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    with pytest.raises(InputError, match=complaint):
         RadioMap.load(path)
 
 
@@ -255,8 +248,7 @@ class Obedient:
 def test_a_pickle_in_a_map_is_not_run(learnt, tmp_path):
     path, proof = tmp_path / "map.npz", tmp_path / "proof"
     learnt.save(path)
-    arrays = dict(np.load(path))
-    np.savez(path, **arrays | {"frame": np.array(Obedient(str(proof)), dtype=object)})
+    with_array(path, "frame", lambda _: np.array(Obedient(str(proof)), dtype=object))
     with pytest.raises(InputError):
         RadioMap.load(path)
     assert not proof.exists()
@@ -268,3 +260,19 @@ def test_too_few_scans_make_no_map():
     track, recording = walked(ROUND, 1)
     with pytest.raises(ValueError, match="found 0 scans"):
         RadioMap.learn([(track, replace(recording, bluetooth=None, wifi=None))])
+
+
+def test_scans_that_arrive_piecemeal_give_the_fixes_of_the_whole_recording(learnt, later):
+    """Every two seconds, and the last when the time has come; whoever asked is told each."""
+    track, recording = later[0]
+    expected, reported, blocks = learnt.fixes(recording), [], []
+    collector = ScanCollector(learnt, reported.append)
+    for begin in np.arange(0.0, track.time[-1] + 10.0, 2.0):
+        for radio in ("bluetooth", "wifi"):
+            heard = getattr(recording, radio)
+            collector.collect(take(heard, (heard.time >= begin) & (heard.time < begin + 2.0)), radio)
+        blocks += collector.due(begin + 2.0, None)
+    assert reported == blocks
+    assert len(expected) > 5
+    for column in ("time", "position", "sigma"):
+        assert np.concatenate([getattr(fixes, column) for fixes in blocks]) == pytest.approx(getattr(expected, column))

@@ -1,28 +1,90 @@
-"""Without any position, a walk is sought on its whole plan: by its turns, between the walls."""
+"""Where on its plan a walk is, and how probable that is: from one fix, or without any position, by its turns."""
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import shapely
+from plans import MAPS, corridors
+from walks import fixes_at, steps_of, straight
 
-from pdr_graph import Building, FloorPlan, WalkGraph, detect_steps, smooth
+from pdr_graph import Building, FloorPlan, Headings, WalkGraph, detect_steps, smooth
+from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
 from pdr_graph.estimation.smoother import estimated
 from pdr_graph.estimation.verdict import verdict
-from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Recording, Steps
+from pdr_graph.priors import SEARCH
+from pdr_graph.types import Fixes, Recording
 from pdr_graph.walk import Evidence, estimate, observe
 
-ROOT = Path(__file__).resolve().parents[2]
+
+def aisles(*ends):
+    """Aisles from the origin to each of the ends."""
+    return corridors(*([(0, 0), end] for end in ends), width=3.0)
+
+
+def straight_on(metres, floor, headings=None):
+    """A straight walk from the origin, of which the direction is not known without headings."""
+    steps = straight(round(metres / 0.7))
+    return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=headings, floor=floor)
+
+
+def test_two_mirror_images_have_half_the_probability_each():
+    """Less what is kept for ways that nobody found, 1 %, and what the chance of the particles leaves of symmetry."""
+    estimate = smooth(straight_on(28, aisles((50, 0), (-50, 0))))
+    assert estimate.probability == pytest.approx(0.5, abs=0.05)
+    assert any("different walks" in w for w in estimate.warnings)
+
+
+def test_a_compass_distinguishes_mirror_images():
+    headings = Headings(np.array([10.0]), np.array([np.pi]), np.array([0.35]))
+    estimate = smooth(straight_on(28, aisles((50, 0), (-50, 0)), headings))
+    assert estimate.probability > 0.9
+    assert estimate.trajectory.position[-1, 0] == pytest.approx(-28, abs=2.0)
+
+
+def test_a_walk_longer_than_one_aisle_is_in_the_other():
+    estimate = smooth(straight_on(42, aisles((60, 0), (0, 20))))
+    assert estimate.probability > 0.9
+    assert estimate.trajectory.position[-1] == pytest.approx([42, 0], abs=3.0)
+
+
+def test_a_repeated_solution_adds_no_probability():
+    """Both together are as likely as the one, and what is left is that of a way which nobody found."""
+    optima = solutions(straight_on(28, aisles((50, 0))))[:1]
+    once, twice = (probabilities(many, paths(many)) for many in (optima, 2 * optima))
+    assert once == pytest.approx(1 / (1 + np.exp(optima[0].surprise - optima[0].unseen)))
+    assert once > 0.98
+    assert twice == pytest.approx(np.full(2, once[0] / 2))
+
+
+def test_missed_paths_have_a_probability_only_on_a_plan():
+    """Without walls the search starts in all directions, so nothing is missed."""
+    optima = solutions(straight_on(28, None))
+    assert probabilities(optima, paths(optima)).sum() == pytest.approx(1.0)
+    optima = solutions(straight_on(28, aisles((50, 0))))
+    assert 0 < 1 - probabilities(optima, paths(optima)).sum() < 2 * np.exp(-SEARCH.unseen)
+
+
+def test_a_walk_that_fits_nothing_at_all_has_a_probability():
+    """The live search for a place divides by it: `replay` of a real walk on a plan without a position ended there."""
+    optima = [SimpleNamespace(surprise=surprise, unseen=SEARCH.unseen) for surprise in (6e8, 7e8)]
+    share = probabilities(optima, np.array([0, 1]))
+    assert (share > 0).all()
+    assert share.sum() < 1e-9
+
+
+# Without any position
+
 TURN = np.pi / 2
+RING = [(0, 0), (30, 0), (30, 18), (0, 18), (0, 0)]  # [m]
 
 
 @cache
@@ -30,31 +92,13 @@ def arcade():
     """The plan of the arcade, the steps of a walk in it, and its truth."""
     scenario = Scenario.load("arcade")
     walk = simulate(scenario)
-    return FloorPlan.load(ROOT / "maps" / "arcade.geojson"), detect_steps(walk.recording()), walk.truth
-
-
-def corridor(line, width=2.4, more=()):
-    """A plan of corridors along lines [m]."""
-    lines = [shapely.buffer(shapely.LineString(one), width / 2, cap_style="square") for one in (line, *more)]
-    shape = shapely.union_all(lines)
-    return FloorPlan("", (Area("corridor", "", shape),), Frame())
+    return FloorPlan.load(MAPS / "arcade.geojson"), detect_steps(walk.recording()), walk.truth
 
 
 def walked(*legs):
     """Steps of 0.7 m along legs: their length [m], and the turn after each [rad]."""
     turns = [turn for length, after in legs for turn in ([0.0] * round(length / 0.7 - 1) + [after])]
-    n = len(turns)
-    return Steps(
-        start=0.0,
-        end=0.5 * n,
-        time=0.5 * np.arange(1, n + 1),
-        duration=np.full(n, 0.5),
-        length=np.full(n, 0.7),
-        turn=np.array(turns),
-        sigma_length=np.full(n, 0.05),
-        sigma_turn=np.full(n, 0.03),
-        pause_turn=np.zeros(n),
-    )
+    return steps_of(np.full(len(turns), 0.7), np.array(turns), sigma_length=0.05, sigma_turn=0.03)
 
 
 def error(estimate, truth):
@@ -82,7 +126,7 @@ def test_no_filter_is_shown_of_a_walk_without_any_position():
 
 def test_a_symmetric_building_has_two_answers_of_one_half():
     """A rectangle of corridors, 30 m by 18 m, along three sides: it may be turned by half a turn."""
-    ring = corridor([(0, 0), (30, 0), (30, 18), (0, 18), (0, 0)])
+    ring = corridors(RING, width=2.4)
     estimate = smooth(WalkGraph(walked((28, TURN), (18, TURN), (28, 0.0)), floor=ring))
     assert [probability for probability, _ in estimate.routes] == pytest.approx([0.5, 0.5], abs=0.1)
     (_, one), (_, other) = estimate.routes
@@ -94,7 +138,7 @@ def test_a_symmetric_building_has_two_answers_of_one_half():
 
 def test_a_wing_that_only_one_end_has_decides():
     """The control: with a corridor at one of the ends, into which the walk turns, there is one answer."""
-    plan = corridor([(0, 0), (30, 0), (30, 18), (0, 18), (0, 0)], more=[[(0, 18), (-14, 18)]])
+    plan = corridors(RING, [(0, 18), (-14, 18)], width=2.4)
     estimate = smooth(WalkGraph(walked((28, TURN), (18, TURN), (40, 0.0)), floor=plan))
     assert estimate.probability > 0.9
     assert estimate.trajectory.position[-1] == pytest.approx([-11, 18], abs=2.5)
@@ -102,7 +146,7 @@ def test_a_wing_that_only_one_end_has_decides():
 
 def test_a_plan_on_which_no_such_walk_is_possible_is_doubted():
     """60 m straight on, on a floor of 14 m by 14 m."""
-    estimate = smooth(WalkGraph(walked((60, 0.0)), floor=corridor([(0, 0), (12, 0)], width=14)))
+    estimate = smooth(WalkGraph(walked((60, 0.0)), floor=corridors([(0, 0), (12, 0)], width=14)))
     assert estimate.probability < 0.5
     assert verdict(estimate).state != "ok"
 
@@ -110,7 +154,7 @@ def test_a_plan_on_which_no_such_walk_is_possible_is_doubted():
 def test_the_floor_on_which_a_walk_begins_is_found():
     """One floor has the walk's corridors, the other only a hall that is too small for it."""
     _, steps, truth = arcade()
-    right, hall = arcade()[0], corridor([(0, 0), (12, 0)], width=12)
+    right, hall = arcade()[0], corridors([(0, 0), (12, 0)], width=12)
     graph, found = begun_on([WalkGraph(steps, floor=hall), WalkGraph(steps, floor=right)])
     assert graph.floor is right
     assert error(estimated(graph, found), truth) < 2.0
@@ -118,7 +162,7 @@ def test_the_floor_on_which_a_walk_begins_is_found():
 
 def test_several_floors_are_several_possible_starts():
     walk = simulate(Scenario.load("two_floors"))
-    building = Building.load(ROOT / "maps" / "two_floors.geojson")
+    building = Building.load(MAPS / "two_floors.geojson")
     inputs = Evidence(walk.recording(), Walker(), building, building.floors[0].frame, Fixes.none(), ())
     evidence = observe(inputs)
     assert [one.floors.labels[0] for one in (evidence, *evidence.others)] == ["1"], "it climbs one floor"

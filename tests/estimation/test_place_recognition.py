@@ -46,15 +46,13 @@ def test_two_walks_of_one_corridor_are_linked_at_the_same_places():
     assert np.median(apart) < 5.0
 
 
-def test_walks_of_different_floors_are_not_linked():
+def test_walks_of_different_floors_or_transmitters_and_single_ones_are_not_linked():
     assert len(found([along((5, 5), (55, 5), floor="1"), along((5, 6), (55, 6), floor="2")])) == 0
-
-
-def test_walks_without_common_transmitters_are_not_linked():
-    walks = [along((5, 5), (55, 5)), along((5, 5), (55, 5))]
-    scans = heard_along(walks[1])
+    walk = along((5, 5), (55, 5))
+    scans = heard_along(walk)
     other = Scans(scans.time, tuple(name + "'" for name in scans.transmitter), scans.level)
-    assert len(revisits([(walks[0], heard_along(walks[0])), (walks[1], other)])) == 0
+    assert len(revisits([(walk, scans), (walk, other)])) == 0
+    assert len(found([along((5, 5), (30, 5), 20)])) == len(found([])) == 0
 
 
 def test_a_walk_is_linked_with_itself_only_at_later_revisits():
@@ -89,8 +87,3 @@ def test_uncertain_walks_are_linked_with_the_default_sigma():
     first, second = places(closures, walks)
     assert len(closures)
     assert np.median(np.hypot(*(first - second).T)) < 5.0
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_too_few_walks_have_no_links(count):
-    assert len(found([along((5, 5), (30, 5), 20)][:count])) == 0

@@ -4,7 +4,7 @@ import json
 import os
 import signal
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import simulated
 from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
-from walks import drawn_from_the_model
+from walks import drawn_from_the_model, part
 
 import pdr_graph as pdr
 from pdr_graph.apps.lifelog.build import build
@@ -23,9 +23,11 @@ from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.report import output_files as outputs
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.factors.registry import KINDS
+from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
+from pdr_graph.priors import PARTICLES
 from pdr_graph.walk import Options, estimate, read
 from pdr_graph.walk import observe as evidence_of
 
@@ -153,17 +155,26 @@ def test_derivatives_and_gtsams_error_are_those_of_ours():
         assert_gtsam_agrees(graph, state)
 
 
+def test_it_weighs_particles():
+    """It has no method for particles: its residuals are enough, and only at its keyframe."""
+    lines = Anchorline(np.array([0.0, 5.0, 5.0]), np.array([3.0, 4.0, -9.0]), np.eye(2)[[0, 0, 0]], np.full(3, 2.0))
+    bound = AnchorlineFactor(lines, np.arange(3), keyframe=np.array([2, 7, 7]))
+    state = np.random.default_rng(0).normal(0, 8, (6, 30))
+    expected = sum(np.minimum(0.5 * ((state[0] - z) / 2.0) ** 2, PARTICLES.outlier_price) for z in (4.0, -9.0))
+    [costs] = pose_costs([bound], 7)
+    assert np.sum(list(costs.costs(state)), axis=0) == pytest.approx(expected)
+    assert pose_costs([bound], 3) == ()
+
+
 def events(steps, fixes, lines):
     """The steps one by one, each followed by the fixes and lines of its time."""
-    begin, done = steps.start, -np.inf
+    done = -np.inf
     for k, end in enumerate(steps.time.tolist()):
-        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
-        yield pdr.Steps(begin, end, **columns)
-        new, begin = (lines.time > done) & (lines.time <= end), end
-        if new.any():
+        yield part(steps, k, k + 1)
+        if (new := (lines.time > done) & (lines.time <= end)).any():
             yield Anchorline(*(column[new] for column in vars(lines).values()))
-        if ((fixes.time > done) & (fixes.time <= end)).any():
-            yield fixes[(fixes.time > done) & (fixes.time <= end)]
+        if (new := (fixes.time > done) & (fixes.time <= end)).any():
+            yield fixes[new]
         done = end
 
 
@@ -281,40 +292,37 @@ def test_the_example_of_the_page_is_the_kind_above():
     assert there.trajectory.position == pytest.approx(here.trajectory.position, abs=1e-9)
 
 
-def test_what_cannot_be_registered_is_refused():
-    @dataclass
-    class Changing:
-        time: np.ndarray
+Changing = make_dataclass("Changing", ["time"])
+Timeless = make_dataclass("Timeless", ["place"], frozen=True)
+Ranges = make_dataclass("Ranges", ["time"], frozen=True)
 
-    @dataclass(frozen=True)
-    class Timeless:
-        place: np.ndarray
 
-    @dataclass(frozen=True)
-    class Ranges:
-        time: np.ndarray
+class Nameless(AnchorlineFactor):
+    name = ""
 
-    class Nameless(AnchorlineFactor):
-        name = ""
 
-    class Taken(AnchorlineFactor):
-        name = "walls"
+class Taken(AnchorlineFactor):
+    name = "walls"
 
-    for data, kind, reason in (
-        (Changing, AnchorlineFactor, "frozen=True"),
-        (Timeless, AnchorlineFactor, "expected a frozen dataclass with time"),
-        (Anchorline, Anchorline, "expected subclasses of Measurement"),
-        (Anchorline, Nameless, "without a name"),
-    ):
-        with pytest.raises(TypeError, match=reason):
-            pdr.register(data, kind)
-    for data, kind, reason in (
-        (Ranges, AnchorlineFactor, "another type of this name is registered"),
-        (pdr.Fixes, AnchorlineFactor, "another type of this name is registered"),
-        (Anchorline, Taken, "is registered"),
-    ):
-        with pytest.raises(ValueError, match=reason):
-            pdr.register(data, kind)
+
+@pytest.mark.parametrize(
+    ("data", "kind", "error", "reason"),
+    [
+        (Changing, AnchorlineFactor, TypeError, "frozen=True"),
+        (Timeless, AnchorlineFactor, TypeError, "expected a frozen dataclass with time"),
+        (Anchorline, Anchorline, TypeError, "expected subclasses of Measurement"),
+        (Anchorline, Nameless, TypeError, "without a name"),
+        (Ranges, AnchorlineFactor, ValueError, "another type of this name is registered"),
+        (pdr.Fixes, AnchorlineFactor, ValueError, "another type of this name is registered"),
+        (Anchorline, Taken, ValueError, "is registered"),
+    ],
+)
+def test_what_cannot_be_registered_is_refused(data, kind, error, reason):
+    with pytest.raises(error, match=reason):
+        pdr.register(data, kind)
+
+
+def test_what_is_not_registered_measures_nothing():
     with pytest.raises(TypeError, match="found Timeless, expected one of"):
         pdr.WalkGraph(drawn(0, 20)[0], measurements=[Timeless(np.zeros((1, 2)))])
     pdr.register(Anchorline, AnchorlineFactor)  # again, as in a notebook

@@ -1,13 +1,12 @@
 """A floor plan that does not fit the walk is said, and its walls are not used."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-from test_topology import aisles, straight
-from walks import fixes_at
+from plans import MAPS, corridors
+from walks import fixes_at, straight
 
 import pdr_graph as pdr
 from pdr_graph import Headings, smooth
@@ -15,7 +14,6 @@ from pdr_graph.estimation.ambiguity.bank import probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import joint_solutions
 from pdr_graph.geometry import interpolate
 
-MAPS = Path(__file__).parents[2] / "maps"
 ARCADE, LOOP = MAPS / "arcade.geojson", MAPS / "loop.geojson"
 
 
@@ -65,6 +63,8 @@ def test_a_plan_six_metres_off_is_named_and_its_walls_are_not_used(arcade):
     steps, truth, plan = arcade
     wrong = pdr.smooth(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 6.0, 0.0)))
     without = pdr.smooth(pdr.WalkGraph(steps, fixes(truth)))
+    assert wrong.probability > 0.9, "the fixes determine the route, and five of them within a metre make it sure"
+    assert error(wrong, truth).mean() < 2
     assert wrong.trajectory.position == pytest.approx(without.trajectory.position)
     [reason] = reasons(wrong, "plan")
     assert "does not fit the walk" in reason.text
@@ -72,18 +72,11 @@ def test_a_plan_six_metres_off_is_named_and_its_walls_are_not_used(arcade):
     assert reason.amount > 0.9
 
 
-def test_walls_that_are_not_used_do_not_lower_the_probability(arcade):
-    """The fixes determine the route, and five of them within a metre make it sure."""
-    steps, truth, plan = arcade
-    wrong = pdr.smooth(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 6.0, 0.0)))
-    assert wrong.probability > 0.9
-    assert error(wrong, truth).mean() < 2
-
-
 def test_from_one_fix_a_walk_that_does_not_fit_has_a_wide_region_and_a_low_probability():
     """60 m straight on, where the plan has 20 m: plan or step count is incomplete."""
     heading = Headings(np.array([10.0]), np.array([0.0]), np.array([0.2]))
-    walk = smooth(straight(60, aisles((20, 0), (0, 20)), heading))
+    floor = corridors([(0, 0), (20, 0)], [(0, 0), (0, 20)], width=3.0)
+    walk = smooth(pdr.WalkGraph(straight(86), fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=heading, floor=floor))
     end, spread = walk.trajectory.position[-1], np.sqrt(np.diagonal(covariance(walk)[-1]))
     assert reasons(walk, "plan")
     assert walk.probability < 0.5
