@@ -9,6 +9,7 @@ import shapely
 from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from gtsam.symbol_shorthand import C, X
 from plans import plan
+from test_factor_equations import beside_beacons
 from walks import dead_reckon, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.estimation.factors.base import Stage
@@ -16,7 +17,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.types import Closures, Headings, Levels, Ranges
+from pdr_graph.types import Closures, Headings, Ranges
 
 HALL = plan(("corridor", shapely.box(-6, -6, 6, 6) - shapely.box(-1, -1, 1, 1)))  # with a pillar: walks press on walls
 
@@ -40,15 +41,6 @@ def received():
     assert graph.positions.outlier.sum() == 1
     assert graph.find(GnssBias).node_number.size > 2
     return graph
-
-
-def beside_beacons():
-    """Levels of three beacons, one of which nobody surveyed."""
-    steps = wandering_walk(30, 3)
-    time, place = dead_reckon(steps).time[2::3], np.array([[3.0, 4.0], [12.0, -2.0], [np.nan, np.nan]])
-    rssi = np.random.default_rng(3).uniform(-90, -60, len(time))
-    levels = Levels(time, np.arange(len(time)) % 3, rssi, tuple("abc"), place, np.full(3, 0.5))
-    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=9), levels=levels)
 
 
 def with_a_compass():

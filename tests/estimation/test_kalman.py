@@ -11,16 +11,6 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
 
 
-def test_filter_and_smoother_agree_at_the_end():
-    """Both use all measurements for the last pose; they agree up to linearisation (0.3 sigma)."""
-    steps, fixes, _ = drawn_from_the_model(150, seed=3)
-    graph = WalkGraph(steps, fixes)
-    causal, smoothed = kalman_filter(graph).trajectory, smooth(graph).trajectory
-    sigma = np.sqrt(np.diag(smoothed.covariance[-1])[:2])
-    assert np.abs(causal.position[-1] - smoothed.position[-1]) / sigma == pytest.approx([0, 0], abs=0.3)
-    assert causal.covariance[-1, 0, 0] == pytest.approx(smoothed.covariance[-1, 0, 0], rel=0.2)
-
-
 def test_the_filter_is_causal():
     """Fixes of the second half change nothing in the first."""
     steps, fixes, _ = drawn_from_the_model(100, seed=4)

@@ -13,7 +13,7 @@ from test_ranging import ranged
 from walks import PERIOD, dead_reckon, drawn_from_the_model, fixes_at, square_walk, steps_of, straight
 
 import pdr_graph as pdr
-from pdr_graph import Headings, WalkGraph
+from pdr_graph import Headings, WalkGraph, kalman_filter
 from pdr_graph.estimation import particle_filter as filter_module
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
@@ -86,39 +86,19 @@ def test_a_step_inside_a_solid_area_costs_little():
 # A walk
 
 
-def test_in_the_open_particles_have_the_covariance_of_dead_reckoning(monkeypatch):
-    """An independent oracle: the covariance of the end by propagating each error to first order."""
+def test_in_the_open_particles_have_the_covariance_of_the_kalman_filter(monkeypatch):
+    """They start by fix and heading, and are then weighed by both: these count as two of each."""
     for name, value in {"fewest": 20_000, "most": 20_000, "wide": (1, 1, 1), "calm": (1, 1, 1)}.items():
         monkeypatch.setitem(vars(PARTICLES), name, value)
-    n, length, heading_sigma, fix_sigma = 30, 0.7, 0.1, 1.0
-    steps = steps_of(np.full(n, length), np.zeros(n), sigma_length=0.07, sigma_turn=0.02)
-    floor = plan(("floor", shapely.box(-500, -500, 500, 500)))
-    there = Headings(np.array([0.0]), np.array([0.0]), np.array([heading_sigma]))
-    graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], fix_sigma), headings=there, floor=floor)
-    paths = particle_filter(graph)
 
-    # Ahead: the start, the stride's prior and drift along the walk, each step's own error
-    prior, pieces = graph.prior, graph.pieces
-    way, moving = n * length, pieces.length > 0
-    left = np.cumsum(pieces.length[::-1])[::-1] - pieces.length / 2  # [m] still to go from the middle of each piece
-    # particles start twice as uncertain as the heading says, once by the start and once by the heading's own weight
-    start_turn = heading_sigma**2 / 2
-    # calibration changes by its random walk after every ten steps
-    blocks = graph.pieces.last + 1
-    change = np.array(prior.change)
-    per_block = np.array([np.sqrt(np.sum(moving[a:b]) / 100) for a, b in zip([0, *blocks[:-1]], blocks, strict=True)])
-    to_go = np.array([np.sum(pieces.length[b:]) for b in blocks])
-    time = 2 * (pieces.to_end - pieces.to_middle)[1]
-    drift = np.array([np.sum(time[b:] * left[b:]) for b in blocks])
-    ahead = fix_sigma**2 / 2 + (prior.sigma[0] * way) ** 2 + np.sum(pieces.variance[moving, 0])
-    ahead += np.sum((change[0] * per_block * to_go) ** 2)
-    aside = fix_sigma**2 / 2 + start_turn * way**2 + np.sum(pieces.variance[moving, 1])
-    aside += np.sum(pieces.variance[:, 2] * left**2) + (prior.sigma[2] * np.sum(time * left)) ** 2
-    aside += np.sum((change[2] * per_block * drift) ** 2)
+    def graph(share, **more):
+        there = Headings(np.zeros(1), np.zeros(1), np.array([0.1 * share]))
+        return WalkGraph(straight(30), fixes_at([0.0], [[0.0, 0.0]], 1.0 * share), headings=there, **more)
 
-    end = paths.state[-1, :2] - np.average(paths.state[-1, :2], axis=1, weights=paths.weight)[:, None]
-    spread = np.sqrt(np.average(end**2, axis=1, weights=paths.weight))
-    assert spread == pytest.approx(np.sqrt([ahead, aside]), rel=0.05), "20 000 particles, a few resamplings"
+    paths = particle_filter(graph(1.0, floor=plan(("floor", shapely.box(-500, -500, 500, 500)))))
+    spread = np.cov(paths.state[-1, :2], aweights=paths.weight)
+    expected = kalman_filter(graph(np.sqrt(0.5))).trajectory.covariance[-1, :2, :2]
+    assert np.sqrt(np.diag(spread)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05), "a few resamplings"
 
 
 def two_aisles():

@@ -1,13 +1,13 @@
-"""A kind of measurement that is defined here, and registered by one call, runs through every part of the package."""
+"""The kind of measurement that CONTRIBUTING.md defines, registered by one call, runs through the whole package."""
 
 import json
 import os
 import signal
 import sys
 from dataclasses import dataclass, make_dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from typing import ClassVar
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -35,14 +35,19 @@ SIGMA = 0.2  # [m]
 EVERY = 3.0  # [s] between two lines
 
 
-@dataclass(frozen=True)
-class Anchorline:
-    """Distances from lines: n·p = offset [m], normal ``(n, 2)``, sigma ``(n,)`` [m]."""
+def example_of_the_page():
+    """The module of the example as it is printed: a file that processes can import, which registers its kind."""
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
+    (Path(FOLDER.name) / "example_of_the_page.py").write_text(code, encoding="utf-8")
+    sys.path.append(FOLDER.name)
+    return import_module("example_of_the_page")
 
-    time: np.ndarray
-    offset: np.ndarray
-    normal: np.ndarray
-    sigma: np.ndarray
+
+FOLDER = TemporaryDirectory()
+EXAMPLE = example_of_the_page()
+del KINDS[EXAMPLE.Anchorline]  # until its tests run
+Anchorline = EXAMPLE.Anchorline
 
 
 @dataclass(frozen=True)
@@ -53,39 +58,10 @@ class LineReport:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class AnchorlineFactor(pdr.Measurement):
-    """r = (n·p − offset) / σ."""
+class AnchorlineFactor(EXAMPLE.AnchorlineFactor):
+    """With two of the optional parts."""
 
-    lines: Anchorline
-    number: np.ndarray
-    keyframe: np.ndarray
-    name: ClassVar[str] = "anchor_lines"
-    determines_position: ClassVar[bool] = True
-
-    @classmethod
-    def of(cls, lines, steps, prior, number):
-        return cls(lines, number, np.full(len(number), -1))
-
-    def keyframe_times(self):
-        return self.lines.time
-
-    def bind(self, chain):
-        return replace(self, keyframe=chain.keyframe(self.lines.time))
-
-    def factors(self, at):
-        which = np.flatnonzero(self.keyframe >= 0)
-        keyframe, normal, sigma = self.keyframe[which], self.lines.normal[which], self.lines.sigma[which]
-        x, y, heading = at.state.poses[keyframe].T
-        residual = (normal[:, 0] * x + normal[:, 1] * y - self.lines.offset[which]) / sigma
-
-        def jacobian():
-            cos, sin = np.cos(heading), np.sin(heading)
-            ahead = normal[:, 0] * cos + normal[:, 1] * sin
-            left = normal[:, 1] * cos - normal[:, 0] * sin
-            return [np.stack([ahead, left, 0 * ahead], axis=1)[:, None] / sigma[:, None, None]]
-
-        return [pdr.FactorBlock.uniform(self.name, residual[:, None], [("x", keyframe)], jacobian, self.number[which])]
+    determines_position = True
 
     def reports(self, at, which=None):
         [block] = at.blocks_of(self.name)
@@ -153,6 +129,16 @@ def test_derivatives_and_gtsams_error_are_those_of_ours():
         state = random_state(graph, np.random.default_rng(seed))
         assert "anchor_lines" in assert_derivatives(graph, state)
         assert_gtsam_agrees(graph, state)
+
+
+def test_optional_parts_are_not_needed():
+    steps, fixes, _, lines = drawn(5, 40)
+    tracks = []
+    for kind in (EXAMPLE.AnchorlineFactor, AnchorlineFactor):
+        del KINDS[Anchorline]
+        pdr.register(Anchorline, kind)
+        tracks.append(pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines])).trajectory)
+    assert tracks[0].position == pytest.approx(tracks[1].position, abs=1e-9)
 
 
 def test_it_weighs_particles():
@@ -273,23 +259,6 @@ def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path
     assert isinstance(stored, Anchorline)
     assert np.array_equal(stored.offset, lines.offset)
     assert error(outing.trajectory, truth) < 0.4
-
-
-def test_the_example_of_the_page_is_the_kind_above():
-    """Run as it is printed in CONTRIBUTING.md: the walk is the same, and no report is needed."""
-    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
-    steps, fixes, _, lines = drawn(5, 40)
-    here = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines]))
-    del KINDS[Anchorline]
-    module = ModuleType("example_of_the_page")
-    sys.modules[module.__name__] = module
-    exec(compile(code, "CONTRIBUTING.md", "exec"), vars(module))
-    theirs = module.Anchorline(**vars(lines))
-    there = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[theirs]))
-    del KINDS[module.Anchorline], sys.modules[module.__name__]
-    pdr.register(Anchorline, AnchorlineFactor)
-    assert there.trajectory.position == pytest.approx(here.trajectory.position, abs=1e-9)
 
 
 Changing = make_dataclass("Changing", ["time"])
