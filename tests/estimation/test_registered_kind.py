@@ -242,7 +242,7 @@ def test_report_and_summary_list_the_lines(recorded, tmp_path):
     assert summary["reports"]["anchor_lines"][0]["time"] == pytest.approx(lines.time[0] + walk.clock_origin)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path, workers):
     """What reads the lines of a recording is the caller's; the store has them from then on."""
     folder, truth, lines = recorded
