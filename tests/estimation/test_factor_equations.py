@@ -526,32 +526,25 @@ def test_the_marginal_is_the_schur_complement():
     """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab, and what is optimal with it is what was optimal with all."""
     steps, fixes, _ = drawn_from_the_model(120, 0)
     graph = WalkGraph(steps, fixes)
-    at = optimize(graph, graph.start).at
-    system = graph.normal_equations(at).assembled(at)
-    count, gone = sum(len(rows) for rows in at.state.arrays.values()), 7  # the first keyframes
-    joint = np.linalg.inv(dense(system, count))
+    at, gone = optimize(graph, graph.start).at, 7  # the first keyframes; the rest follows in order
+    poses = len(at.state.poses)
+    count = poses + len(at.state.c)
     marginal, absorbed = marginalized(at, np.arange(count) < gone)
     assert not absorbed, "priors of measurements; there are none"
     assert set(zip(marginal.symbol, marginal.number.tolist(), strict=True)) == {("x", gone), ("c", 0)}
-    of_c = 3 * len(at.state.poses)
-    rows = [*range(3 * gone, 3 * gone + 3), *range(of_c, of_c + 3)]
-    information, first = np.zeros((count, 3, count, 3)), {"x": 0, "c": len(at.state.poses)}
-    for block in [*at.blocks, *marginal.factors(at)]:
-        J = np.zeros((len(block.residual), count, 3))
-        for (symbol, of_factor), derivative in zip(block.variables, block.weighted[1], strict=True):
-            J[np.arange(len(J)), first[symbol] + of_factor[block.row_of]] += derivative
-        J[np.abs(J[:, :gone]).sum(axis=(1, 2)) > 0] = 0.0
-        information += np.einsum("mia,mjb->iajb", J, J)
-    left = information.reshape(3 * count, -1)[3 * gone :, 3 * gone :]
-    assert np.linalg.inv(left) == pytest.approx(joint[3 * gone :, 3 * gone :], rel=1e-6, abs=1e-9)
-    assert marginal.root.shape[1] == len(rows)
+    assert marginal.root.shape[1] == 6
 
+    def information(blocks, without=0):
+        """Λ of all variables, less the factors of the first few."""
+        total, first = np.zeros((count, 3, count, 3)), {"x": 0, "c": poses}
+        for block in blocks:
+            J = np.zeros((len(block.residual), count, 3))
+            for (symbol, of_factor), derivative in zip(block.variables, block.weighted[1], strict=True):
+                J[np.arange(len(J)), first[symbol] + of_factor[block.row_of]] += derivative
+            J[np.abs(J[:, :without]).sum(axis=(1, 2)) > 0] = 0.0
+            total += np.einsum("mia,mjb->iajb", J, J)
+        return total.reshape(3 * count, -1)[3 * without :, 3 * without :]
 
-def dense(system, count):
-    """The matrix ``(3 n, 3 n)`` of a linear system."""
-    elimination, matrix = system.equations.elimination, np.zeros((count, 3, count, 3))
-    for code, block in zip(elimination.codes.tolist(), system._blocks, strict=True):
-        i, j = divmod(code, count + 1)
-        if max(i, j) < count:
-            matrix[i, :, j] = block
-    return matrix.reshape(3 * count, 3 * count)
+    joint = np.linalg.inv(information(at.blocks))[3 * gone :, 3 * gone :]
+    left = np.linalg.inv(information([*at.blocks, *marginal.factors(at)], without=gone))
+    assert left == pytest.approx(joint, rel=1e-6, abs=1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from plans import MAPS, plan
+from simulated import scenario_walk
 from walks import PERIOD, fixes_at, pushed, pushing, straight
 
 from pdr_graph import FloorPlan, Prior, Recording
@@ -18,8 +19,6 @@ from pdr_graph.estimation.live.particles import ParallelParticleFilter, ways_els
 from pdr_graph.estimation.live.window import Path
 from pdr_graph.estimation.particle_filter import Paths
 from pdr_graph.floor.building import Building
-from pdr_graph.lab.simulation.scenario import Scenario
-from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.priors import LIVE_PATHS, SCHEDULE
@@ -233,7 +232,7 @@ INERTIAL = ("accelerometer", "gyroscope")
 @cache
 def followed():
     """The poses of the arcade's walk by plan and inertial sensors alone, its truth, and its estimate."""
-    walk = simulate(Scenario.load("arcade"))
+    walk, _ = scenario_walk("arcade")
     recording = Recording("arcade", 0.0, None, **{name: walk.signals[name] for name in INERTIAL})
     navigator = Navigator(FloorPlan.load(MAPS / "arcade.geojson"), lag=60.0)
     poses, states = [], []

@@ -2,12 +2,12 @@
 
 import tracemalloc
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 import shapely
 from plans import MAPS, plan
+from simulated import scenario_walk
 from test_beacons import beacons_about, heard
 from test_ranging import ranged
 from walks import PERIOD, dead_reckon, drawn_from_the_model, fixes_at, square_walk, steps_of, straight
@@ -140,14 +140,6 @@ def test_particles_survive_any_turn_of_the_phone(turned):
     ends = np.array([np.average(paths.state[-1, :2], axis=1, weights=paths.weight) for paths in runs])
     assert ends[:, 0].mean() == pytest.approx(2 + 0.7 * n, abs=0.15 * 0.7 * n), "as far as strides are known"
     assert np.all((ends[:, 1] > 0) & (ends[:, 1] < 2.4))
-
-
-def test_the_same_seed_is_the_same_walk():
-    steps = straight(30)
-    graph = graph_of(steps, two_aisles(), [2.0, 3.0])
-    first, same, third = (particle_filter(graph, seed).state for seed in (0, 0, 1))
-    assert np.array_equal(first, same)
-    assert not np.array_equal(first[-1][:, :100], third[-1][:, :100])
 
 
 # Floors
@@ -372,10 +364,9 @@ def test_a_kind_with_other_poses_has_no_say():
 ANCHORS = {1: (9.6, 12.7), 2: (12.6, 14.5), 3: (23.9, 7.3)}  # [m] in the office
 
 
-@cache
 def office(seed):
     """The office's walk: its plan, steps, truth and distances from one anchor every other second, without a fix."""
-    made = pdr.simulate(replace(pdr.Scenario.load("office"), seed=seed))
+    made, steps = scenario_walk("office", seed=seed)
     [floor], truth, random = made.scenario.plans.values(), made.truth, np.random.default_rng(seed)
     time = np.arange(truth.time[0] + 0.5, truth.time[-1] - 0.5, 2.0)
     anchor = np.array([ANCHORS[seed]])
@@ -384,7 +375,7 @@ def office(seed):
     measured = np.maximum(distance + random.normal(0, 0.5, len(time)) + detour, 0.0)
     rows = np.zeros(len(time), dtype=np.intp)
     ranges = Ranges(time, rows, measured, np.full(len(time), 0.5), ("A",), anchor, np.array([0.1]))
-    return floor, pdr.detect_steps(made.recording(), pdr.Walker(height=made.walker.height)), truth, ranges
+    return floor, steps, truth, ranges
 
 
 def walked_by_one_anchor(seed):

@@ -1,13 +1,13 @@
 """Where on its plan a walk is and how probable that is, and a plan that does not fit the walk."""
 
 from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import shapely
 from plans import MAPS, corridors
+from simulated import scenario_walk
 from walks import fixes_at, steps_of, straight
 
 from pdr_graph import Building, FloorPlan, Headings, WalkGraph, detect_steps, kalman_filter, smooth
@@ -25,6 +25,8 @@ from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import SEARCH
 from pdr_graph.types import Fixes, Recording
 from pdr_graph.walk import Evidence, estimate, observe
+
+ARCADE, LOOP = MAPS / "arcade.geojson", MAPS / "loop.geojson"
 
 
 def error(estimate, truth):
@@ -94,12 +96,10 @@ TURN = np.pi / 2
 RING = [(0, 0), (30, 0), (30, 18), (0, 18), (0, 0)]  # [m]
 
 
-@cache
 def demo():
     """The plan of the arcade, the steps of a walk in it, and its truth."""
-    scenario = Scenario.load("arcade")
-    walk = simulate(scenario)
-    return FloorPlan.load(MAPS / "arcade.geojson"), detect_steps(walk.recording()), walk.truth
+    made, steps = scenario_walk("arcade")
+    return FloorPlan.load(ARCADE), steps, made.truth
 
 
 def walked(*legs):
@@ -163,7 +163,7 @@ def test_the_floor_on_which_a_walk_begins_is_found():
 
 
 def test_several_floors_are_several_possible_starts():
-    walk = simulate(Scenario.load("two_floors"))
+    walk, _ = scenario_walk("two_floors")
     building = Building.load(MAPS / "two_floors.geojson")
     inputs = Evidence(walk.recording(), Walker(), building, building.floors[0].frame, Fixes.none(), ())
     evidence = observe(inputs)
@@ -174,9 +174,6 @@ def test_several_floors_are_several_possible_starts():
 
 
 # A plan that does not fit is named, and its walls are not used
-
-
-ARCADE, LOOP = MAPS / "arcade.geojson", MAPS / "loop.geojson"
 
 
 @pytest.fixture(scope="module")
