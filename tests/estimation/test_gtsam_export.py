@@ -125,28 +125,6 @@ def test_gtsam_finds_the_same_walk(method):
     assert np.hypot(*(ours.state.poses - extract(theirs, "x"))[:, :2].T).max() < 1e-3
 
 
-def test_step_determinant_and_covariance_are_gtsams():
-    """Of a walk of several calibration segments, to rounding."""
-    steps, fixes, _ = drawn_from_the_model(240, seed=4)
-    graph = WalkGraph(steps, fixes)
-    at = graph.evaluate(graph.start)
-    assert len(graph.start.c) > 1
-    linear, solution = linear_graph(at), graph.normal_equations(at).assembled(at).solution
-    net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
-    step = net.optimize()
-    for symbol, moves in solution.moves.items():
-        theirs = np.array([step.at(key) for key in at.state.keys(symbol).tolist()])
-        assert moves == pytest.approx(theirs, rel=1e-7, abs=1e-9)
-    assert solution.log_determinant == pytest.approx(net.logDeterminant(), rel=1e-9)
-    tree, i = linear.eliminateMultifrontal(), np.arange(len(graph.segment))
-    joints = solution.joint(("x", i), ("x", i + 1), ("c", graph.segment))
-    first, segment = at.state.keys("x")[:-1].tolist(), at.state.keys("c", graph.segment).tolist()
-    for x, c, ours in zip(first, segment, joints, strict=True):
-        theirs, keys = tree.jointMarginalCovariance([x, x + 1, c]), (x, x + 1, c)
-        expected = np.block([[theirs.at(row, column) for column in keys] for row in keys])
-        assert ours == pytest.approx(expected, rel=1e-6, abs=1e-10)
-
-
 class Cubic(Loss):
     """A loss that GTSAM does not have, of a factor with two rows: ρ = |s|³ / 3, w = |s|."""
 
