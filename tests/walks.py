@@ -245,6 +245,8 @@ __all__ = [
     "drawn_with_a_receiver",
     "fixes_at",
     "fixes_on",
+    "live_rows",
+    "live_track",
     "part",
     "pushed",
     "pushing",

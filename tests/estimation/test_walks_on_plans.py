@@ -118,10 +118,9 @@ def test_a_walk_is_found_on_its_plan_without_any_position():
 
 def test_no_filter_is_shown_of_a_walk_without_any_position():
     """It would begin at (0, 0), which may be millions of metres from the plan."""
-    plan, steps, _ = demo()
-    seen = Fixes(steps.time[:1], np.zeros((1, 2)), np.ones(1), ("",))
+    steps, building = straight(40), Building.around(aisles((40, 0)))
+    seen = fixes_at(steps.time[:1], np.zeros((1, 2)))
     for fixes, names in ((Fixes.none(), []), (seen, ["filter"])):
-        building = Building.around(plan)
         evidence = Evidence(Recording("", 0.0, None), Walker(), building, Frame(), fixes, steps=steps)
         assert list(estimate(evidence).causal()) == names
 
