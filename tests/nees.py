@@ -44,9 +44,14 @@ def normalised_errors(drawn, method=smooth, seeds=SEEDS):
         graph, truth = drawn(seed)
         track = method(graph).trajectory
         row = np.random.default_rng(seed).integers(0, len(track))
-        gap = np.append(truth.position[row] - track.position[row], wrap_angle(truth.heading[row] - track.heading[row]))
-        nees.append(gap @ np.linalg.solve(track.covariance[row], gap))
+        nees.append(nees_of([*track.position[row], track.heading[row]], track.covariance[row], truth, row))
     return np.array(nees)
+
+
+def nees_of(pose, covariance, truth, row):
+    """The squared error of a pose by its covariance."""
+    gap = np.append(truth.position[row] - pose[:2], wrap_angle(truth.heading[row] - pose[2]))
+    return gap @ np.linalg.solve(covariance, gap)
 
 
 def interval(seeds=SEEDS):

@@ -17,6 +17,12 @@ def plan(*areas):
     return FloorPlan("1", tuple(Area(kind, "".join(name), shape) for kind, *name, shape in areas), Frame())
 
 
+def corridors(*lines, width):
+    """A floor of corridors of one width along lines [m]."""
+    shapes = [shapely.LineString(line).buffer(width / 2, cap_style="square") for line in lines]
+    return plan(("corridor", shapely.union_all(shapes)))
+
+
 def ring():
     """Corridors of 2.5 m round a block of 14 m, with the intersections at its corners."""
     at, w = (-1.25, 12.75), 2.5

@@ -1,11 +1,14 @@
 """A short walk with a phone in the hand and uniform samples, for tests that build their own recordings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from plans import MAPS
 
+from pdr_graph import detect_steps
 from pdr_graph.frames import enu
+from pdr_graph.gait.walker import Walker
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
@@ -34,6 +37,13 @@ def scenario(route, seed=0, **more):
     corners = [[float(x), float(y)] for x, y in route]
     given = {"seed": seed, "start": START, "route": [corners[0], {"stand": 2}, {"to": corners[1:]}, {"stand": 2}]}
     return Scenario.of(given | more)
+
+
+@cache
+def scenario_walk(name, **changes):
+    """The simulation of a scenario of the package, and the steps of its recording; nobody changes them."""
+    made = simulate(replace(Scenario.load(name), **changes))
+    return made, detect_steps(made.recording(), Walker(height=made.walker.height))
 
 
 def walk_along(route, seed=0):

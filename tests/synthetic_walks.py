@@ -1,8 +1,10 @@
 """Long synthetic walks for tests and benchmarks: steps, fixes, and both as events of a live walk."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from walks import part
 
 from pdr_graph import dead_reckon
 from pdr_graph.geometry import interpolate, length_along
@@ -55,11 +57,9 @@ def held_by_walls(n, period=PERIOD):
 
 def live_events(steps, fixes):
     """Yield each step as it ends, and each fix before the step in which it was taken."""
-    begin, fix = steps.start, 0
+    steps, fix = replace(steps, end=float(steps.time[-1])), 0
     for k, end in enumerate(steps.time.tolist()):
         while fix < len(fixes) and fixes.time[fix] <= end:
             yield fixes[fix : fix + 1]
             fix += 1
-        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
-        yield Steps(begin, end, **columns)
-        begin = end
+        yield part(steps, k, k + 1)

@@ -9,10 +9,13 @@ import numpy as np
 
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
-from pdr_graph.types import Array, Fixes, Steps, Trajectory
+from pdr_graph.types import STEP_COLUMNS, Array, Fixes, Steps, Trajectory, last_time, take
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from pdr_graph.estimation.graph import WalkGraph
+    from pdr_graph.estimation.live.live_smoother import LiveSmoother
     from pdr_graph.types import Levels
 
 PERIOD = 0.55  # [s] per step
@@ -33,6 +36,77 @@ def steps_of(length: Array, turn: Array, sigma_length: float = 0.07, sigma_turn:
         sigma_length=np.full(n, sigma_length),
         sigma_turn=np.full(n, sigma_turn),
     )
+
+
+def straight(n: int, **sigma: float) -> Steps:
+    """So many steps of 0.7 m straight on."""
+    return steps_of(np.full(n, 0.7), np.zeros(n), **sigma)
+
+
+def part(steps: Steps, begin: int, end: int) -> Steps:
+    """The steps from row ``begin`` to before row ``end``, as a front end hands them over."""
+    last = end >= len(steps)
+    return replace(
+        steps,
+        start=float(steps.time[begin - 1]) if begin else steps.start,
+        end=steps.end if last else float(steps.time[end - 1]),
+        final_turn=steps.final_turn if last else 0.0,
+        **{name: getattr(steps, name)[begin:end] for name in STEP_COLUMNS},
+    )
+
+
+def pushing(live: LiveSmoother, steps: Steps, *tables, size: int = 1, late=0.0) -> Iterator[int]:
+    """Push a walk by chunks of ``size`` steps, and each measurement so ``late`` [s] or as soon as its time has come.
+
+    Yields the number of steps after every chunk; what comes later than the walk ends is pushed at last.
+    """
+    waiting = [(table, last_time(table) + late, np.ones(len(table), dtype=bool)) for table in tables]
+    for begin in range(0, max(len(steps), 1), size):
+        chunk = part(steps, begin, begin + size)
+        live.extend(chunk)
+        _append_due(live, waiting, chunk.end)
+        yield min(begin + size, len(steps))
+    _append_due(live, waiting, np.inf)
+
+
+def _append_due(live, waiting, now):
+    for table, arrival, left in waiting:
+        due = np.flatnonzero(left & (arrival <= now))
+        left[due] = False
+        if len(due):
+            live.append(take(table, due))
+
+
+def pushed(live: LiveSmoother, steps: Steps, *tables, **how) -> LiveSmoother:
+    """The smoother after a whole walk."""
+    for _ in pushing(live, steps, *tables, **how):
+        pass
+    return live
+
+
+def live_track(steps: Steps, fixes: Fixes | None = None, prior=None, lag: float = np.inf, **how) -> Trajectory:
+    """All rows of a walk that was pushed and finished; of an endless window, solved by its own factors until it rests.
+
+    The batch would solve it at its end, and take its place.
+    """
+    from pdr_graph.estimation.live.live_smoother import LiveSmoother
+
+    live = pushed(LiveSmoother(prior, lag), steps, *([] if fixes is None else [fixes]), **how)
+    if lag < np.inf:
+        live.finish()
+        assert live.final is None, "these are the batch's rows"
+    else:
+        live.graph.solve(40)
+    return live_rows(live)
+
+
+def live_rows(live: LiveSmoother) -> Trajectory:
+    """The rows that left the window, those in it, and those predicted since the last keyframe."""
+    from pdr_graph.estimation.live.finalization import TrajectoryRows
+
+    past = live.graph.finalized
+    rows = TrajectoryRows.joined([*past.final, *past.left, live.output.rows(), live.output.predicted_rows()])
+    return Trajectory(rows.time, rows.pose[:, :2], rows.pose[:, 2], covariance=rows.covariance)
 
 
 def square_walk(side: int = 20, laps: int = 1) -> Steps:
@@ -171,7 +245,13 @@ __all__ = [
     "drawn_with_a_receiver",
     "fixes_at",
     "fixes_on",
+    "live_rows",
+    "live_track",
+    "part",
+    "pushed",
+    "pushing",
     "square_walk",
     "steps_of",
+    "straight",
     "wandering_walk",
 ]

@@ -1,28 +1,124 @@
-"""Corridors as measurements: turns at intersections, and directions of straight runs."""
+"""Straight runs along corridors, the turns between them, and both as measurements of a walk."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapely
-from plans import plan
+from plans import MAPS, plan
 from walks import fixes_at, steps_of
 
-from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
+from pdr_graph import FloorPlan
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor, straight_runs, turns_along
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.floor.network import derived_network
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.priors import TURNS
+
+LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
+NETWORKS = {"drawn": LOOP.network, "derived": derived_network(LOOP.cells, LOOP.walkable)}
+LAP = [[14.85, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25]]
+STRIDE = 0.7
+
+
+def along(*corners, sway=0.0):
+    """Places every stride along a line, swaying to either side with a period of 8 m."""
+    line = shapely.LineString(corners)
+    at = np.arange(0, line.length, STRIDE)
+    way = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
+    ahead = np.gradient(way, axis=0)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.hypot(*ahead.T)[:, None]
+    return way + sway * np.sin(2 * np.pi * at / 8.0)[:, None] * left
+
+
+@pytest.mark.parametrize("network", ["drawn", "derived"])
+@pytest.mark.parametrize("sway", [0.0, 0.6])
+def test_a_lap_is_five_straight_runs(sway, network):
+    """Also with a zigzag between the walls: the direction of a run is that of its corridor."""
+    runs = straight_runs(along(*LAP, sway=sway), NETWORKS[network])
+    legs = np.diff(LAP, axis=0)
+    directions = np.array([run.direction for run in runs])
+    assert np.degrees(wrap_angle(directions - np.arctan2(*legs.T[::-1]))) == pytest.approx(np.zeros(5), abs=0.5)
+    assert [run.width for run in runs] == pytest.approx([2.5] * 5, abs=0.12)
+
+
+def test_a_run_has_the_direction_of_the_walk():
+    there, back = (straight_runs(track, LOOP.network)[0] for track in (along(*LAP[:2]), along(*LAP[:2])[::-1]))
+    assert abs(wrap_angle(there.direction - back.direction)) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize(
+    "area",
+    [
+        shapely.box(0, -5, 20, 5),  # [m] a hall half as wide as it is long
+        shapely.box(0, -30, 60, 30),  # a plaza: no wall in reach
+        shapely.box(0, -30, 60, 1),  # a wall on one side only
+    ],
+    ids=["hall", "plaza", "one wall"],
+)
+def test_there_is_no_run_without_a_corridor(area):
+    assert not straight_runs(along([0.5, 0.0], [19.5, 0.0]), plan(("floor", area)).network)
+
+
+def test_a_run_of_a_bend_has_the_direction_of_its_part():
+    """A round corridor, whose centre line is a polygon: the runs are short and within 5° of the walk."""
+    area = shapely.Point(0, 0).buffer(31) - shapely.Point(0, 0).buffer(29)
+    track = along(*shapely.get_coordinates(shapely.boundary(shapely.Point(0, 0).buffer(30))))
+    for run in straight_runs(track, plan(("floor", area)).network):
+        walked = track[run.last - 1] - track[run.first]
+        assert np.hypot(*walked) < 12
+        assert abs(wrap_angle(run.direction - np.arctan2(walked[1], walked[0]))) < np.radians(5)
+
+
+def test_a_run_continues_across_an_intersection_and_past_pillars():
+    street = shapely.box(0, -1.5, 40, 1.5) | shapely.box(19, -20, 22, 20)
+    pillars = [shapely.box(x, 1.0, x + 0.4, 1.5) for x in range(2, 40, 5)]
+    area = shapely.affinity.rotate(street - shapely.union_all(pillars), 25, origin=(0, 0))
+    track = shapely.get_coordinates(shapely.affinity.rotate(shapely.LineString(along([1, 0], [39, 0])), 25, (0, 0)))
+    (run,) = straight_runs(track, plan(("floor", area)).network)
+    assert np.degrees(run.direction) == pytest.approx(25, abs=1)
+    assert run.last - run.first > 0.9 * len(track)
+
+
+@pytest.mark.parametrize("sway", [0.0, 0.6])
+@pytest.mark.parametrize("network", ["drawn", "derived"])
+def test_a_lap_turns_at_each_intersection(network, sway):
+    track = along(*LAP, sway=sway)
+    found = list(turns_along(track, NETWORKS[network]))
+    for turn, corner, leg in zip(found, LAP[1:-1], pairwise(np.diff(LAP, axis=0)), strict=True):
+        assert np.hypot(*(turn.corners.mean(axis=0) - corner)) < 0.1
+        assert np.hypot(*(track[turn.at] - corner)) < STRIDE + sway
+        for way, along_leg in zip((turn.into, turn.out_of), leg, strict=True):
+            assert way == pytest.approx(along_leg / np.hypot(*along_leg), abs=0.02)
+    assert all(before.last > after.at - 6 for before, after in pairwise(found)), "from corner to corner"
+
+
+def test_there_is_no_turn_away_from_an_intersection():
+    """The same lap with the intersections drawn 9 m beside it."""
+    beside = plan(*((area.kind, shapely.affinity.translate(area.shape, 9, 9)) for area in LOOP.areas))
+    track = along(*LAP)
+    assert not list(turns_along(track, beside.network))
+    assert not list(turns_along(track[:1], LOOP.network))
+
+
+def test_an_intersection_without_corners_has_no_turn():
+    """A bend of a plaza: links meet at a node that has no corners."""
+    bare = replace(LOOP.network, corners=np.full_like(LOOP.network.corners, np.nan))
+    assert not list(turns_along(along(*LAP), bare))
+
+
+# As measurements
+
 
 WIDTH = 4.0  # [m]: a walker in the middle of 4 m feels no wall, whose margin is 0.8 m
 ASKEW = 0.06  # [rad] by which the walk is laid wrongly: 1.2 m at the end of 20 m, still clear of the walls
-CORNER = (
+ELL = plan(
     ("corridor", shapely.box(-2, -WIDTH / 2, 20 - WIDTH / 2, WIDTH / 2)),
     ("intersection", shapely.box(20 - WIDTH / 2, -WIDTH / 2, 20 + WIDTH / 2, WIDTH / 2)),
     ("corridor", shapely.box(20 - WIDTH / 2, WIDTH / 2, 20 + WIDTH / 2, 24)),
 )
-ELL = plan(*CORNER)
 
 
 def ell_walk(*corridors):
@@ -50,28 +146,6 @@ def test_a_straight_run_determines_the_direction_where_walls_are_far():
         solved = optimize(graph.associated_at(askew), askew)
         wrong.append(abs(wrap_angle(solved.state.poses[1, 2])))
     assert wrong[1] < wrong[0] / 2
-
-
-def test_a_turn_at_its_intersection_costs_nothing():
-    graph = ell_walk("turns")
-    graph = graph.associated_at(graph.start)
-    turns, at = graph.find(TurnFactor), graph.evaluate(graph.start)
-    assert len(turns) == 1
-    assert at.ends[turns.piece[0], :2] == pytest.approx([20, 0], abs=0.7)
-    for name in ("turns.angle", "turns.place"):
-        [block] = at.blocks_of(name)
-        assert len(block) == 1
-        assert not block.residual.any()
-    assert turns.least[0] < np.pi / 2 < turns.most[0]
-
-
-def test_a_turn_outside_its_intersection_has_its_distance_as_residual():
-    """The turn is 3 m short of the corner, in a corridor that is open to it, so walls add nothing."""
-    graph = ell_walk("turns")
-    matched = graph.associated_at(graph.start)
-    short = graph.start.replaced(x=graph.start.poses - np.array([3.0, 0.0, 0.0]))
-    [outside] = matched.evaluate(short).blocks_of("turns.place")
-    assert outside.residual.max() == pytest.approx((3.0 - WIDTH / 2) / TURNS.place, abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
-from walks import dead_reckon, drawn_from_the_model, fixes_on, in_corridors, wandering_walk
+from plans import plan
+from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.estimation.factors import base as losses
@@ -22,23 +23,16 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import marginalized
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.floor.cells import Area
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
-from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.geometry import ANY_HEADING, interpolate, unit
 from pdr_graph.priors import LOSSES, MOTION, RECEIVERS
 from pdr_graph.types import Closures, Headings, Levels, Sightings
 
 MARGIN, LOOSE = 0.8, 1.0  # [m] of walls, as the page has them
 
 
-def e(angle):
-    return np.array([np.cos(angle), np.sin(angle)])
-
-
 def turned_by(angle):
-    return np.array([e(angle), e(angle + np.pi / 2)]).T
+    return unit(np.array([angle, angle + np.pi / 2])).T
 
 
 def wrapped(angle):
@@ -55,8 +49,12 @@ def walk_with_a_pause(seed=0, n=23):
     return replace(steps, **later_steps, final_turn=0.1)
 
 
-def graph_of(steps, **more):
-    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=7), **more)
+def graph_of(steps, at=(0.0, 4.0, 6.5, 9.3, 12.2), **more):
+    """A walk with fixes at some times [s], within steps and, of `walk_with_a_pause`, within the pause."""
+    track, time = dead_reckon(steps), np.array([t for t in at if t < steps.end])
+    graph = WalkGraph(steps, fixes_at(time, interpolate(time, track.time, track.position)), **more)
+    assert np.isin(time, graph.pieces.keyframe_time).all(), "every fix has a keyframe"
+    return graph
 
 
 def any_state(graph, seed, reach=6.0):
@@ -119,7 +117,7 @@ def sums(pieces, c, errors=None):
     for (time, length, turn, *_), (long, aside, off) in zip(pieces, errors, strict=True):
         change = R_d * turn + b * time + off
         course = heading + change / 2
-        place = place + (R_s * length + long) * e(course) + aside * e(course + np.pi / 2)
+        place = place + turned_by(course) @ [R_s * length + long, aside]
         heading += change
         ends.append([*place, heading])
     return np.array(ends)
@@ -180,7 +178,8 @@ def test_a_gap_has_a_wide_covariance():
     """1 m/s to either side, 1.2 rad of turn; keyframes at both ends; a new calibration segment after it."""
     before, seconds = wandering_walk(12), 30.0
     after = shifted(wandering_walk(12, 1), before.end + seconds)
-    graph = graph_of(append_steps(append_steps(before, gap(before.end, before.end + seconds)), after))
+    steps = append_steps(append_steps(before, gap(before.end, before.end + seconds)), after)
+    graph = graph_of(steps, at=(0.0, 3.7, before.end + seconds + 3.7))
     times = graph.pieces.keyframe_time
     i = int(np.argmin(np.abs(times - before.end)))
     assert times[i : i + 2] == pytest.approx([before.end, before.end + seconds])
@@ -199,21 +198,16 @@ def test_a_gap_has_a_wide_covariance():
 # The plan
 
 
-def hall(size=40.0):
-    return FloorPlan("hall", (Area("corridor", "", shapely.box(-size, -size, size, size)),), Frame())
-
-
 def test_a_wall_has_two_hinges():
     """r = max(0, margin − d)/σ + max(0, body − d)/(body_sigma σ) of every piece in which somebody moved, 0 of others.
 
     Off the corners of a hall the distance is linear, so that the grid of the code is exact.
     """
     steps = walk_with_a_pause(n=10)
-    graph = graph_of(steps, floor=hall())
-    beside = np.column_stack(
-        [np.linspace(-4, 4, len(graph.start.poses)), np.linspace(39.2, 40.3, len(graph.start.poses))]
-    )
-    state = graph.start.replaced(x=np.column_stack([beside, graph.start.poses[:, 2]]))
+    graph = graph_of(steps, floor=plan(("corridor", shapely.box(-40, -40, 40, 40))))
+    _, _, heading = graph.start.poses.T
+    beside = [np.linspace(-4, 4, len(heading)), np.linspace(39.2, 40.3, len(heading)), heading]
+    state = graph.start.replaced(x=np.column_stack(beside))
     between = graph.associated_at(state)
     at = between.evaluate(state)
     residual, _ = between.walls.residual(at)
@@ -225,9 +219,8 @@ def test_a_wall_has_two_hinges():
         pressed += r > 0
         assert residual[k] == pytest.approx(r if graph.pieces.length[k] > 0 else 0.0, abs=1e-6)
     assert pressed > 5
-    assert np.concatenate([f.residual for f in factors_with(between, state, "walls")]) == pytest.approx(
-        residual[residual > 0]
-    )
+    whitened = [factor.residual for factor in factors_with(between, state, "walls")]
+    assert np.concatenate(whitened) == pytest.approx(residual[residual > 0])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -271,6 +264,30 @@ def test_a_straight_run_leads_along_its_corridor():
 # Fixes, receivers, beacons, headings
 
 
+def test_losses_are_those_of_the_page_and_of_gtsam():
+    """ρ and w, at residuals on both sides of their widths."""
+    s = np.array([0.0, 0.4, 1.0, 2.4, 2.5, 5.0, 40.0])
+    laws = {
+        "Huber": (lambda k: np.where(s <= k, s**2 / 2, k * (s - k / 2)), lambda k: np.minimum(1, k / np.maximum(s, k))),
+        "GemanMcClure": (lambda k: k**2 * s**2 / (k**2 + s**2) / 2, lambda k: (k**2 / (k**2 + s**2)) ** 2),
+    }
+    none, every = np.zeros(7, dtype=bool), np.ones(7, dtype=bool)
+    for loss, name, width in (
+        (losses.RobustLoss(none), "Huber", 2.45),
+        (losses.RobustLoss(every), "GemanMcClure", 2.45),
+        (losses.RobustLoss(every, LOSSES.closure), "GemanMcClure", LOSSES.closure),
+    ):
+        rho, weight = (law(width) for law in laws[name])
+        theirs = getattr(gtsam.noiseModel.mEstimator, name).Create(width)
+        assert loss.cost(s) == pytest.approx(rho), name
+        assert loss.cost(-s) == pytest.approx(rho), name
+        assert loss.weight(s) == pytest.approx(weight, abs=1e-9), name
+        assert [theirs.loss(v) for v in s] == pytest.approx(rho), name
+        assert [theirs.weight(v) for v in s] == pytest.approx(weight, abs=1e-9), name
+    assert losses.huber_weight(s, 2.45) == pytest.approx(laws["Huber"][1](2.45))
+    assert losses.geman_mcclure_weight(s) == pytest.approx(laws["GemanMcClure"][1](2.45))
+
+
 def test_a_fix_is_a_position():
     """p − z for any heading, with the stated sigma and Huber's loss."""
     graph = graph_of(wandering_walk(12))
@@ -284,31 +301,6 @@ def test_a_fix_is_a_position():
         huber = 0.5 * sigmas**2 if sigmas <= 2.45 else 2.45 * (sigmas - 2.45 / 2)
         assert factor.cost == pytest.approx(huber)
         assert factor.weight == pytest.approx(min(1.0, 2.45 / sigmas))
-
-
-def test_losses_are_those_of_the_page():
-    """ρ and w of all losses, at residuals on both sides of their widths."""
-    s = np.array([0.0, 0.4, 1.0, 2.4, 2.5, 5.0, 40.0])
-    laws = {
-        "Huber": (lambda k: np.where(s <= k, s**2 / 2, k * (s - k / 2)), lambda k: np.minimum(1, k / np.maximum(s, k))),
-        "GemanMcClure": (lambda k: k**2 * s**2 / (k**2 + s**2) / 2, lambda k: (k**2 / (k**2 + s**2)) ** 2),
-    }
-    for name, (rho, weight) in laws.items():
-        for width in (LOSSES.huber, LOSSES.closure):
-            gtsams = getattr(gtsam.noiseModel.mEstimator, name).Create(width)
-            assert [gtsams.loss(v) for v in s] == pytest.approx(rho(width)), name
-            assert [gtsams.weight(v) for v in s] == pytest.approx(weight(width), abs=1e-9), name
-    assert losses.huber_weight(s, 2.45) == pytest.approx(laws["Huber"][1](2.45))
-    assert losses.geman_mcclure_weight(s) == pytest.approx(laws["GemanMcClure"][1](2.45))
-    none, every = np.zeros(7, dtype=bool), np.ones(7, dtype=bool)
-    for loss, name, width in (
-        (losses.RobustLoss(none), "Huber", 2.45),
-        (losses.RobustLoss(every), "GemanMcClure", 2.45),
-        (losses.RobustLoss(every, LOSSES.closure), "GemanMcClure", LOSSES.closure),
-    ):
-        assert loss.cost(s) == pytest.approx(laws[name][0](width)), name
-        assert loss.weight(s) == pytest.approx(laws[name][1](width), abs=1e-9), name
-        assert loss.cost(-s) == pytest.approx(loss.cost(s)), name
 
 
 def received(seed=0):
@@ -438,7 +430,7 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
         x, y, heading = state.poses[keyframe]
         gap = b[m, :2] - [x, y]
         distance = np.sqrt(gap @ gap + 1.5**2)
-        level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (e(heading) @ gap) / distance
+        level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (turned_by(heading)[:, 0] @ gap) / distance
         assert factors[row].variables == [("x", keyframe), ("b", m), ("q", 0)]
         assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 7.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
@@ -481,8 +473,7 @@ def test_the_first_heading_is_uniform():
     (factor,) = factors_with(graph, state, "start", ("x", 0))
     off = wrapped(state.poses[0, 2] - graph.start.poses[0, 2])
     assert factor.cost == pytest.approx(0.5 * (off / (np.pi / np.sqrt(3))) ** 2)
-    evenly = np.random.default_rng(0).uniform(-np.pi, np.pi, 10**6)
-    assert evenly.std() == pytest.approx(ANY_HEADING, rel=2e-3)  # 1/√(2·10⁶) of a standard deviation is 0.0007
+    assert pytest.approx(np.pi / np.sqrt(3)) == ANY_HEADING
 
 
 # Moments at one place
@@ -535,35 +526,25 @@ def test_the_marginal_is_the_schur_complement():
     """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab, and what is optimal with it is what was optimal with all."""
     steps, fixes, _ = drawn_from_the_model(120, 0)
     graph = WalkGraph(steps, fixes)
-    at = optimize(graph, graph.start).at
-    system = graph.normal_equations(at).assembled(at)
-    count, gone = (
-        sum(len(rows) for rows in at.state.arrays.values()),
-        7,
-    )  # the first keyframes; the rest follows in order
-    joint = np.linalg.inv(dense(system, count))
+    at, gone = optimize(graph, graph.start).at, 7  # the first keyframes; the rest follows in order
+    poses = len(at.state.poses)
+    count = poses + len(at.state.c)
     marginal, absorbed = marginalized(at, np.arange(count) < gone)
     assert not absorbed, "priors of measurements; there are none"
     assert set(zip(marginal.symbol, marginal.number.tolist(), strict=True)) == {("x", gone), ("c", 0)}
-    of_c = 3 * len(at.state.poses)
-    rows = [*range(3 * gone, 3 * gone + 3), *range(of_c, of_c + 3)]
-    information, first = np.zeros((count, 3, count, 3)), {"x": 0, "c": len(at.state.poses)}
-    for block in [*at.blocks, *marginal.factors(at)]:
-        J = np.zeros((len(block.residual), count, 3))
-        for (symbol, of_factor), derivative in zip(block.variables, block.weighted[1], strict=True):
-            J[np.arange(len(J)), first[symbol] + of_factor[block.row_of]] += derivative
-        J[np.abs(J[:, :gone]).sum(axis=(1, 2)) > 0] = 0.0
-        information += np.einsum("mia,mjb->iajb", J, J)
-    left = information.reshape(3 * count, -1)[3 * gone :, 3 * gone :]
-    assert np.linalg.inv(left) == pytest.approx(joint[3 * gone :, 3 * gone :], rel=1e-6, abs=1e-9)
-    assert marginal.root.shape[1] == len(rows)
+    assert marginal.root.shape[1] == 6
 
+    def information(blocks, without=0):
+        """Λ of all variables, less the factors of the first few."""
+        total, first = np.zeros((count, 3, count, 3)), {"x": 0, "c": poses}
+        for block in blocks:
+            J = np.zeros((len(block.residual), count, 3))
+            for (symbol, of_factor), derivative in zip(block.variables, block.weighted[1], strict=True):
+                J[np.arange(len(J)), first[symbol] + of_factor[block.row_of]] += derivative
+            J[np.abs(J[:, :without]).sum(axis=(1, 2)) > 0] = 0.0
+            total += np.einsum("mia,mjb->iajb", J, J)
+        return total.reshape(3 * count, -1)[3 * without :, 3 * without :]
 
-def dense(system, count):
-    """The matrix ``(3 n, 3 n)`` of a linear system."""
-    elimination, matrix = system.equations.elimination, np.zeros((count, 3, count, 3))
-    for code, block in zip(elimination.codes.tolist(), system._blocks, strict=True):
-        i, j = divmod(code, count + 1)
-        if max(i, j) < count:
-            matrix[i, :, j] = block
-    return matrix.reshape(3 * count, 3 * count)
+    joint = np.linalg.inv(information(at.blocks))[3 * gone :, 3 * gone :]
+    left = np.linalg.inv(information([*at.blocks, *marginal.factors(at)], without=gone))
+    assert left == pytest.approx(joint, rel=1e-6, abs=1e-9)

@@ -1,6 +1,5 @@
-"""Radio maps: fixes of later walks by the scans of earlier ones, with their sigmas."""
+"""Radio maps: fixes of later walks by the scans of earlier ones, also of a walk under way; and place recognition."""
 
-import io as bytes_io
 import zipfile
 from dataclasses import replace
 
@@ -9,14 +8,14 @@ import pytest
 
 from pdr_graph.errors import InputError
 from pdr_graph.estimation import fingerprinting
-from pdr_graph.estimation.fingerprinting import RadioMap, scans_of
+from pdr_graph.estimation.fingerprinting import RadioMap, ScanCollector, Scans, revisits, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.priors import SCANS
-from pdr_graph.types import Recording, Sightings, Trajectory
+from pdr_graph.priors import SCANS, changed
+from pdr_graph.types import Recording, Sightings, Trajectory, take
 
 ROUND = [[0, 0], {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}]
 BACK = [[0, 0], {"to": [[0, 20], [40, 20], [40, 0], [0, 0]]}]
@@ -162,35 +161,33 @@ def test_a_map_is_read_as_it_was_written(learnt, later, tmp_path):
         assert second.sigma == pytest.approx(first.sigma, rel=1e-4)
 
 
-def damaged(whole):
-    """What may befall a file: cut off, a byte changed, another file."""
+def flipped_bits(whole, count=60):
     random = np.random.default_rng(0)
-    yield from (b"", b"time,x,y\n1,2,3\n", whole[: len(whole) // 2], whole[:-30])
-    for place in random.integers(0, len(whole), 60):
+    for place in random.integers(0, len(whole), count):
         yield whole[:place] + bytes([whole[place] ^ 1 << random.integers(8)]) + whole[place + 1 :]
-    plain = bytes_io.BytesIO()
-    with zipfile.ZipFile(plain, "w") as archive:
-        archive.writestr("level.npy", b"no array")
-    yield plain.getvalue()
-    other = bytes_io.BytesIO()
-    np.savez(other, level=np.array([{}], dtype=object), allow_pickle=True)
-    yield other.getvalue()
 
 
 def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
+    """Cut off, of another kind, or with a bit changed."""
     path = tmp_path / "map.npz"
     learnt.save(path)
-    said = []
-    for content in damaged(path.read_bytes()):
+    whole, refusals = path.read_bytes(), []
+    for content in (b"", b"time,x,y\n1,2,3\n", whole[: len(whole) // 2], whole[:-30], *flipped_bits(whole)):
         path.write_bytes(content)
         try:
             radio_map = RadioMap.load(path)
         except InputError as refusal:
-            said.append(str(refusal))
+            refusals.append(str(refusal))
         else:
             assert radio_map.level == pytest.approx(learnt.level, abs=1e-3)
-    assert len(said) > 50
-    assert all(str(path) in line and "\n" not in line for line in said)
+    assert len(refusals) > 50
+    assert all(str(path) in line and "\n" not in line for line in refusals)
+
+
+def with_array(path, name, change):
+    """Put another array, allowed to be of objects, in the place of one of a map."""
+    arrays = dict(np.load(path))
+    np.savez(path, **arrays | {name: change(arrays[name])})
 
 
 @pytest.mark.parametrize(
@@ -207,38 +204,34 @@ def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
 def test_arrays_of_inconsistent_shapes_are_input_errors(name, wrong, learnt, tmp_path):
     path = tmp_path / "map.npz"
     learnt.save(path)
-    arrays = dict(np.load(path))
-    np.savez(path, **arrays | {name: wrong(arrays[name])})
+    with_array(path, name, wrong)
     with pytest.raises(InputError, match=f"map.npz, {name}: found"):
         RadioMap.load(path)
 
 
-def with_levels(path, header, size=0):
-    """Put an array with another header and so many zeros in the place of a map's levels."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    text = header.encode().ljust(117) + b"\n"
-    levels = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(size)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in (members | {"level.npy": levels}).items():
-            archive.writestr(name, content)
-
-
-def test_a_map_that_states_terabytes_is_refused_before_they_are_needed(learnt, tmp_path):
-    path = tmp_path / "map.npz"
-    learnt.save(path)
-    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000, 1000000), }")
-    with pytest.raises(InputError, match=r"map.npz: found"):
-        RadioMap.load(path)
-
-
-def test_a_map_of_gigabytes_of_zeros_is_refused_by_its_size(learnt, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("shape", "size", "complaint"),
+    [
+        ((1_000_000, 1_000_000), 0, r"map.npz: found"),
+        ((1000, 1000), 4_000_000, r"map.npz: found \d+ bytes unpacked, expected at most 3000000"),
+    ],
+    ids=["terabytes by its header", "gigabytes of zeros, packed"],
+)
+def test_a_map_that_is_too_large_is_refused_before_it_is_unpacked(
+    shape, size, complaint, learnt, tmp_path, monkeypatch
+):
     path = tmp_path / "map.npz"
     learnt.save(path)
     monkeypatch.setattr(fingerprinting, "LARGEST_MAP", 3_000_000)
     RadioMap.load(path)
-    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000, 1000), }", 4_000_000)
-    with pytest.raises(InputError, match=r"map.npz: found \d+ bytes unpacked, expected at most 3000000"):
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
+    members["level.npy"] = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(size)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    with pytest.raises(InputError, match=complaint):
         RadioMap.load(path)
 
 
@@ -255,8 +248,7 @@ class Obedient:
 def test_a_pickle_in_a_map_is_not_run(learnt, tmp_path):
     path, proof = tmp_path / "map.npz", tmp_path / "proof"
     learnt.save(path)
-    arrays = dict(np.load(path))
-    np.savez(path, **arrays | {"frame": np.array(Obedient(str(proof)), dtype=object)})
+    with_array(path, "frame", lambda _: np.array(Obedient(str(proof)), dtype=object))
     with pytest.raises(InputError):
         RadioMap.load(path)
     assert not proof.exists()
@@ -268,3 +260,103 @@ def test_too_few_scans_make_no_map():
     track, recording = walked(ROUND, 1)
     with pytest.raises(ValueError, match="found 0 scans"):
         RadioMap.learn([(track, replace(recording, bluetooth=None, wifi=None))])
+
+
+def test_scans_that_arrive_piecemeal_give_the_fixes_of_the_whole_recording(learnt, later):
+    """Every two seconds, and the last when the time has come; whoever asked is told each."""
+    track, recording = later[0]
+    expected, reported, blocks = learnt.fixes(recording), [], []
+    collector = ScanCollector(learnt, reported.append)
+    for begin in np.arange(0.0, track.time[-1] + 10.0, 2.0):
+        for radio in ("bluetooth", "wifi"):
+            heard = getattr(recording, radio)
+            collector.collect(take(heard, (heard.time >= begin) & (heard.time < begin + 2.0)), radio)
+        blocks += collector.due(begin + 2.0, None)
+    assert reported == blocks
+    assert len(expected) > 5
+    for column in ("time", "position", "sigma"):
+        assert np.concatenate([getattr(fixes, column) for fixes in blocks]) == pytest.approx(getattr(expected, column))
+
+
+# Place recognition: walks that were at one place
+
+ACCESS_POINTS = np.random.default_rng(0).uniform(0, 60, (40, 2))
+
+
+def heard_along(track, seed=0):
+    """Scans at every second, by path loss and 3 dB of noise."""
+    distance = np.hypot(*(track.position[:, None] - ACCESS_POINTS).transpose(2, 0, 1))
+    level = -40 - 25 * np.log10(distance.clip(1)) + np.random.default_rng(seed).normal(0, 3, distance.shape)
+    names = tuple(f"ap{n}" for n in range(len(ACCESS_POINTS)))
+    return Scans(track.time, names, np.maximum(level - SCANS.faintest - 20, 0.0))
+
+
+def along(start, end, seconds=60, floor=""):
+    position = np.linspace(start, end, seconds)
+    heading = np.full(seconds, np.arctan2(*(np.subtract(end, start)[::-1])))
+    return Trajectory(np.arange(seconds, dtype=float), position, heading, (floor,) * seconds)
+
+
+def places(closures, walks):
+    return [
+        np.array([walks[w].position[round(t)] for w, t in zip(closures.walk[:, k], closures.time[:, k], strict=True)])
+        for k in (0, 1)
+    ]
+
+
+def found(walks, known=None):
+    return revisits([(known or track, heard_along(track, n)) for n, track in enumerate(walks)])
+
+
+def test_two_walks_of_one_corridor_are_linked_at_the_same_places():
+    """One there and one back: 90 % of the closures within three of their stated sigmas, and those of a few metres."""
+    walks = [along((5, 5), (55, 5)), along((55, 6), (5, 6))]
+    closures = found(walks)
+    first, second = places(closures, walks)
+    assert len(closures) >= 10
+    apart = np.hypot(*(first - second).T)
+    assert np.mean(apart < 3 * closures.sigma) > 0.9
+    assert np.median(apart) < 5.0
+
+
+def test_walks_of_different_floors_or_transmitters_and_single_ones_are_not_linked():
+    assert len(found([along((5, 5), (55, 5), floor="1"), along((5, 6), (55, 6), floor="2")])) == 0
+    walk = along((5, 5), (55, 5))
+    scans = heard_along(walk)
+    other = Scans(scans.time, tuple(name + "'" for name in scans.transmitter), scans.level)
+    assert len(revisits([(walk, scans), (walk, other)])) == 0
+    assert len(found([along((5, 5), (30, 5), 20)])) == len(found([])) == 0
+
+
+def test_a_walk_is_linked_with_itself_only_at_later_revisits():
+    """There and back within two minutes: moments a minute apart at least."""
+    there, back = along((5, 5), (55, 5)), along((55, 5), (5, 5))
+    track = Trajectory(np.arange(120.0), np.concatenate([there.position, back.position]), np.zeros(120), ("",) * 120)
+    closures = found([track])
+    assert len(closures)
+    assert (closures.walk == 0).all()
+    assert (np.abs(np.diff(closures.time, axis=1)) >= 60).all()
+
+
+def test_correlated_links_count_as_one():
+    """Twice as many closures of a stretch have the information of half of them, within a third."""
+    walks, worth = [along((5, 5), (55, 5)), along((5, 6), (55, 6))], []
+    for every in (1.0, 2.0):
+        with changed(SCANS, scan_spacing=every):
+            closures = found(walks)
+            worth.append((len(closures), np.sum(closures.sigma**-2.0)))
+    (many, of_many), (few, of_few) = worth
+    assert many > 1.5 * few
+    assert of_many == pytest.approx(of_few, rel=0.35)
+
+
+def test_uncertain_walks_are_linked_with_the_default_sigma():
+    """They are placed 100 m apart, so that no places are near each other."""
+    walks = [along((5, 5), (55, 5)), along((5, 6), (55, 6))]
+    moved = [walks[0], along((105, 106), (155, 106))]
+    closures = revisits(
+        [(estimate, heard_along(track, n)) for n, (estimate, track) in enumerate(zip(moved, walks, strict=True))]
+    )
+    first, second = places(closures, walks)
+    assert len(closures)
+    assert np.median(np.hypot(*(first - second).T)) < 5.0

@@ -4,9 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
-from test_live_smoother import some
-from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver, fixes_on, square_walk
+from plans import ring
+from walks import (
+    dead_reckon,
+    drawn_beside_beacons,
+    drawn_from_the_model,
+    drawn_with_a_receiver,
+    fixes_on,
+    pushed,
+    square_walk,
+)
 
 from pdr_graph import smooth
 from pdr_graph.estimation.factors.base import RobustLoss
@@ -14,19 +21,10 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import Area
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.types import Headings, last_time, take
+from pdr_graph.types import Headings
 
 ROUNDS = 40
-
-
-def ring():
-    """Corridors of 2.5 m round a block of 14 m."""
-    block = shapely.box(-1.25, -1.25, 15.25, 15.25).difference(shapely.box(1.25, 1.25, 12.75, 12.75))
-    return FloorPlan("ring", (Area("corridor", "", block),), Frame())
 
 
 def plain(seed):
@@ -71,21 +69,7 @@ def on_a_plan_with_a_receiver(seed):
     return steps, [replace(fixes, source=("GNSS",) * len(fixes))], floor
 
 
-WITH_A_RECEIVER = [with_a_receiver, on_a_plan_with_a_receiver]
 WALKS = [plain, with_outliers, with_headings, with_a_receiver, with_beacons, on_a_plan, on_a_plan_with_a_receiver]
-
-
-def walking(live, steps, data, begin=0, end=None):
-    """Push steps one by one, and measurements as soon as their time has come."""
-    for n in range(begin, len(steps) if end is None else end):
-        chunk = some(steps, n, n + 1)
-        live.extend(chunk)
-        for table in data:
-            time = last_time(table)
-            rows = (time <= chunk.end) & ((time > chunk.start) | (n == 0))
-            if rows.any():
-                live.append(take(table, np.flatnonzero(rows)))
-    return live
 
 
 def started(floor, lag=np.inf):
@@ -99,11 +83,11 @@ def from_batch(estimate, other):
     return float(np.hypot(*(first.position - second.position).T).max())
 
 
-@pytest.mark.parametrize("drawn", WALKS)
-def test_a_finished_live_walk_equals_the_batch(drawn):
-    """The track to a millimetre, with covariance, cost, calibration and all reports."""
+@pytest.mark.parametrize(("drawn", "size"), [*((drawn, 1) for drawn in WALKS), (plain, 120)])
+def test_a_finished_live_walk_equals_the_batch(drawn, size):
+    """The track to a millimetre, with covariance, cost, calibration and all reports; also by one chunk."""
     steps, data, floor = drawn(1)
-    live = walking(started(floor), steps, data)
+    live = pushed(started(floor), steps, *data, size=size)
     live.finish()
     batch = smooth(WalkGraph.of(steps, data, floor=floor))
     assert live.final is not None
@@ -142,7 +126,7 @@ def optimum(at):
 def test_the_window_reaches_the_optimum_of_its_factors(drawn):
     """It equals Gauss–Newton over the same blocks to a centimetre: the search ends where the cost hardly falls."""
     steps, data, floor = drawn(0)
-    live = walking(started(floor), steps, data)
+    live = pushed(started(floor), steps, *data)
     at = relinearized(live)
     best = optimum(at)
     assert best.cost == pytest.approx(at.cost, rel=1e-4, abs=1e-4), "where the search ends"
@@ -154,15 +138,15 @@ def test_the_window_reaches_the_optimum_of_its_factors(drawn):
 def test_the_optimum_is_that_of_these_factors_alone():
     """Control: with the sigmas of all fixes halved it lies elsewhere."""
     steps, [fixes], floor = with_outliers(0)
-    at = relinearized(walking(started(floor), steps, [fixes]))
-    surer = relinearized(walking(started(floor), steps, [replace(fixes, sigma=fixes.sigma / 2)]))
+    at = relinearized(pushed(started(floor), steps, fixes))
+    surer = relinearized(pushed(started(floor), steps, replace(fixes, sigma=fixes.sigma / 2)))
     assert np.abs(optimum(surer).state.poses[:, :2] - at.state.poses[:, :2]).max() > 0.05
 
 
 def test_the_windows_factors_are_those_of_the_batch():
     """As many rows of every kind, with the same losses; calibration segments and keyframes lie elsewhere."""
     steps, data, _ = with_a_receiver(0)
-    live = walking(started(None), steps, data)
+    live = pushed(started(None), steps, *data)
     batch = WalkGraph.of(steps, data)
     refined = batch.refined(batch.evaluate(batch.start))
     again = refined.evaluate(refined.start)

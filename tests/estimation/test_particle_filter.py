@@ -1,16 +1,39 @@
-"""The particle filter on a plan with walls, fixes and stairs."""
+"""The particle filter on a plan with walls, fixes and stairs, of a whole walk and keyframe by keyframe."""
+
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
 from plans import MAPS, plan
-from walks import fixes_at, steps_of
+from simulated import scenario_walk
+from test_beacons import beacons_about, heard
+from test_ranging import ranged
+from walks import PERIOD, dead_reckon, drawn_from_the_model, fixes_at, square_walk, steps_of, straight
 
-from pdr_graph import Headings, WalkGraph
-from pdr_graph.estimation.particle_filter import Walls, particle_filter, stepped
+import pdr_graph as pdr
+from pdr_graph import Headings, WalkGraph, kalman_filter
+from pdr_graph.estimation import particle_filter as filter_module
+from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
+from pdr_graph.estimation.factors.beacon_rssi import levels_along
+from pdr_graph.estimation.factors.chain import intervals, whole_pieces
+from pdr_graph.estimation.factors.fixes import FixCosts
+from pdr_graph.estimation.factors.heading_prior import HeadingCosts
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.particle_filter import (
+    COMPILED,
+    ParticleFilter,
+    Walls,
+    WeighsPoses,
+    particle_filter,
+    pose_costs,
+    stepped,
+)
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.priors import PARTICLES, REGIONS
-from pdr_graph.types import Fixes
+from pdr_graph.geometry import interpolate
+from pdr_graph.priors import PARTICLES, RANGES, REGIONS
+from pdr_graph.types import Fixes, Ranges
 
 SIGMA = np.array([0.07, 0.25, 0.02])  # of a step's length, sway [m] and turn [rad]
 
@@ -27,10 +50,6 @@ def crowd(n, x, y, theta=0.0):
     return np.tile(np.array([x, y, theta, 1.0, 1.0, 0.0])[:, None], n)
 
 
-def crosses(floor, before, after):
-    return floor.crosses_wall(before[:2].T, after[:2].T)
-
-
 # One step, and a wall
 
 
@@ -41,7 +60,7 @@ def test_no_particle_crosses_a_thin_wall():
     before = crowd(4000, 2.0, 3.7, theta=0.2)
     after, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, Walls(floor.distance), random)
     paid = price >= REGIONS.wall_cost
-    assert not crosses(floor, before, after)[~paid].any()
+    assert not floor.crosses_wall(before[:2].T, after[:2].T)[~paid].any()
     assert np.mean(paid) < 0.3, "most find a way along the wall"
     assert np.all(price[~paid] < np.log(5) + 0.2), "having drawn again costs at most one of five"
 
@@ -50,9 +69,8 @@ def test_a_wall_without_a_way_round_is_crossed_at_its_price():
     """In a dead end all particles pay for the wall."""
     floor = plan(("corridor", shapely.box(0, 0, 10, 2)))
     before = crowd(500, 9.7, 1.0)
-    after, price = stepped(
-        before, 0.7, 0.0, 0.5, np.array([0.01, 0.01, 0.01]), Walls(floor.distance), np.random.default_rng(0)
-    )
+    random = np.random.default_rng(0)
+    after, price = stepped(before, 0.7, 0.0, 0.5, np.full(3, 0.01), Walls(floor.distance), random)
     assert after[0].mean() == pytest.approx(10.4, abs=0.02)
     assert np.all(price == REGIONS.wall_cost)
 
@@ -68,47 +86,25 @@ def test_a_step_inside_a_solid_area_costs_little():
 # A walk
 
 
-def test_in_the_open_particles_have_the_covariance_of_dead_reckoning(monkeypatch):
-    """An independent oracle: the covariance of the end by propagating each error to first order."""
+def test_in_the_open_particles_have_the_covariance_of_the_kalman_filter(monkeypatch):
+    """They start by fix and heading, and are then weighed by both: these count as two of each."""
     for name, value in {"fewest": 20_000, "most": 20_000, "wide": (1, 1, 1), "calm": (1, 1, 1)}.items():
         monkeypatch.setitem(vars(PARTICLES), name, value)
-    n, length, heading_sigma, fix_sigma = 30, 0.7, 0.1, 1.0
-    steps = steps_of(np.full(n, length), np.zeros(n), sigma_length=0.07, sigma_turn=0.02)
-    floor = plan(("floor", shapely.box(-500, -500, 500, 500)))
-    there = Headings(np.array([0.0]), np.array([0.0]), np.array([heading_sigma]))
-    graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], fix_sigma), headings=there, floor=floor)
-    paths = particle_filter(graph)
 
-    # Ahead: the start, the stride's prior and drift along the walk, each step's own error
-    prior, pieces = graph.prior, graph.pieces
-    way, moving = n * length, pieces.length > 0
-    left = np.cumsum(pieces.length[::-1])[::-1] - pieces.length / 2  # [m] still to go from the middle of each piece
-    # particles start twice as uncertain as the heading says, once by the start and once by the heading's own weight
-    start_turn = heading_sigma**2 / 2
-    # calibration changes by its random walk after every ten steps
-    blocks = graph.pieces.last + 1
-    change = np.array(prior.change)
-    per_block = np.array([np.sqrt(np.sum(moving[a:b]) / 100) for a, b in zip([0, *blocks[:-1]], blocks, strict=True)])
-    to_go = np.array([np.sum(pieces.length[b:]) for b in blocks])
-    time = 2 * (pieces.to_end - pieces.to_middle)[1]
-    drift = np.array([np.sum(time[b:] * left[b:]) for b in blocks])
-    ahead = fix_sigma**2 / 2 + (prior.sigma[0] * way) ** 2 + np.sum(pieces.variance[moving, 0])
-    ahead += np.sum((change[0] * per_block * to_go) ** 2)
-    aside = fix_sigma**2 / 2 + start_turn * way**2 + np.sum(pieces.variance[moving, 1])
-    aside += np.sum(pieces.variance[:, 2] * left**2) + (prior.sigma[2] * np.sum(time * left)) ** 2
-    aside += np.sum((change[2] * per_block * drift) ** 2)
+    def graph(share, **more):
+        there = Headings(np.zeros(1), np.zeros(1), np.array([0.1 * share]))
+        return WalkGraph(straight(30), fixes_at([0.0], [[0.0, 0.0]], 1.0 * share), headings=there, **more)
 
-    end = paths.state[-1, :2] - np.average(paths.state[-1, :2], axis=1, weights=paths.weight)[:, None]
-    spread = np.sqrt(np.average(end**2, axis=1, weights=paths.weight))
-    assert spread == pytest.approx(np.sqrt([ahead, aside]), rel=0.05), "20 000 particles, a few resamplings"
+    paths = particle_filter(graph(1.0, floor=plan(("floor", shapely.box(-500, -500, 500, 500)))))
+    spread = np.cov(paths.state[-1, :2], aweights=paths.weight)
+    expected = kalman_filter(graph(np.sqrt(0.5))).trajectory.covariance[-1, :2, :2]
+    assert np.sqrt(np.diag(spread)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05), "a few resamplings"
 
 
 def two_aisles():
     """Two aisles of 2 m, 3 m apart, between cross aisles."""
-    outline, shop = shapely.box(0, 0, 40, 11), shapely.box(4, 4, 36, 7)
-    return plan(
-        ("floor", outline), ("shop", shop), ("shop", shapely.box(4, 0, 36, 2)), ("shop", shapely.box(4, 9, 36, 11))
-    )
+    shops = [("shop", shapely.box(4, low, 36, high)) for low, high in ((0, 2), (4, 7), (9, 11))]
+    return plan(("floor", shapely.box(0, 0, 40, 11)), *shops)
 
 
 @pytest.mark.parametrize(("y", "side"), [(3.0, -1), (8.0, 1)])
@@ -124,7 +120,7 @@ def test_a_walk_along_one_of_two_aisles_stays_in_it(y, side):
 def test_some_particles_move_to_a_far_fix():
     """The stated start is in the wrong aisle; three later fixes agree on the other."""
     n = 40
-    steps = steps_of(np.full(n, 0.7), np.zeros(n))
+    steps = straight(n)
     time = [(steps.time[k], [6.0 + 0.7 * (k - 5), 8.0]) for k in (12, 20, 28)]
     paths = particle_filter(graph_of(steps, two_aisles(), [2.0, 3.0], more=time))
     assert np.sum(paths.weight[np.abs(paths.state[-1, 1] - 8.0) < 1.5]) > 0.8
@@ -138,24 +134,12 @@ def test_particles_survive_any_turn_of_the_phone(turned):
     turn, sigma = np.zeros(n), np.full(n, 0.02)
     turn[at], sigma[at] = turned, 1.2
     plain = steps_of(np.full(n, 0.7), turn)
-    steps = type(plain)(**{**plain.__dict__, "sigma_turn": sigma})
+    steps = replace(plain, sigma_turn=sigma)
     graph = graph_of(steps, floor, [2.0, 1.2])
-    ends = np.array(
-        [
-            np.average(paths.state[-1, :2], axis=1, weights=paths.weight)
-            for paths in (particle_filter(graph, seed) for seed in range(3))  # the end differs by a metre between seeds
-        ]
-    )
+    runs = (particle_filter(graph, seed) for seed in range(3))  # the end differs by a metre between seeds
+    ends = np.array([np.average(paths.state[-1, :2], axis=1, weights=paths.weight) for paths in runs])
     assert ends[:, 0].mean() == pytest.approx(2 + 0.7 * n, abs=0.15 * 0.7 * n), "as far as strides are known"
     assert np.all((ends[:, 1] > 0) & (ends[:, 1] < 2.4))
-
-
-def test_the_same_seed_is_the_same_walk():
-    steps = steps_of(np.full(30, 0.7), np.zeros(30))
-    graph = graph_of(steps, two_aisles(), [2.0, 3.0])
-    first, same, third = (particle_filter(graph, seed).state for seed in (0, 0, 1))
-    assert np.array_equal(first, same)
-    assert not np.array_equal(first[-1][:, :100], third[-1][:, :100])
 
 
 # Floors
@@ -180,8 +164,239 @@ def test_floors_change_at_stairs():
 def test_fixes_alone_place_a_walk_of_unknown_heading():
     """Two fixes at the ends of an aisle, and no heading: of particles in all directions those along it survive."""
     n = 48
-    steps = steps_of(np.full(n, 0.7), np.zeros(n))
+    steps = straight(n)
     fixes = Fixes(np.array([0.0, steps.time[-1]]), np.array([[36.0, 3.0], [2.5, 3.0]]), np.full(2, 0.5), ("", ""))
     paths = particle_filter(WalkGraph(steps, fixes, floor=two_aisles()))
     heading = np.cos(paths.state[len(paths.state) // 2, 2])
     assert np.average(heading, weights=paths.weight) < -0.95
+
+
+# Keyframe by keyframe: in bounded memory, and robust to faults
+
+
+FEWEST, MOST = 400, 500
+STRIDE = 0.7  # [m]
+
+
+def aisle(length=400.0):
+    """An aisle of 2 m between shops."""
+    shops = [("shop", shapely.box(0, low, length, low + 4)) for low in (-4, 2)]
+    return plan(("floor", shapely.box(-2, -4, length, 6)), *shops)
+
+
+def begun(seed=0, **given):
+    """A cloud at the start of the aisle, facing along it."""
+    cloud = ParticleFilter(Prior(), seed, fewest=FEWEST, most=MOST, **given)
+    cloud.begin(np.array([0.5, 1.0]), 0.3, 0.0, 0.1)
+    return cloud
+
+
+TEN = intervals(whole_pieces(straight(10)), 0.0, 0.0, np.array([10 * PERIOD]))  # steps straight on, as one interval
+
+
+def row(length, seconds, sigma_length, sigma_turn, turn=0.0):
+    """A single piece as an interval."""
+    piece = np.array([[seconds, length, turn, sigma_length**2, sigma_length**2, sigma_turn**2]])
+    return intervals(piece, 0.0, 0.0, np.array([seconds]))
+
+
+def at(x, y=1.0, sigma=0.5):
+    """A fix."""
+    return (FixCosts(np.array([[x, y]]), np.array([sigma]), np.zeros(1, dtype=bool)),)
+
+
+def on(cloud, floor, intervals, seen=None):
+    """Straight on, so many intervals."""
+    for _ in range(intervals):
+        cloud.advance(TEN, [floor.distance] * len(TEN.length), measured=seen or ())
+
+
+def test_interval_by_interval_equals_the_whole_walk():
+    n, floor = 60, aisle()
+    steps = steps_of(np.full(n, STRIDE), np.full(n, 0.004))
+    there = Headings(np.array([0.0, 12.0]), np.array([0.0, 0.1]), np.array([0.1, 0.3]))
+    fixes = fixes_at([0.0, steps.time[30]], [[0.5, 1.0], [21.0, 1.0]], 0.5)
+    graph = WalkGraph(steps, fixes, headings=there, floor=floor)
+    at_once = particle_filter(graph)
+
+    pieces, place = graph.pieces, graph.positions.fixes.position
+    turn, time = 2 * (pieces.to_end - pieces.to_middle)
+
+    def seen(keyframe):
+        return pose_costs(graph.measurements, keyframe)
+
+    cloud = ParticleFilter(graph.prior, 0, fewest=1000, most=8000)
+    cloud.begin(place[0], 0.5, graph.start.poses[0, 2], graph.sigma_direction, measured=seen(0))
+    for interval, (first, last) in enumerate(zip(pieces.first, pieces.last, strict=True)):
+        for m in range(first, last + 1):
+            cloud.step(float(pieces.length[m]), turn[m], time[m], pieces.variance[m], graph.floor_sequence.field(m))
+        cloud.close(seen(interval + 1))
+    paths = cloud.paths()
+    assert np.array_equal(paths.state, at_once.state)
+    assert np.array_equal(paths.weight, at_once.weight)
+
+
+def test_dropped_keyframes_do_not_change_the_others():
+    floor, whole, window = aisle(), begun(), begun()
+    for _ in range(12):
+        on(whole, floor, 1)
+        on(window, floor, 1)
+        window.forget(max(0, len(window.paths().state) - 5))
+    assert np.array_equal(window.paths().state, whole.paths().state[-5:])
+    assert np.array_equal(window.paths().weight, whole.paths().weight)
+
+
+def test_memory_is_constant():
+    floor, cloud, size = aisle(), begun(), []
+    COMPILED.load()  # or it is loaded within
+    tracemalloc.start()
+    for keyframe in range(400):
+        on(cloud, floor, 1, at(2.0, sigma=3.0))
+        cloud.forget(max(0, len(cloud.paths().state) - 10))
+        if keyframe % 100 == 99:
+            size.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert size[-1] < 1.1 * size[0], "from the 100th keyframe to the 400th"
+
+
+FAULTS = {
+    "a dead end": lambda cloud, floor: on(cloud, aisle(3.0), 8),
+    "a fix 1 km off": lambda cloud, floor: on(cloud, floor, 1, at(1000.0, 1000.0)),
+    "fixes 1 km off that agree": lambda cloud, floor: on(cloud, floor, 6, at(1000.0, 1000.0)),
+    "a compass that is sure of nonsense": lambda cloud, floor: on(
+        cloud, floor, 3, (HeadingCosts(np.full(100, 2.0), np.full(100, 1e-9)),)
+    ),
+    "a crowd of fixes in another place": lambda cloud, floor: on(
+        cloud, floor, 3, (FixCosts(np.full((300, 2), 60.0), np.full(300, 1e-3), np.ones(300, dtype=bool)),)
+    ),
+    "ten minutes of standing": lambda cloud, floor: [
+        cloud.advance(row(0.0, 1.0, 0.0, 0.02), [floor.distance]) for _ in range(600)
+    ],
+    "a gap that leads anywhere": lambda cloud, floor: cloud.advance(row(0.0, 400.0, 500.0, 3.0), [floor.distance]),
+    "a walk out of the plan": lambda cloud, floor: cloud.advance(row(300.0, 1.0, 0.1, 0.01, 3.0), [floor.distance]),
+    "a walk far out of the plan": lambda cloud, floor: cloud.advance(row(1e6, 1.0, 0.1, 0.01, 3.0), [floor.distance]),
+    "nothing between two keyframes": lambda cloud, floor: [cloud.close() for _ in range(3)],
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_after_a_fault_fixes_bring_the_particles_back(fault):
+    """Particles stay finite; after six fixes along the aisle they are nearer to the last one than to any other."""
+    floor, cloud = aisle(), begun(at_once=1)
+    on(cloud, floor, 1)
+    with np.errstate(all="raise", under="ignore"):
+        FAULTS[fault](cloud, floor)
+        for k in range(6):
+            on(cloud, floor, 1, at(20.0 + 10 * STRIDE * k))
+        paths = cloud.paths()
+        share, middle = dominant_modes(paths)[0]
+    assert np.isfinite(paths.state).all()
+    assert paths.weight.sum() == pytest.approx(1.0)
+    assert FEWEST <= len(paths.weight) <= MOST
+    assert share > 0.5
+    assert paths.state[-1, :2, middle] == pytest.approx([20.0 + 50 * STRIDE, 1.0], abs=5 * STRIDE)
+
+
+# Weights by the residuals of measurements of any kind
+
+
+def states(n, middle=(0.0, 0.0), seed=0):
+    """Random states ``(6, n)`` of particles."""
+    random = np.random.default_rng(seed)
+    pose = np.stack([*(np.array(middle)[:, None] + random.normal(0, 8, (2, n))), random.uniform(-np.pi, np.pi, n)])
+    return np.concatenate([pose, np.tile([[1.0], [1.0], [0.0]], n)])
+
+
+def total(costs, state):
+    return np.sum([cost for kind in costs for cost in kind.costs(state)], axis=0)
+
+
+def test_ranges_weigh_each_pose_by_its_residual():
+    """By Huber's loss of the first pass; the survey and the bias widen the sigma, to a metre at least."""
+    steps, _, truth = drawn_from_the_model(40, 1)
+    ranges = ranged(truth, 1)[0]
+    wide = replace(ranges, sigma=np.full(len(ranges), 1.5))
+    for table in (ranges, wide):
+        graph = WalkGraph(steps, measurements=[table])
+        kind = next(kind for kind in graph.measurements if kind.name == "ranges")
+        keyframe = int(kind.keyframe[7])
+        state = states(50, truth.position[20])
+        expected = np.zeros(50)
+        for n in np.flatnonzero(kind.keyframe == keyframe):
+            anchor = table.position[table.anchor[n]]
+            distance = np.sqrt(np.sum((state[:2].T - anchor) ** 2, axis=1) + RANGES.near**2)
+            variance = table.sigma[n] ** 2 + 0.1**2 + RANGES.bias**2
+            s = (distance - table.range[n]) / np.sqrt(max(variance, PARTICLES.least_sigma**2))
+            huber = np.where(np.abs(s) > 2.45, 2.45 * (np.abs(s) - 2.45 / 2), s**2 / 2)
+            expected += np.minimum(huber, PARTICLES.outlier_price)
+        assert total(pose_costs([kind], keyframe), state) == pytest.approx(expected, rel=0.02, abs=0.02)
+
+
+def test_levels_of_many_poses_are_those_of_each_alone():
+    """As many beacons as levels: the table of beacons is not taken for one of instances."""
+    truth = dead_reckon(square_walk())
+    beacons = beacons_about(truth)
+    graph = WalkGraph(square_walk(), levels=levels_along(heard(truth, beacons.position), beacons, square_walk()))
+    kind = next(kind for kind in graph.measurements if kind.name == "beacons")
+    keyframe = int(kind.keyframe[0])
+    state, costs = states(20), pose_costs([kind], keyframe)
+    alone = [total(costs, state[:, n : n + 1])[0] for n in range(20)]
+    assert total(costs, state) == pytest.approx(alone)
+
+    # One pose by the factors themselves, of which the same keyframe is evaluated in the walk
+    here = graph.start.poses.copy()
+    here[keyframe] = state[:3, 4]
+    at = graph.evaluate(graph.start.replaced(x=here))
+    [block] = at.blocks_of("beacons")
+    bound = kind.keyframe[kind.keyframe >= 0] == keyframe
+    narrow = block.loss.cost(block.deviation)[: len(bound)][bound].sum()
+    assert 0 < alone[4] < narrow, "the path loss and the places are uncertain"
+
+
+def test_a_kind_with_other_poses_has_no_say():
+    """Of a loop closure at two keyframes, one pose says nothing."""
+    steps, fixes, _ = drawn_from_the_model(30, 0)
+    graph = WalkGraph(steps, fixes)
+    assert all(len(list(kind.costs(states(3)))) for kind in pose_costs(graph.measurements, 0))
+    assert pose_costs([kind for kind in graph.measurements if kind.name in ("steps", "calibration", "start")], 0) == ()
+
+
+ANCHORS = {1: (9.6, 12.7), 2: (12.6, 14.5), 3: (23.9, 7.3)}  # [m] in the office
+
+
+def office(seed):
+    """The office's walk: its plan, steps, truth and distances from one anchor every other second, without a fix."""
+    made, steps = scenario_walk("office", seed=seed)
+    [floor], truth, random = made.scenario.plans.values(), made.truth, np.random.default_rng(seed)
+    time = np.arange(truth.time[0] + 0.5, truth.time[-1] - 0.5, 2.0)
+    anchor = np.array([ANCHORS[seed]])
+    distance = np.hypot(*(interpolate(time, truth.time, truth.position) - anchor).T)
+    detour = np.where(random.random(len(time)) < 0.2, random.exponential(3.0, len(time)), 0.0)
+    measured = np.maximum(distance + random.normal(0, 0.5, len(time)) + detour, 0.0)
+    rows = np.zeros(len(time), dtype=np.intp)
+    ranges = Ranges(time, rows, measured, np.full(len(time), 0.5), ("A",), anchor, np.array([0.1]))
+    return floor, steps, truth, ranges
+
+
+def walked_by_one_anchor(seed):
+    """Mean error [m]."""
+    floor, steps, truth, ranges = office(seed)
+    track = pdr.smooth(WalkGraph(steps, floor=floor, measurements=[ranges])).trajectory
+    return float(np.hypot(*(track.position - interpolate(track.time, truth.time, truth.position)).T).mean())
+
+
+@pytest.mark.parametrize("seed", ANCHORS)
+def test_ranges_to_one_anchor_find_the_route_on_a_plan(seed):
+    """One anchor leaves a circle at each moment, and walls alone the wrong corridor: together they are right."""
+    assert walked_by_one_anchor(seed) < 2.0
+
+
+@pytest.mark.thorough
+def test_without_the_ranges_the_particles_take_a_wrong_corridor(monkeypatch):
+    """Control: weighed by fixes and headings alone, the same walk is metres off."""
+
+    def some(measurements, keyframe):
+        return pose_costs([kind for kind in measurements if isinstance(kind, WeighsPoses)], keyframe)
+
+    monkeypatch.setattr(filter_module, "pose_costs", some)
+    assert max(walked_by_one_anchor(seed) for seed in ANCHORS) > 5.0

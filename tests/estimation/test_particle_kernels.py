@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import shapely
 from plans import plan
-from walks import fixes_at, steps_of
 
-from pdr_graph import Headings, WalkGraph, estimation
+from pdr_graph import estimation
 from pdr_graph.estimation import particle_filter as filter_module
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import (
@@ -17,7 +16,6 @@ from pdr_graph.estimation.particle_filter import (
     Compiled,
     ParticleFilter,
     Walls,
-    particle_filter,
     stepped,
 )
 
@@ -101,17 +99,6 @@ def test_a_step_into_tiles_that_are_missing_is_that_of_numpy(compiled, monkeypat
     assert 0 < by_numpy < 40 * 3000, "some steps met missing tiles, others did not"
 
 
-def test_a_walk_of_compiled_steps_is_the_same_walk(compiled, monkeypatch):
-    floor, n = plan(("room", shapely.box(0, 0, 60, 2.4)), ("shop", shapely.box(20, 0, 30, 1))), 60
-    there = Headings(np.array([0.0]), np.array([0.0]), np.array([0.1]))
-    fixes = fixes_at([0.0, 20.0], [[2.0, 1.2], [30.0, 1.5]], 0.5)
-    graph = WalkGraph(steps_of(np.full(n, 0.7), np.full(n, 0.004)), fixes, headings=there, floor=floor)
-    expected, _ = by(None, monkeypatch, lambda: particle_filter(graph))
-    paths, _ = by(compiled, monkeypatch, lambda: particle_filter(graph))
-    assert np.array_equal(paths.state, expected.state)
-    assert np.array_equal(paths.weight, expected.weight)
-
-
 def moved(loader, monkeypatch, **given):
     """Move 1000 particles until loading is repaid, and once more."""
     monkeypatch.setattr(filter_module, "COMPILED", loader)
@@ -137,20 +124,21 @@ def test_functions_are_loaded_when_that_has_paid_but_never_in_a_live_step(compil
     assert live.functions is None
 
 
-def test_without_numba_numpy_moves_all_particles(monkeypatch):
-    expected = moved(Compiled(), monkeypatch)
-    forget(monkeypatch)
+def no_numba(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    without = Compiled()
-    assert np.array_equal(moved(without, monkeypatch), expected)
-    assert without.functions is None
 
 
-def test_without_a_folder_for_what_numba_compiles_numpy_moves_all_particles(monkeypatch):
+def no_folder(monkeypatch):
+    """Nowhere to keep what numba compiles."""
     caching = pytest.importorskip("numba.core.caching", reason="the extra fast")
-    forget(monkeypatch)
     cache = getattr(caching, "CacheImpl", None) or caching._CacheImpl  # its name in older versions
     monkeypatch.setattr(cache, "_locator_classes", [])
-    without = Compiled()
-    without.load()
-    assert without.functions is None
+
+
+@pytest.mark.parametrize("without", [no_numba, no_folder])
+def test_where_nothing_can_be_compiled_numpy_moves_all_particles(without, monkeypatch):
+    expected, loader = moved(Compiled(), monkeypatch), Compiled()
+    forget(monkeypatch)
+    without(monkeypatch)
+    assert np.array_equal(moved(loader, monkeypatch), expected)
+    assert loader.functions is None

@@ -1,19 +1,17 @@
-"""A kind of measurement that is defined here, and registered by one call, runs through every part of the package."""
+"""The kind of measurement that CONTRIBUTING.md defines, registered by one call, runs through the whole package."""
 
 import json
-import os
-import signal
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from typing import ClassVar
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import simulated
 from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
-from walks import drawn_from_the_model
+from walks import drawn_from_the_model, part
 
 import pdr_graph as pdr
 from pdr_graph.apps.lifelog.build import build
@@ -23,9 +21,11 @@ from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.report import output_files as outputs
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.factors.registry import KINDS
+from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
+from pdr_graph.priors import PARTICLES
 from pdr_graph.walk import Options, estimate, read
 from pdr_graph.walk import observe as evidence_of
 
@@ -33,14 +33,19 @@ SIGMA = 0.2  # [m]
 EVERY = 3.0  # [s] between two lines
 
 
-@dataclass(frozen=True)
-class Anchorline:
-    """Distances from lines: n·p = offset [m], normal ``(n, 2)``, sigma ``(n,)`` [m]."""
+def example_of_the_page():
+    """The module of the example as it is printed: a file that processes can import, which registers its kind."""
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
+    (Path(FOLDER.name) / "example_of_the_page.py").write_text(code, encoding="utf-8")
+    sys.path.append(FOLDER.name)
+    return import_module("example_of_the_page")
 
-    time: np.ndarray
-    offset: np.ndarray
-    normal: np.ndarray
-    sigma: np.ndarray
+
+FOLDER = TemporaryDirectory()
+EXAMPLE = example_of_the_page()
+del KINDS[EXAMPLE.Anchorline]  # until its tests run
+Anchorline = EXAMPLE.Anchorline
 
 
 @dataclass(frozen=True)
@@ -51,39 +56,10 @@ class LineReport:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class AnchorlineFactor(pdr.Measurement):
-    """r = (n·p − offset) / σ."""
+class AnchorlineFactor(EXAMPLE.AnchorlineFactor):
+    """With two of the optional parts."""
 
-    lines: Anchorline
-    number: np.ndarray
-    keyframe: np.ndarray
-    name: ClassVar[str] = "anchor_lines"
-    determines_position: ClassVar[bool] = True
-
-    @classmethod
-    def of(cls, lines, steps, prior, number):
-        return cls(lines, number, np.full(len(number), -1))
-
-    def keyframe_times(self):
-        return self.lines.time
-
-    def bind(self, chain):
-        return replace(self, keyframe=chain.keyframe(self.lines.time))
-
-    def factors(self, at):
-        which = np.flatnonzero(self.keyframe >= 0)
-        keyframe, normal, sigma = self.keyframe[which], self.lines.normal[which], self.lines.sigma[which]
-        x, y, heading = at.state.poses[keyframe].T
-        residual = (normal[:, 0] * x + normal[:, 1] * y - self.lines.offset[which]) / sigma
-
-        def jacobian():
-            cos, sin = np.cos(heading), np.sin(heading)
-            ahead = normal[:, 0] * cos + normal[:, 1] * sin
-            left = normal[:, 1] * cos - normal[:, 0] * sin
-            return [np.stack([ahead, left, 0 * ahead], axis=1)[:, None] / sigma[:, None, None]]
-
-        return [pdr.FactorBlock.uniform(self.name, residual[:, None], [("x", keyframe)], jacobian, self.number[which])]
+    determines_position = True
 
     def reports(self, at, which=None):
         [block] = at.blocks_of(self.name)
@@ -153,17 +129,36 @@ def test_derivatives_and_gtsams_error_are_those_of_ours():
         assert_gtsam_agrees(graph, state)
 
 
+def test_optional_parts_are_not_needed():
+    steps, fixes, _, lines = drawn(5, 40)
+    tracks = []
+    for kind in (EXAMPLE.AnchorlineFactor, AnchorlineFactor):
+        del KINDS[Anchorline]
+        pdr.register(Anchorline, kind)
+        tracks.append(pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines])).trajectory)
+    assert tracks[0].position == pytest.approx(tracks[1].position, abs=1e-9)
+
+
+def test_it_weighs_particles():
+    """It has no method for particles: its residuals are enough, and only at its keyframe."""
+    lines = Anchorline(np.array([0.0, 5.0, 5.0]), np.array([3.0, 4.0, -9.0]), np.eye(2)[[0, 0, 0]], np.full(3, 2.0))
+    bound = AnchorlineFactor(lines, np.arange(3), keyframe=np.array([2, 7, 7]))
+    state = np.random.default_rng(0).normal(0, 8, (6, 30))
+    expected = sum(np.minimum(0.5 * ((state[0] - z) / 2.0) ** 2, PARTICLES.outlier_price) for z in (4.0, -9.0))
+    [costs] = pose_costs([bound], 7)
+    assert np.sum(list(costs.costs(state)), axis=0) == pytest.approx(expected)
+    assert pose_costs([bound], 3) == ()
+
+
 def events(steps, fixes, lines):
     """The steps one by one, each followed by the fixes and lines of its time."""
-    begin, done = steps.start, -np.inf
+    done = -np.inf
     for k, end in enumerate(steps.time.tolist()):
-        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
-        yield pdr.Steps(begin, end, **columns)
-        new, begin = (lines.time > done) & (lines.time <= end), end
-        if new.any():
+        yield part(steps, k, k + 1)
+        if (new := (lines.time > done) & (lines.time <= end)).any():
             yield Anchorline(*(column[new] for column in vars(lines).values()))
-        if ((fixes.time > done) & (fixes.time <= end)).any():
-            yield fixes[(fixes.time > done) & (fixes.time <= end)]
+        if (new := (fixes.time > done) & (fixes.time <= end)).any():
+            yield fixes[new]
         done = end
 
 
@@ -196,20 +191,14 @@ def journal_of(path):
     return pdr.Journal.open(path, pdr.Navigator)
 
 
-def test_a_killed_process_loses_no_line(tmp_path):
-    """The journal of a process that was killed goes on with the walk of one that was not, bit by bit."""
+def test_a_journal_keeps_the_lines(tmp_path):
+    """Opened again half-way, it goes on with the walk of one that stayed open, bit by bit."""
     arriving = list(events(*(drawn(3)[n] for n in (0, 1, 3))))
-    half = len(arriving) // 2
-    if not (child := os.fork()):
-        try:
-            journal = journal_of(tmp_path / "killed")
-            for event in arriving[:half]:
-                journal.push(event)
-        finally:
-            os.kill(os.getpid(), signal.SIGKILL)
-    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
-    tracks = []
-    for name, begin in (("killed", half), ("whole", 0)):
+    half, tracks = len(arriving) // 2, []
+    with journal_of(tmp_path / "resumed") as journal:
+        for event in arriving[:half]:
+            journal.push(event)
+    for name, begin in (("resumed", half), ("whole", 0)):
         with journal_of(tmp_path / name) as journal:
             assert journal.count == begin
             for event in arriving[begin:]:
@@ -245,7 +234,7 @@ def test_report_and_summary_list_the_lines(recorded, tmp_path):
     assert summary["reports"]["anchor_lines"][0]["time"] == pytest.approx(lines.time[0] + walk.clock_origin)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path, workers):
     """What reads the lines of a recording is the caller's; the store has them from then on."""
     folder, truth, lines = recorded
@@ -264,57 +253,37 @@ def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path
     assert error(outing.trajectory, truth) < 0.4
 
 
-def test_the_example_of_the_page_is_the_kind_above():
-    """Run as it is printed in CONTRIBUTING.md: the walk is the same, and no report is needed."""
-    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
-    steps, fixes, _, lines = drawn(5, 40)
-    here = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines]))
-    del KINDS[Anchorline]
-    module = ModuleType("example_of_the_page")
-    sys.modules[module.__name__] = module
-    exec(compile(code, "CONTRIBUTING.md", "exec"), vars(module))
-    theirs = module.Anchorline(**vars(lines))
-    there = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[theirs]))
-    del KINDS[module.Anchorline], sys.modules[module.__name__]
-    pdr.register(Anchorline, AnchorlineFactor)
-    assert there.trajectory.position == pytest.approx(here.trajectory.position, abs=1e-9)
+Changing = make_dataclass("Changing", ["time"])
+Timeless = make_dataclass("Timeless", ["place"], frozen=True)
+Ranges = make_dataclass("Ranges", ["time"], frozen=True)
 
 
-def test_what_cannot_be_registered_is_refused():
-    @dataclass
-    class Changing:
-        time: np.ndarray
+class Nameless(AnchorlineFactor):
+    name = ""
 
-    @dataclass(frozen=True)
-    class Timeless:
-        place: np.ndarray
 
-    @dataclass(frozen=True)
-    class Ranges:
-        time: np.ndarray
+class Taken(AnchorlineFactor):
+    name = "walls"
 
-    class Nameless(AnchorlineFactor):
-        name = ""
 
-    class Taken(AnchorlineFactor):
-        name = "walls"
+@pytest.mark.parametrize(
+    ("data", "kind", "error", "reason"),
+    [
+        (Changing, AnchorlineFactor, TypeError, "frozen=True"),
+        (Timeless, AnchorlineFactor, TypeError, "expected a frozen dataclass with time"),
+        (Anchorline, Anchorline, TypeError, "expected subclasses of Measurement"),
+        (Anchorline, Nameless, TypeError, "without a name"),
+        (Ranges, AnchorlineFactor, ValueError, "another type of this name is registered"),
+        (pdr.Fixes, AnchorlineFactor, ValueError, "another type of this name is registered"),
+        (Anchorline, Taken, ValueError, "is registered"),
+    ],
+)
+def test_what_cannot_be_registered_is_refused(data, kind, error, reason):
+    with pytest.raises(error, match=reason):
+        pdr.register(data, kind)
 
-    for data, kind, reason in (
-        (Changing, AnchorlineFactor, "frozen=True"),
-        (Timeless, AnchorlineFactor, "expected a frozen dataclass with time"),
-        (Anchorline, Anchorline, "expected subclasses of Measurement"),
-        (Anchorline, Nameless, "without a name"),
-    ):
-        with pytest.raises(TypeError, match=reason):
-            pdr.register(data, kind)
-    for data, kind, reason in (
-        (Ranges, AnchorlineFactor, "another type of this name is registered"),
-        (pdr.Fixes, AnchorlineFactor, "another type of this name is registered"),
-        (Anchorline, Taken, "is registered"),
-    ):
-        with pytest.raises(ValueError, match=reason):
-            pdr.register(data, kind)
+
+def test_what_is_not_registered_measures_nothing():
     with pytest.raises(TypeError, match="found Timeless, expected one of"):
         pdr.WalkGraph(drawn(0, 20)[0], measurements=[Timeless(np.zeros((1, 2)))])
     pdr.register(Anchorline, AnchorlineFactor)  # again, as in a notebook
