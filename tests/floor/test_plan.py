@@ -6,36 +6,26 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import shapely
+from floor.geojson_plans import crosses, feature, written
+from refusals import refused
 from shapely import affinity
 
-from pdr_graph import FloorPlan, InputError
+from pdr_graph import FloorPlan
 from pdr_graph.floor.distance_field import OPEN_DISTANCE, DistanceField
-
-
-def lonlat_square(x0, y0, x1, y1):
-    """A rectangle in degrees, for a floor on which a degree is 100 km wide and high."""
-    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-    return [[120 + x / 1e5, 30 + y / 1e5] for x, y in corners]
-
-
-def feature(coordinates, **properties):
-    return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": coordinates}}
 
 
 @pytest.fixture
 def floor_folder(tmp_path):
-    """An outline of 40 × 20 m that a shop of 10 × 20 m divides."""
+    """Microsoft's: an outline of 40 × 20 m that a shop of 10 × 20 m divides; a degree is 100 km wide and high."""
+
+    def square(name, *corners):
+        box = shapely.box(*(origin + v / 1e5 for v, origin in zip(corners, (120, 30, 120, 30), strict=True)))
+        return {"type": "Feature", "properties": {"name": name}, "geometry": json.loads(shapely.to_geojson(box))}
+
+    nowhere = {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None}
+    features = [square("outline", 0, 0, 40, 20), square("shop", 15, 0, 25, 20), nowhere]
     folder = tmp_path / "F9"
     folder.mkdir()
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": "outline"},
-            "geometry": {"type": "MultiPolygon", "coordinates": [[lonlat_square(0, 0, 40, 20)]]},
-        },
-        feature([lonlat_square(15, 0, 25, 20)], name="shop"),
-        {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None},
-    ]
     (folder / "geojson_map.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     (folder / "floor_info.json").write_text(json.dumps({"map_info": {"width": 40.0, "height": 20.0}}))
     return folder
@@ -55,54 +45,25 @@ def test_crosses_wall_agrees_with_shapely_for_every_segment(floor_folder):
     a, b = random.uniform([-5, -5], [45, 25], (2, 300, 2))
     expected = [not plan.walkable.covers(shapely.LineString([p, q])) for p, q in zip(a, b, strict=True)]
     assert plan.crosses_wall(a, b).tolist() == expected
-    assert plan.crosses_wall(np.array([[2.0, 5.0]]), np.array([[12.0, 5.0]])).tolist() == [False]
+    assert not crosses(plan, (2, 5), (12, 5))
 
 
-@pytest.mark.parametrize(
-    ("damage", "complaint"),
-    [
-        (lambda f: (f / "geojson_map.json").write_text("{"), "JSON"),
-        (lambda f: (f / "geojson_map.json").write_text("[]"), "JSON object"),
-        (lambda f: (f / "geojson_map.json").write_text('{"type": "FeatureCollection", "features": []}'), "polygon"),
-        (lambda f: (f / "geojson_map.json").unlink(), "found a folder without geojson_map.json"),
-        (lambda f: (f / "floor_info.json").write_text('{"map_info": {"width": -1, "height": 2}}'), "positive"),
-        (lambda f: (f / "floor_info.json").write_text('{"map_info": 3}'), "positive"),
-    ],
-)
-def test_damaged_floors_are_refused_in_one_line(floor_folder, damage, complaint):
-    damage(floor_folder)
-    with pytest.raises(InputError, match=complaint) as refusal:
-        FloorPlan.load(floor_folder)
-    assert "\n" not in str(refusal.value)
+@pytest.mark.parametrize("info", ['{"map_info": {"width": -1, "height": 2}}', '{"map_info": 3}'])
+def test_a_floor_of_no_size_is_refused(floor_folder, info):
+    (floor_folder / "floor_info.json").write_text(info)
+    refused(FloorPlan.load, floor_folder, "positive")
 
 
 def test_own_geojson(tmp_path):
     """A corridor and a room joined by a door, with a gap between them that is the wall."""
-    rectangles = [("corridor", 0, 0, 20, 3), ("room", 5, 3.2, 12, 9), ("door", 8, 2.9, 9, 3.3), ("wall", 0, 0, 1, 3)]
-    features = [feature([lonlat_square(*r)], kind=kind) for kind, *r in rectangles]
-    path = tmp_path / "plan.geojson"
-    content = {"type": "FeatureCollection", "pdr_graph": {"origin": [120, 30], "floor": "2"}, "features": features}
-    path.write_text(json.dumps(content))
-    plan = FloorPlan.load(path)
+    hall, room, door = (0, 0, 20, 3), (5, 3.2, 12, 9), (8, 2.9, 9, 3.3)
+    features = [feature(kind, box) for kind, box in (("corridor", hall), ("room", room), ("door", door))]
+    plan = FloorPlan.load(written(tmp_path / "plan.geojson", *features, feature("wall", (0, 0, 1, 3)), floor="2"))
     assert plan.label == "2"
-    assert plan.frame.describe() == {"kind": "enu", "origin_lat": 30.0, "origin_lon": 120.0, "epsg": None}
-    # longitudes of a made-up 100 km degree are 96.5 km here: the areas are those of the drawing times both scales
-    door = np.array([[8.5, 1.0], [8.5, 5.0]]) * [0.965, 1.108]
-    beside = np.array([[11.0, 1.0], [11.0, 5.0]]) * [0.965, 1.108]
-    assert not plan.crosses_wall(door[:1], door[1:])[0]
-    assert plan.crosses_wall(beside[:1], beside[1:])[0]
-    content["features"][0]["properties"]["kind"] = "lake"
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"feature 0.*lake"):
-        FloorPlan.load(path)
-
-
-def test_a_plan_without_features_is_refused(tmp_path):
-    """An empty collection has no bounds."""
-    path = tmp_path / "plan.geojson"
-    path.write_text('{"type": "FeatureCollection", "features": []}')
-    with pytest.raises(InputError, match="found none with a geometry"):
-        FloorPlan.load(path)
+    assert plan.frame.describe() == {"kind": "enu", "origin_lat": 48.0, "origin_lon": 11.0, "epsg": None}
+    assert not crosses(plan, (8.5, 1), (8.5, 5))
+    assert crosses(plan, (11, 1), (11, 5))
+    refused(FloorPlan.load, written(tmp_path / "plan.geojson", feature("lake", hall)), "feature 0.*lake")
 
 
 def irregular_area():
@@ -113,16 +74,21 @@ def irregular_area():
     return hall.difference(shapely.box(1, 1, 3, 4))
 
 
-def test_distance_field_agrees_with_exact_distances():
-    """Bilinear on 0.25 m: 99 % of points within 0.06 m of shapely's distance, inside and outside."""
-    area = irregular_area()
-    points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    distance, _ = DistanceField(area).at(points)
-    error = np.abs(distance - exact)
+def signed(area, points):
+    """Distances of points ``(n, 2)`` from the walls, by shapely: negative where nobody can walk. [m]"""
+    distance = shapely.distance(area.boundary, shapely.points(points))
+    return np.where(shapely.contains_xy(area, *points.T), distance, -distance)
+
+
+def test_distances_agree_with_exact_ones():
+    """Bilinear on 0.25 m, approximate ones by half the diagonal of a pixel more, and exact ones without tiles."""
+    area, points = irregular_area(), np.random.default_rng(1).uniform(-18, 18, (3000, 2))
+    exact = signed(area, points)
+    error = np.abs(DistanceField(area).at(points)[0] - exact)
     assert np.percentile(error, 99) < 0.06
     assert error.max() < 0.18  # half a cell's diagonal: at corners, where distance has a ridge
+    assert np.percentile(np.abs(DistanceField(area).approximate(points.T) - exact), 99) < 0.1
+    assert DistanceField(area).exact(points[:300]) == pytest.approx(exact[:300], abs=0.01)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.3])
@@ -131,27 +97,10 @@ def test_distances_at_nodes_are_those_of_the_outline(turned):
     pillars = shapely.box(*np.array([(x, y, x + 0.25, y + 0.25) for x in range(1, 29) for y in range(1, 9)]).T)
     area = affinity.rotate(shapely.box(0, 0, 30, 10) - shapely.unary_union(pillars), turned, use_radians=True)
     x, y = (a.ravel() for a in np.meshgrid(np.arange(-2, 32, 0.25), np.arange(-2, 12, 0.25)))
-    exact = shapely.distance(area.boundary, shapely.points(x, y))
-    exact = np.where(shapely.contains_xy(area, x, y), exact, -exact)
-    found = DistanceField(area).at(np.stack([x, y], axis=1))[0]
-    assert found == pytest.approx(exact, abs=2e-3), "corners of pillars are arcs of chords"
-
-
-def test_approximate_distances_agree_with_exact_ones():
-    """99 % within 0.1 m: half the diagonal of a pixel, and the grid's own error."""
-    area = irregular_area()
-    points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    about = DistanceField(area).approximate(points.T)
-    assert np.percentile(np.abs(about - exact), 99) < 0.1
-
-
-def test_exact_distances_need_no_tiles():
-    area, points = irregular_area(), np.random.default_rng(2).uniform(-18, 18, (300, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    assert DistanceField(area).exact(points) == pytest.approx(exact, abs=0.01)
+    nodes = np.stack([x, y], axis=1)
+    assert DistanceField(area).at(nodes)[0] == pytest.approx(signed(area, nodes), abs=2e-3), (
+        "arcs at corners are chords"
+    )
 
 
 def test_tiles_of_others_make_no_difference():
