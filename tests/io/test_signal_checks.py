@@ -49,11 +49,6 @@ def test_an_angular_rate_whose_unit_changes_is_refused(walk, rows):
         built(walk, rate=changed(walk.angular_rate, 180 / np.pi, rows))
 
 
-def test_a_sensor_in_another_unit_throughout_passes(walk):
-    recording = built(walk, acceleration=walk.acceleration / G)
-    assert recording.accelerometer.values == pytest.approx(walk.acceleration)
-
-
 def test_a_ride_and_a_run_recorded_in_degrees_pass(walk):
     """On a shaking bus a phone turns fifty times slower than in a runner's hand: no change of unit."""
     half, rate = len(walk.time) // 2, np.degrees(walk.angular_rate)

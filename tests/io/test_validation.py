@@ -25,13 +25,23 @@ def assert_noted(walk, words):
     assert sum(words in note for note in walk.notes) == 1, walk.notes
 
 
-@pytest.mark.parametrize(("factor", "words"), [(1 / G, "is g"), (1.0, None)])
-def test_the_unit_of_acceleration_follows_from_gravity(sampled, factor, words):
-    walk = validated(sampled, sampled.acceleration * factor)
-    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, rel=1e-6, abs=1e-9)
-    assert bool(walk.notes) == bool(words)
-    if words:
-        assert_noted(walk, words)
+UNITS = {  # sensor, factor, what is noted
+    "is g": ("accelerometer", 1 / G),
+    "degrees per second": ("gyroscope", 180 / np.pi),
+    "Pa": ("barometer", 100.0),
+    "kPa": ("barometer", 0.1),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_the_unit_follows_from_the_values(sampled, unit):
+    sensor, factor = UNITS[unit]
+    true = {"accelerometer": sampled.acceleration, "gyroscope": sampled.angular_rate + 0.5}
+    values = true.get(sensor, sampled.pressure[:, None])
+    walk = validated(sampled, **{sensor: np.column_stack([sampled.time, values * factor])})
+    assert walk.signals[sensor].values == pytest.approx(values, rel=1e-6, abs=1e-9)
+    assert_noted(walk, unit)
+    assert validated(sampled).notes == ()
 
 
 @pytest.mark.parametrize("factor", [100.0, 1000 / G, 0.3])
@@ -45,20 +55,6 @@ def test_removed_gravity_is_recognised(sampled):
     assert walk.accelerometer is None
     assert len(walk.linear_acceleration) == len(sampled.time)
     assert_noted(walk, "the recorder removed it")
-
-
-def test_degrees_per_second_are_recognised(sampled):
-    rates = np.column_stack([sampled.time, np.degrees(sampled.angular_rate) + 30.0])
-    walk = validated(sampled, gyroscope=rates)
-    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate + np.radians(30.0))
-    assert_noted(walk, "degrees per second")
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(100.0, "Pa"), (0.1, "kPa")])
-def test_pascal_and_kilopascal_are_recognised(sampled, factor, unit):
-    walk = validated(sampled, barometer=np.column_stack([sampled.time, sampled.pressure * factor]))
-    assert walk.barometer.values[0] == pytest.approx(1013.25)
-    assert_noted(walk, unit)
 
 
 def test_repeated_rows_are_used_once(sampled):

@@ -222,16 +222,8 @@ def test_results_do_not_depend_on_the_timing(walked):
 
 def test_standing_still_the_pose_stands():
     """For a minute, the phone in a hand: within 0.2 m; the walk before it, and the control moves."""
-    simulation = simulate(
-        Scenario.of(
-            {
-                "seed": 1,
-                "start": 0.0,
-                "phone": {"rate": 50.0},
-                "route": [[0.0, 0.0], {"stand": 2}, {"to": [[15.0, 0.0], [15.0, 12.0]]}, {"stand": 62}],
-            }
-        )
-    )
+    route = [[0.0, 0.0], {"stand": 2}, {"to": [[15.0, 0.0], [15.0, 12.0]]}, {"stand": 62}]
+    simulation = simulate(Scenario.of({"seed": 1, "start": 0.0, "phone": {"rate": 50.0}, "route": route}))
     signals = {name: simulation.signals[name] for name in INERTIAL}
     stop = simulation.truth.time[-1] - 60.0
     fixes = fixes_at((0.5, 0.0, 0.0), (stop - 3.0, 15.0, 11.0))

@@ -33,12 +33,6 @@ def held_out(walks):
         yield walk, steps, headings, track, RadioMap.learn(others).fixes(walk)
 
 
-def test_an_access_point_is_heard_once_at_the_time_it_was_last_seen(floor):
-    for walk, *_ in floor[1]:
-        heard = list(zip(walk.wifi.time, walk.wifi.transmitter, strict=True))
-        assert len(heard) == len(set(heard))
-
-
 def test_fixes_are_as_good_as_they_say(floor):
     errors, sigma = [], []
     for _, _, _, track, fixes in held_out(floor[1]):

@@ -11,18 +11,10 @@ from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.inertial.attitude import on_one_grid
 from pdr_graph.io.loading import load
 
-COUNTED = {"user1_hand": 326, "user1_frontpocket": 327, "user1_bag": 346}
-
 
 def landings(path):
     time, _, (acceleration,) = on_one_grid(load(path), "accelerometer")
     return walking_steps(time, acceleration)
-
-
-@pytest.mark.parametrize("name", COUNTED)
-def test_oxford_counts(data, name):
-    (path,) = data.glob(f"oxford_steps/validation/{name}_*.csv")
-    assert len(landings(path)) == pytest.approx(COUNTED[name], rel=0.02)
 
 
 def test_a_swinging_arm(data):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commands import run
 
-from pdr_graph import InputError, evaluate, read_fixes, read_trajectory
+from pdr_graph import InputError, read_fixes, read_trajectory
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.recorders import write
@@ -83,19 +83,6 @@ def test_the_files_beside_the_recording_have_the_truth(tmp_path):
         f"{walk.scenario.start:.3f},{walk.scenario.start:.3f},hold,hand",
         f"{walk.scenario.start:.3f},{walk.scenario.start + 2.01:.3f},stand,",
     ]
-
-
-def test_a_scenario_is_simulated_smoothed_and_scored_by_the_command_line(tmp_path):
-    code, output, _ = run("simulate", "arcade", "--out", tmp_path / "walk", "--seed", 7)
-    assert code == 0
-    assert "steps" in output
-    options = ("--map", ROOT / "maps" / "arcade.geojson", "--fixes", tmp_path / "walk" / "fixes.csv")
-    code, _, errors = run("smooth", tmp_path / "walk", *options, "--out", tmp_path / "out")
-    assert (code, errors) == (0, [])
-    score = evaluate(
-        read_trajectory(tmp_path / "out" / "trajectory.csv"), read_trajectory(tmp_path / "walk" / "truth.csv")
-    )
-    assert score["ce"]["p50"] < 1.5
 
 
 @pytest.mark.parametrize(
