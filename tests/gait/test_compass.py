@@ -81,9 +81,11 @@ def errors(walk, found):
     return error / sigma, error
 
 
-@pytest.mark.parametrize("headings", [batch, live])
-@pytest.mark.parametrize("hold", HOLDS)
-def test_headings_are_right_or_missing(hold, headings):
+OTHERS_LIVE = [pytest.param(live, hold, marks=pytest.mark.thorough) for hold in HOLDS if hold != "hand"]
+
+
+@pytest.mark.parametrize(("headings", "hold"), [*((batch, hold) for hold in HOLDS), (live, "hand"), *OTHERS_LIVE])
+def test_headings_are_right_or_missing(headings, hold):
     """With steel and 3 µT of hard iron per axis all are within three sigmas and 0.8 rad, live ones 0.9."""
     for seed in range(3 if headings is batch else 2):
         walk = walked(hold, seed)
@@ -102,9 +104,10 @@ BAD = {
 }
 
 
+@pytest.mark.parametrize("laps", [0, pytest.param(1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_magnetometer_gives_no_headings(name):
-    walk = walked()
+def test_a_bad_magnetometer_gives_no_headings(name, laps):
+    walk = walked(laps=laps)
     assert live(walk, recorded(walk, BAD[name])) == batch(walk, recorded(walk, BAD[name])) == []
 
 
@@ -120,7 +123,8 @@ def test_a_magnetometer_that_stopped_gives_no_headings():
 
 
 def test_there_are_no_headings_without_a_location_or_a_sensor_or_steps():
-    walk = walked()
+    walk = walked(laps=0)
+    assert live(walk), "a control"
     nowhere = replace(walk, frame=Frame())
     assert live(nowhere) == batch(nowhere) == []
     for missing in SENSORS:
@@ -152,6 +156,7 @@ def last_of_each(found):
     return [one for one in {one.stretch: one for one in found}.values() if np.isfinite(one.sigma)]
 
 
+@pytest.mark.thorough
 def test_all_live_headings_together_are_less_certain_than_the_shared_error():
     """Oracle: a filter of the direction that drifts as the graph's turns do and uses all headings."""
     walk = walked(laps=5)
@@ -214,6 +219,7 @@ def test_standing_long_beside_steel_gives_no_certainty():
     assert sigmas[1] == pytest.approx(sigmas[0], rel=0.15)
 
 
+@pytest.mark.thorough
 def test_a_phone_in_the_hand_has_a_better_heading_later():
     """The last equals that of the whole recording to the drift of a filter."""
     walk = walked(seed=1, laps=2)
@@ -222,6 +228,7 @@ def test_a_phone_in_the_hand_has_a_better_heading_later():
     assert abs(errors(walk, found[-1:])[1][0] - errors(walk, batch(walk)[-1:])[1][0]) < 0.15
 
 
+@pytest.mark.thorough
 def test_a_stretch_ends_at_a_grip_change_or_after_minutes():
     assert [one.stretch for one in last_of_each(live(walked(laps=3)))] == [0, 1]
     walk = along({"to": [[45, 0]]}, {"hold": "trouser pocket"}, {"to": [[45, 45], [0, 45]]}, seed=2)
@@ -252,7 +259,10 @@ OCCASIONAL = {
 }
 
 
-@pytest.mark.parametrize("name", OCCASIONAL)
+LESS_OFTEN = [pytest.param(name, marks=pytest.mark.thorough) for name in ("spikes", "wrong times", "repeated")]
+
+
+@pytest.mark.parametrize("name", ["NaN", "clock reset", *LESS_OFTEN])
 def test_a_magnetometer_with_occasional_errors_is_used(name):
     """Its headings are within three sigmas."""
     walk = walked()
@@ -273,6 +283,7 @@ def test_a_magnetometer_with_occasional_errors_is_used(name):
     assert np.all(np.abs(errors(walk, found)[0]) < 3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("located", [True, False])
 def test_the_state_does_not_grow(located):
     """It holds at most a stretch of 150 s at 25 Hz."""
