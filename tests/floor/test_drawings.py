@@ -14,9 +14,8 @@ from refusals import refused
 
 from pdr_graph import InputError
 from pdr_graph.floor import plan_files
-from pdr_graph.floor.cells import DOOR, WALL
+from pdr_graph.floor.cells import DOOR
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.floor_picture import skew_of
 from pdr_graph.floor.formats.line_drawing import UNCLEAR, Lines, areas_of, drawing_of_lines
 from pdr_graph.floor.plan_files import Building
 
@@ -172,13 +171,6 @@ def test_a_wall_across_the_opening_stays_a_wall_and_the_check_names_the_room(tmp
     assert any("cannot be reached" in line for line in problems(building))
 
 
-def test_nobody_walks_between_the_two_lines_of_a_wall(lines):
-    plan = Building.load(lines, 0.5).floors[0]
-    inside = shapely.Point(10.0, 0.2)
-    assert not shapely.intersects(plan.walkable, inside)
-    assert any(shapely.contains(area.shape, inside) for area in plan.of_kind(WALL))
-
-
 def test_treads_are_stairs_and_no_walls():
     treads = np.array([[[7.0, y], [8.6, y]] for y in np.arange(0.4, 2.3, 0.28)])
     segments = room_beside_corridor([treads])
@@ -194,12 +186,6 @@ def test_small_columns_and_narrow_cavities_are_solid():
     for solid in (column, cavity):
         assert not shapely.intersects(shapely.union_all(free), solid.centroid)
     assert "2 enclosed spaces without a door were taken as solid" in " ".join(notes)
-
-
-@pytest.mark.parametrize("angle", [-9.0, -2.3, 0.0, 4.4])
-def test_the_skew_of_a_scan_is_found(angle):
-    dark = np.asarray(drawn.picture(0.05, skew=angle)) < 128
-    assert skew_of(dark) == pytest.approx(angle, abs=0.1)
 
 
 # Units
