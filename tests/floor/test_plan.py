@@ -103,18 +103,6 @@ def test_distances_at_nodes_are_those_of_the_outline(turned):
     )
 
 
-def test_tiles_of_others_make_no_difference():
-    """A user who computes few tiles at a time gets the same in a field that somebody else filled meanwhile."""
-    fresh, full = DistanceField(irregular_area()), DistanceField(irregular_area())
-    points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
-    everything = full.approximate(points)
-    mine, shared = fresh.no_tiles(), full.no_tiles()
-    for _ in range(5):
-        assert np.array_equal(fresh.approximate(points, 1, mine), full.approximate(points, 1, shared))
-    assert not np.array_equal(full.approximate(points, 1, shared), everything)
-    assert np.array_equal(full.approximate(points, 1), everything), "a control: without tiles of its own"
-
-
 def test_threads_share_a_field():
     """Eight threads ask for distances at once: each gets those that a thread alone gets."""
     points = np.random.default_rng(3).uniform(-18, 18, (64, 200, 2))

@@ -159,19 +159,6 @@ def test_provisional_steps_predict_the_certain_ones():
     assert np.mean(np.abs(apart)) < 1
 
 
-def test_questions_change_nothing():
-    """Packets are validated together when they are due, whatever is asked before."""
-    asked, plain = StepStream(), StepStream()
-    for n, packet in enumerate(sent(walk())):
-        for gait in (asked, plain):
-            gait.push(*packet)
-            gait.advance()
-        if n % 3 == 0:
-            assert asked.health
-    assert asked.health == plain.health
-    assert same(asked.finish(), plain.finish())
-
-
 def size_of(value):
     """Bytes of all arrays in an object."""
     if isinstance(value, np.ndarray):
