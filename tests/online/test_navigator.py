@@ -81,7 +81,13 @@ def error(track, truth):
     return float(np.median(np.hypot(*(track.position[inside] - place).T)))
 
 
-@pytest.mark.parametrize(("name", "lag"), [("loop", 30.0), ("arcade", 30.0), ("arcade", None), ("figure_eight", None)])
+def thorough(*values):
+    return pytest.param(*values, marks=pytest.mark.thorough)
+
+
+@pytest.mark.parametrize(
+    ("name", "lag"), [("arcade", 30.0), ("figure_eight", None), thorough("loop", 30.0), thorough("arcade", None)]
+)
 def test_live_is_as_good_as_the_batch(name, lag):
     """The smoothed walk: at most 1.3 times the error of the batch plus 0.3 m, since finalised rows lack later data."""
     recording, truth = walk(name)
@@ -93,7 +99,7 @@ def test_live_is_as_good_as_the_batch(name, lag):
     assert abs(len(track) - len(batch)) < 4
 
 
-@pytest.mark.parametrize("sensors", [("accelerometer",), ("gyroscope",), ("accelerometer", "gyroscope")])
+@pytest.mark.parametrize("sensors", [("gyroscope",), ("accelerometer", "gyroscope"), thorough(("accelerometer",))])
 def test_a_sensor_that_stops_and_returns(sensors):
     """For 20 s: the status tells it of one that the other outlives, and the walk is found again."""
     truth = walk("figure_eight")[1]
@@ -104,8 +110,9 @@ def test_a_sensor_that_stops_and_returns(sensors):
     assert error(track, truth) < 3.0
 
 
-@pytest.mark.parametrize("fixes_too", [True, False])
-@pytest.mark.parametrize("seconds", [-JUMP, JUMP])
+@pytest.mark.parametrize(
+    ("seconds", "fixes_too"), [(-JUMP, True), (JUMP, False), thorough(-JUMP, False), thorough(JUMP, True)]
+)
 def test_a_clock_that_jumps(seconds, fixes_too):
     """By an hour: put back, the walk goes on as if nothing had been; ahead, after a gap of an hour."""
     pushed_events = [
@@ -171,23 +178,23 @@ ABSURD = {
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of what overflows, and is thrown away
-@pytest.mark.parametrize("name", ABSURD)
-def test_an_absurd_fix_among_good_ones_changes_nothing(name):
-    """As the first and in the middle of the walk."""
-    all_events = events()
+@pytest.mark.parametrize("names", [[*ABSURD], *(thorough([name]) for name in ABSURD)], ids=str)
+def test_absurd_fixes_among_good_ones_change_nothing(names):
+    """All of them, or one alone, as the first and in the middle of the walk."""
+    fixes, all_events = [ABSURD[name] for name in names], events()
     middle = len(all_events) // 2
-    track = checked([ABSURD[name], *all_events[:middle], ABSURD[name], *all_events[middle:]])[2]
+    track = checked([*fixes, *all_events[:middle], *fixes, *all_events[middle:]])[2]
     assert error(track, walk("figure_eight")[1]) < 1.5
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("sigma", [1e300, 1e-300])
+@pytest.mark.parametrize("sigma", [1e-300, thorough(1e300)])
 def test_an_absurd_fix_alone_is_no_reason_to_stop(sigma):
     samples = [event for event in events("arcade") if isinstance(event, Samples)]
     checked([one_fix(60.0, (40.0, 7.0), sigma), *samples], lag=30.0)
 
 
-@pytest.mark.parametrize("place", [(1e300, 1e300), (1e3, 1e3), (139.0, 95.0)])
+@pytest.mark.parametrize("place", [(1e300, 1e300), thorough((1e3, 1e3)), thorough((139.0, 95.0))])
 def test_an_absurd_first_fix_on_earth_does_not_define_the_frame(place):
     """Nor is it an exception, in a projection that has no such place."""
     samples = [event for event in events() if isinstance(event, Samples) and when(event) < 45]
@@ -256,6 +263,7 @@ def test_gaps_are_no_milliseconds():
     assert not any("seem to have" in issue for issue in nav.status.issues)
 
 
+@pytest.mark.thorough
 @settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.randoms(use_true_random=False), st.integers(1, 200))
 def test_any_order_of_events(random, reach):
@@ -265,7 +273,7 @@ def test_any_order_of_events(random, reach):
     checked([early_events[n] for n in shuffled])
 
 
-@pytest.mark.parametrize("floor", [None, "loop"])
+@pytest.mark.parametrize("floor", ["loop", thorough(None)])
 def test_questions_between_events_change_nothing(floor):
     """A walk is a function of its events, whether its pose, status and path are asked for or not."""
     plan = None if floor is None else FloorPlan.load(Path(__file__).parents[2] / "maps" / f"{floor}.geojson")

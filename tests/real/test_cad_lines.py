@@ -48,6 +48,7 @@ def test_spaces_without_a_door_are_reported(plan):
     assert "cells that cannot be reached from the rest" in line
 
 
+@pytest.mark.thorough
 def test_the_walk_is_found_on_the_lines_without_any_position(folder, tmp_path):
     """The published walk, by plan and steps alone: start and end to 1.5 m, and no wall between."""
     options = Options(plan=folder / "cad_lines.csv", scale=SCALE)

@@ -83,9 +83,9 @@ def test_up_and_down_the_same_stairs_is_as_high(data):
 @pytest.mark.parametrize(
     ("pattern", "start"),
     [
-        ("ipin2023_track3/*Trial01*.txt", "0"),
-        ("ipin2023_track3/*Trial24*.txt", "-2"),
-        ("nju_phyphox_outdoor", "1"),
+        pytest.param("ipin2023_track3/*Trial01*.txt", "0", marks=pytest.mark.thorough),
+        pytest.param("ipin2023_track3/*Trial24*.txt", "-2", marks=pytest.mark.thorough),
+        pytest.param("nju_phyphox_outdoor", "1", marks=pytest.mark.thorough),
         ("ipin21_hcu/eight", "4"),
     ],
 )

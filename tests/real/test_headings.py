@@ -52,6 +52,7 @@ def errors(path, headings, place=None):
     return np.array(found), sigma
 
 
+@pytest.mark.thorough
 def test_headings_of_whole_recordings_are_right_or_missing(data):
     """Hand-held walks with truth or GNSS: the walking direction is within three sigmas, 8° in the median."""
     found = []
@@ -64,6 +65,7 @@ def test_headings_of_whole_recordings_are_right_or_missing(data):
     assert np.degrees(np.median(np.abs(error))) < 9
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pattern", ["ms_indoor20/site1/*/*.txt", "ms_indoor20/site2/*/*.txt"])
 def test_live_headings_of_a_phone_in_the_hand_are_right_or_missing(data, pattern):
     """Compasses of these phones err by 17 to 21° (5–95 %) over many more walks: 30° and three sigmas are none's."""
@@ -75,7 +77,10 @@ def test_live_headings_of_a_phone_in_the_hand_are_right_or_missing(data, pattern
     assert walks >= 2
 
 
-@pytest.mark.parametrize("trial", ["Trial01", "Trial24", "Trial52"])
+OTHERS = [pytest.param(trial, marks=pytest.mark.thorough) for trial in ("Trial24", "Trial52")]
+
+
+@pytest.mark.parametrize("trial", ["Trial01", *OTHERS])
 def test_live_headings_in_a_museum_are_right_or_unsure(data, trial):
     """Trial52's stairs mislead what gait says is ahead; offline too."""
     (path,) = data.glob(f"ipin2023_track3/*{trial}*.txt")

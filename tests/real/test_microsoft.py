@@ -66,7 +66,7 @@ def test_waypoints_lie_where_one_can_walk(walks):
     assert inside / total > 0.97
 
 
-@pytest.mark.parametrize("with_map", [False, True])
+@pytest.mark.parametrize("with_map", [True, pytest.param(False, marks=pytest.mark.thorough)])
 def test_smoothing_beats_straight_lines_between_the_waypoints_given(walks, with_map):
     """Every second waypoint given: the others, where straight lines miss them by 1.6 m in the median, within 1.2 m."""
     errors, straight = [], []

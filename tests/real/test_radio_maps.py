@@ -11,6 +11,8 @@ from pdr_graph.io.loading import load
 from pdr_graph.priors import SCANS
 from pdr_graph.types import Fixes
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def floor(data):

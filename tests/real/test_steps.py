@@ -79,7 +79,13 @@ def headings(steps):
 
 @pytest.mark.parametrize(
     "pattern",
-    ["ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt", "ipin21_hcu/eight"],
+    [
+        "ipin21_hcu/eight",
+        *(
+            pytest.param(pattern, marks=pytest.mark.thorough)
+            for pattern in ("ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt")
+        ),
+    ],
 )
 def test_live_steps_are_those_of_the_whole_recording(data, pattern):
     """A step more or less, for the samples lie elsewhere between those of the phone; headings within 5°.
