@@ -26,16 +26,6 @@ def streets(seed):
     return shapely.affinity.rotate(turned, random.uniform(0, 90), origin=(0, 0))
 
 
-def test_the_network_of_the_loop_is_the_drawn_one():
-    network = FloorPlan.load(MAPS / "loop.geojson").network
-    assert len(network.nodes) == len(network) == 4
-    middle = np.array([(W / 2, W / 2), (X - W / 2, W / 2), (X - W / 2, Y - W / 2), (W / 2, Y - W / 2)])
-    for node, corners in zip(network.nodes, network.corners, strict=True):
-        nearest = middle[np.argmin(np.hypot(*(middle - node).T))]
-        assert node == pytest.approx(nearest, abs=0.01)
-        assert np.hypot(*(corners - node).T) == pytest.approx(np.full(4, W / np.sqrt(2)), abs=0.01)
-
-
 def test_the_derived_network_of_the_loop_equals_the_drawn_one():
     """Within 0.1 m, as the medial axis is sampled."""
     drawn = FloorPlan.load(MAPS / "loop.geojson").network

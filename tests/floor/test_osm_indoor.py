@@ -132,6 +132,11 @@ def test_rooms_corridors_stairs_and_lifts_have_their_levels(tmp_path):
     assert [(c.kind, c.floors) for c in building.connections] == [("stairs", (0, 1)), ("lift", (0, 1))]
     assert "1 feature without indoor tags were left out" in building.floors[0].notes
     assert problems(building) == (), "the entrance is no door to nowhere"
+    building = loaded(tmp_path, (shapely.Point(0, 2), {"door": "yes", "level": "0"}))
+    assert "doors that join fewer than two" in "".join(problems(building)), "another door is"
+    building = loaded(tmp_path, (box(0, 0, 20, 10), {"indoor": "level", "min_level": "0", "max_level": "1"}))
+    assert [len(floor.of_kind("floor")) for floor in building.floors] == [1, 1], "an outline has both levels"
+    assert problems(building) == ()
 
 
 def test_the_xml_and_both_forms_of_geojson_give_the_same_building_in_any_order(tmp_path):
@@ -157,11 +162,6 @@ def test_doors_open_walls(tmp_path, claim):
     level, start, end, wall = DOORS[claim]
     kiosk = (box(0, -5, 10, 0), {"indoor": "room", "level": "0", "name": "Kiosk"})
     assert crosses(loaded(tmp_path, kiosk), level, start, end) == wall
-
-
-def test_a_door_to_nowhere_is_a_problem(tmp_path):
-    building = loaded(tmp_path, (shapely.Point(0, 2), {"door": "yes", "level": "0"}))
-    assert "doors that join fewer than two" in "".join(problems(building))
 
 
 @pytest.mark.parametrize(
@@ -206,12 +206,6 @@ def test_levels_are_floors(tmp_path, claim):
     building = loaded(tmp_path, (HALL, {"indoor": "corridor"} | tags), HOTEL)
     assert building.labels == tuple(heights)
     assert building.heights == pytest.approx([*heights.values()])
-
-
-def test_outlines_have_the_levels_between_the_lowest_and_the_highest(tmp_path):
-    building = loaded(tmp_path, (box(0, 0, 20, 10), {"indoor": "level", "min_level": "0", "max_level": "1"}))
-    assert [len(floor.of_kind("floor")) for floor in building.floors] == [1, 1]
-    assert problems(building) == ()
 
 
 def test_steps_drawn_as_a_line_and_lifts_drawn_as_a_point_have_an_area(tmp_path):

@@ -57,29 +57,23 @@ def test_weather_and_gusts_are_not_climbs(rate, noise, weather):
         assert not len(climbs(signal))
 
 
-def test_an_hour_of_weather_between_two_climbs_is_not_counted():
-    up_and_down = ((0, 0), (60, 0), (74, 3.6), (3600, 3.6), (3614, 0), (3700, 0))
-    found = climbs(barometer(*up_and_down, weather=1.0))
-    assert found.height == pytest.approx([3.6 * WARMER, -3.6 * WARMER], abs=0.3)
+LANDING = ((0, 0), (60, 0), (67, 1.8), (90, 1.8), (97, 3.6), (160, 3.6))
+HOUR = ((0, 0), (60, 0), (74, 3.6), (3600, 3.6), (3614, 0), (3700, 0))
+CLIMBS = {  # corners, disturbances, heights [m] and how well they are known [m]
+    "an hour of weather between two climbs is not counted": (HOUR, {"weather": 1.0}, [3.6, -3.6], 0.3),
+    "a gust on the stairs does not split the climb": (STAIRS, {"gusts": (66,)}, [3.6], 0.5),
+    "a gust at the beginning is not a climb": (FLAT, {"gusts": (0.0,)}, [], 0.0),
+    "nor is one at the end": (FLAT, {"gusts": (598.0,)}, [], 0.0),
+    "a stop on the landing makes two climbs": (LANDING, {}, [1.8, 1.8], 0.3),
+    "a phone taken from a pocket is not a climb": (((0, 0), (60, 0), (61, 0.6), (140, 0.6)), {}, [], 0.0),
+}
 
 
-def test_a_gust_on_the_stairs_does_not_split_the_climb():
-    (height,) = climbs(barometer(*STAIRS, gusts=(66,))).height
-    assert height == pytest.approx(3.6 * WARMER, abs=0.5)
-
-
-@pytest.mark.parametrize("at", [0.0, 598.0])
-def test_a_gust_at_either_end_of_a_recording_is_not_a_climb(at):
-    assert not len(climbs(barometer(*FLAT, gusts=(at,))))
-
-
-def test_a_stop_on_the_landing_makes_two_climbs():
-    found = climbs(barometer((0, 0), (60, 0), (67, 1.8), (90, 1.8), (97, 3.6), (160, 3.6)))
-    assert found.height == pytest.approx([1.8 * WARMER, 1.8 * WARMER], abs=0.3)
-
-
-def test_a_phone_taken_from_a_pocket_is_not_a_climb():
-    assert not len(climbs(barometer((0, 0), (60, 0), (61, 0.6), (140, 0.6))))
+@pytest.mark.parametrize("claim", CLIMBS)
+def test_climbs_and_nothing_else_are_found(claim):
+    corners, disturbed, heights, within = CLIMBS[claim]
+    found = climbs(barometer(*corners, **disturbed)).height
+    assert found == pytest.approx(WARMER * np.array(heights), abs=within)
 
 
 def test_a_gap_in_the_barometer_hides_no_climb():
