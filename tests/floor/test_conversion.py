@@ -117,6 +117,7 @@ def test_the_command_writes_plan_and_picture_and_checks(lines, tmp_path):
     assert "no problems found" in done.output
     assert (tmp_path / "plan.png").stat().st_size > 5000
     assert run("show", lines, "--scale", "0.5", "--out", tmp_path / "b.png").exit_code == 0
+    assert "\\b" not in run("convert", "--help").output, "no escapes"
 
 
 def test_the_command_ends_with_3_if_a_room_is_sealed(tmp_path):

@@ -3,11 +3,11 @@
 import json
 import re
 import zipfile
+from pathlib import Path
 
 import pytest
 import shapely
 from mutations import PLAN_SCALES, inputs
-from plans import MAPS
 from refusals import refused
 
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
@@ -93,15 +93,15 @@ def test_a_file_without_a_plan_is_refused(tmp_path, text):
         refused(Building.load, tmp_path / name, "found|expected")
 
 
-def test_a_changed_file_changes_the_fingerprint_and_others_do_not(tmp_path):
-    """Whether the plan is named by its folder or by one of its files."""
-    folder = tmp_path / "archive"
-    folder.mkdir()
-    for member, text in FORMATS["imdf archive"][1].items():
-        (folder / member).write_text(text)
-    before = plan_fingerprint(folder)
-    (folder / "notes.txt").write_text("not a plan")
-    assert plan_fingerprint(folder) == plan_fingerprint(folder / "level.geojson") == before
-    (folder / "opening.geojson").write_text('{"type": "FeatureCollection", "features": []}')
-    assert plan_fingerprint(folder) != before
-    assert plan_fingerprint(MAPS / "mall.geojson") != plan_fingerprint(MAPS / "office.geojson")
+@pytest.mark.parametrize("name", ["imdf archive", "a file per floor"])
+def test_a_changed_file_changes_the_fingerprint_and_others_do_not(tmp_path, name):
+    for member, text in FORMATS[name][1].items():
+        (tmp_path / Path(member).name).write_text(text)
+    before = plan_fingerprint(tmp_path)
+    (tmp_path / "notes.txt").write_text("not a plan")
+    assert plan_fingerprint(tmp_path) == before
+    if name == "imdf archive":
+        assert plan_fingerprint(tmp_path / "level.geojson") == before, "one of its files stands for the archive"
+    changed_file = next(path for path in sorted(tmp_path.iterdir()) if '"features"' in path.read_text())
+    changed_file.write_text('{"type": "FeatureCollection", "features": []}')
+    assert plan_fingerprint(tmp_path) != before

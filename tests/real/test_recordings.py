@@ -13,7 +13,7 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.io.validation import RADIUS_68
-from pdr_graph.types import LONLAT
+from pdr_graph.types import LONLAT, Fixes
 
 UTM_32 = 32632
 
@@ -156,3 +156,29 @@ def test_nju_walks_on_through_a_minute_without_gps(data):
     track = smooth(WalkGraph(detect_steps(walk), fixes[~withheld])).trajectory
     at = interpolate(fixes.time[withheld], track.time, track.position)
     assert np.median(np.hypot(*(at - fixes.position[withheld]).T)) < 3.2
+
+
+START_SIGMA = 0.3  # [m] of who stands on a marked place
+
+
+@pytest.fixture(scope="module")
+def eight(data):
+    """The plan, the truth in its frame, and the walk as the graph has it: one fix, no heading."""
+    folder = data / "ipin21_hcu"
+    plan, walk = FloorPlan.load(folder / "map" / "Plan4OG.geojson"), load(folder / "eight")
+    truth, steps = plan.frame.place(walk.truth), detect_steps(walk)
+    start = Fixes(np.array([steps.start]), truth.position[:1], np.array([START_SIGMA]), ("",))
+    return plan, truth, smooth(WalkGraph(steps, start, floor=plan))
+
+
+def test_half_of_the_steps_are_within_a_metre_and_none_is_in_a_wrong_corridor(eight):
+    """Corridors are 3 m wide: one cell all round the eight, and beside it 205 rooms behind walls of 12 cm."""
+    plan, truth, estimate = eight
+    error, position = circular_error(pair(estimate.trajectory, truth)), estimate.trajectory.position
+    assert np.median(error) <= 1.0
+    assert error.max() < 3.0
+    assert not plan.crosses_wall(position[:-1], position[1:]).any()
+    walked = set(plan.cells.at(truth.position).tolist())
+    assert {plan.cells.cells[c].kind for c in walked} == {"corridor"}
+    assert set(plan.cells.at(position).tolist()) == walked
+    assert len(plan.regions) > 200
