@@ -1,5 +1,7 @@
 """The step detector finds every step once, and no steps in other motion."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -78,13 +80,19 @@ def test_the_orientation_of_the_phone_does_not_matter(angles):
     assert turned.time == pytest.approx(walking_steps(t, a).time)
 
 
+@cache
+def browsing():
+    """The accelerometer of a walk with two stops, the last leg of which is browsing."""
+    browse = {"to": [[25, 20]], "manner": "browse"}
+    route = [[0, 0], {"stand": 3}, {"to": [[25, 0]]}, {"stand": 4}, browse, {"stand": 3}]
+    return simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}})).signals["accelerometer"]
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.lists(st.integers(1, 400), min_size=1), st.sampled_from([0.0, 0.5, 2.0]))
 def test_live_steps_equal_those_of_the_whole_recording(chunks, look_ahead):
     """With samples one by one, in packets or all at once."""
-    browse = {"to": [[25, 20]], "manner": "browse"}
-    route = [[0, 0], {"stand": 3}, {"to": [[25, 0]]}, {"stand": 4}, browse, {"stand": 3}]
-    a = simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}})).signals["accelerometer"]
+    a = browsing()
     whole = walking_steps(a.time, a.values, look_ahead)
     detector = StepDetector(float(a.time[-1] - a.time[0]) / (len(a) - 1), float(a.time[0]), look_ahead)
     ends = np.cumsum(np.resize(chunks, len(a)))

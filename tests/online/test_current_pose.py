@@ -175,6 +175,7 @@ def test_the_first_pose_comes_with_the_first_fix():
 AROUND = ((0.0, 0.0), (30.0, 0.0), (30.0, 20.0), (0.0, 20.0))
 
 
+@pytest.mark.thorough
 def test_one_wild_fix_moves_the_pose_by_less_than_two_metres():
     """A fix 40 m off, and the next good one is 15 s away; one that states a sigma of 10 m is the control."""
     walk, truth = recorded(AROUND)
@@ -227,6 +228,7 @@ def test_results_do_not_depend_on_the_timing(walked):
     assert [row(pose) for pose in reviewed if pose is not None] == plain
 
 
+@pytest.mark.thorough
 def test_standing_still_the_pose_stands():
     """For a minute, the phone in a hand: within 0.2 m; the walk before it, and the control moves."""
     route = [[0.0, 0.0], {"stand": 2}, {"to": [[15.0, 0.0], [15.0, 12.0]]}, {"stand": 62}]

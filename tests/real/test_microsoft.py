@@ -87,6 +87,7 @@ def test_smoothing_beats_straight_lines_between_the_waypoints_given(walks, with_
     assert np.percentile(errors, 95) < 2.6
 
 
+@pytest.mark.thorough
 def test_one_waypoint_a_compass_and_the_plan_find_the_walk(walks):
     """The first waypoint alone: half of the others within 2.5 m and nearly all in the right aisle; each third walk."""
     errors = []

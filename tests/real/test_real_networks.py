@@ -19,12 +19,14 @@ def floors(data):
     return {name: FloorPlan.load(data / "ms_indoor20" / name) for name in FLOORS}
 
 
+@pytest.mark.thorough
 def test_links_lie_where_one_can_walk(floors):
     for name, floor in floors.items():
         for line in floor.network.lines:
             assert not floor.crosses_wall(line[:-1], line[1:]).any(), name
 
 
+@pytest.mark.thorough
 def test_who_is_surveyed_walks_along_a_link(floors, data):
     """All within 5.5 m, 85 % within 3 m: aisles are up to 11 m wide, and a link is in the middle."""
     apart = [

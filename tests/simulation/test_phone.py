@@ -122,6 +122,7 @@ def test_a_sensor_has_its_range_and_resolution():
     assert np.abs(inside / 0.0024 - np.round(inside / 0.0024)).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_the_gyroscope_drifts_while_the_phone_warms_up():
     """Over a quarter of an hour the mean of a gyroscope at rest changes by more than its noise explains."""
     moved = []
