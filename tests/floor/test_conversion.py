@@ -145,7 +145,7 @@ def test_neither_the_input_nor_a_folder_is_written_over(tmp_path, monkeypatch, o
 
 def test_a_picture_is_not_drawn_over(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    drawn.picture(0.1, texts=False).save(tmp_path / "scan.png")
+    drawn.picture(0.1, texts=False).convert("RGBA").save(tmp_path / "scan.png")
     before = (tmp_path / "scan.png").read_bytes()
     assert run("convert", "scan.png", "--scale", 0.1).exit_code == 0
     assert (tmp_path / "scan.png").read_bytes() == before

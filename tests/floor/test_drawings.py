@@ -222,6 +222,7 @@ HOSTILE = {
     "nan.csv": (b"x1,y1,x2,y2\n0,0,1,nan\n0,0,1,1\n0,0,1,2\n", "line 2.*finite"),
     "short.csv": (b"x1,y1,x2,y2\n0,0,1,1\n0,0,1\n", "line 3.*expected at least 4 fields"),
     "open.csv": (b"x1,y1,x2,y2\n0,0,40,0\n0,20,40,20\n0,40,40,40\n", "enclose no building"),
+    "few.csv": (b"x1,y1,x2,y2\n0,0,1,1\n", "1 segment, expected the walls of a floor"),
     "a.dwg": (b"AC1032" + bytes(100), "saved as DXF"),
 }
 

@@ -93,7 +93,7 @@ def test_a_file_without_a_plan_is_refused(tmp_path, text):
         refused(Building.load, tmp_path / name, "found|expected")
 
 
-@pytest.mark.parametrize("name", ["imdf archive", "a file per floor"])
+@pytest.mark.parametrize("name", ["imdf archive", "a file per floor", "microsoft"])
 def test_a_changed_file_changes_the_fingerprint_and_others_do_not(tmp_path, name):
     for member, text in FORMATS[name][1].items():
         (tmp_path / Path(member).name).write_text(text)

@@ -68,6 +68,7 @@ def replaced(old, new):
         (replaced("9.81", "inf"), "line 7"),
         (replaced("9.81", "9,81"), "line 7"),
         (replaced("\t9.81\t3", ""), "line 7"),
+        ([*lines()[:2], *reversed(lines()[2:-1]), lines()[-1]], "time order"),
         ([line for line in lines() if "ACC" not in line and "GYR" not in line], "no accelerometer and no gyroscope"),
     ],
 )
