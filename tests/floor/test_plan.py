@@ -185,6 +185,7 @@ def test_thousands_of_floors_are_refused(tmp_path):
         Building.load(corridors(tmp_path / "p.geojson", [box(0, 0)] * 501, floors=floors))
 
 
+@pytest.mark.thorough
 def test_tens_of_thousands_of_features_or_holes_are_refused(tmp_path):
     """10⁵ of either took more than a minute."""
     with pytest.raises(InputError, match="found 50001 features, expected at most 50000"):

@@ -88,6 +88,7 @@ def browsing():
     return simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}})).signals["accelerometer"]
 
 
+@pytest.mark.thorough
 @settings(max_examples=10, deadline=None)
 @given(st.lists(st.integers(1, 400), min_size=1), st.sampled_from([0.0, 0.5, 2.0]))
 def test_live_steps_equal_those_of_the_whole_recording(chunks, look_ahead):

@@ -26,11 +26,13 @@ def without_outliers():
     return [walked(seed, gnss={"outliers": 0}) for seed in range(25)]
 
 
+@pytest.mark.thorough
 def test_68_percent_of_gnss_fixes_are_within_their_accuracy(without_outliers):
     inside = np.concatenate([np.hypot(*error(w).T) < w.gnss.accuracy for w in without_outliers])
     assert inside.mean() == pytest.approx(0.68, abs=0.06)
 
 
+@pytest.mark.thorough
 def test_gnss_errors_are_correlated_for_tens_of_seconds(without_outliers):
     errors = [error(walk) for walk in without_outliers]
     kept = [np.corrcoef(e[:-10].ravel(), e[10:].ravel())[0, 1] for e in errors]
