@@ -63,8 +63,7 @@ def test_without_a_magnetometer_the_direction_stays_open_and_is_said_to():
     assert len(navigated(blind)[0].modes) > 6
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("radio", ["wifi", "bluetooth"])
+@pytest.mark.parametrize("radio", ["wifi", pytest.param("bluetooth", marks=pytest.mark.thorough)])
 def test_access_points_with_the_addresses_of_beacons_are_no_beacons(radio):
     """Their levels led the walk 60 m astray; as advertisements they count."""
     _, beacons, events, _ = mall()
