@@ -1,12 +1,13 @@
 """Plans in any format become our GeoJSON, in longitude and latitude or in metres along the drawing's own axes."""
 
 import json
-from pathlib import Path
+import shutil
 
 import drawn_plans as drawn
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS
 from typer.testing import CliRunner
 
 from pdr_graph import InputError
@@ -14,8 +15,6 @@ from pdr_graph.apps.cli import app
 from pdr_graph.floor.formats.conversion import TiePoints, convert, scale_of_two_points
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu
-
-MAPS = Path(__file__).resolve().parents[2] / "maps"
 
 
 @pytest.fixture
@@ -37,8 +36,12 @@ def place_of(x, y, turn=0.3, lat=49.45, lon=11.08):
     return f"{lat:.9f},{lon:.9f}"
 
 
-def tie_points(*corners, unit=0.5):
-    return " ".join(f"{x / unit},{y / unit}={place_of(x, y)}" for x, y in corners)
+def tie_points(*corners, unit=0.5, mirrored=False):
+    order = -1 if mirrored else 1
+    return " ".join("{},{}=".format(*(x / unit, y / unit)[::order]) + place_of(x, y) for x, y in corners)
+
+
+TWO, THREE = ((0, 0), (36, 0)), ((0, 0), (36, 0), (36, 14.4))
 
 
 def test_a_plan_without_georeference_is_written_and_read_in_metres(lines, tmp_path):
@@ -72,28 +75,25 @@ def test_two_points_georeference_and_scale_a_drawing(lines, tmp_path):
 
 
 def test_more_points_are_fitted_and_their_residual_is_noted(lines, tmp_path):
-    drawing = convert(lines, tmp_path / "a.geojson", 0.5, georeference=tie_points((0, 0), (36, 0), (36, 14.4)))
+    drawing = convert(lines, tmp_path / "a.geojson", 0.5, georeference=tie_points(*THREE))
     assert "georeferenced by 3 points: turned by 17.2°, residual 0.00 m" in drawing.notes
 
 
-def test_points_that_contradict_the_scale_are_refused(lines, tmp_path):
-    with pytest.raises(InputError, match=r"43.2 m apart in the plan and 36.0 m on Earth"):
-        convert(lines, tmp_path / "a.geojson", 0.6, georeference=tie_points((0, 0), (36, 0)))
+@pytest.mark.parametrize(
+    ("source", "arguments", "message"),
+    [
+        (None, {"scale": 0.6, "georeference": tie_points(*TWO)}, "43.2 m apart in the plan and 36.0 m on Earth"),
+        (None, {"scale": 0.5, "georeference": tie_points(*THREE, (0, 14.4), mirrored=True)}, "mirrored"),
+        (None, {"scale": 0.5, "two_points": "0,0 1,1 = 2"}, "one of both"),
+        ("arcade", {"georeference": tie_points(*TWO)}, "georeferenced by its format"),
+        ("two_floors", {"floor": "1"}, "a plan of one floor"),
+    ],
+    ids=["points against the scale", "mirrored points", "two scales", "two georeferences", "a label for two floors"],
+)
+def test_contradictory_options_are_refused_and_leave_no_file(lines, tmp_path, source, arguments, message):
+    with pytest.raises(InputError, match=message):
+        convert(MAPS / f"{source}.geojson" if source else lines, tmp_path / "a.geojson", **arguments)
     assert not (tmp_path / "a.geojson").exists()
-
-
-def test_mirrored_points_are_refused(lines, tmp_path):
-    points = tie_points((0, 0), (36, 0), (36, 14.4), (0, 14.4)).split()
-    mirrored = " ".join(
-        f"{p.split('=')[0].split(',')[1]},{p.split('=')[0].split(',')[0]}={p.split('=')[1]}" for p in points
-    )
-    with pytest.raises(InputError, match="mirrored"):
-        convert(lines, tmp_path / "a.geojson", 0.5, georeference=mirrored)
-
-
-def test_a_georeferenced_plan_needs_no_georeference(tmp_path):
-    with pytest.raises(InputError, match="georeferenced by its format"):
-        convert(MAPS / "arcade.geojson", tmp_path / "a.geojson", georeference=tie_points((0, 0), (36, 0)))
 
 
 @pytest.mark.parametrize("text", ["", "0,0=1,2", "0,0=1,2 0,0=1,2", "0,0=91,0 1,1=2,2", "0,0 1,1", "a,b=1,2 3,4=5,6"])
@@ -116,8 +116,8 @@ def test_the_command_writes_plan_and_picture_and_checks(lines, tmp_path):
     assert "metres along the drawing's own axes" in done.output
     assert "no problems found" in done.output
     assert (tmp_path / "plan.png").stat().st_size > 5000
-    assert run("check", tmp_path / "plan.geojson").exit_code == 0
     assert run("show", lines, "--scale", "0.5", "--out", tmp_path / "b.png").exit_code == 0
+    assert "\\b" not in run("convert", "--help").output, "no escapes"
 
 
 def test_the_command_ends_with_3_if_a_room_is_sealed(tmp_path):
@@ -128,9 +128,28 @@ def test_the_command_ends_with_3_if_a_room_is_sealed(tmp_path):
     assert "1 cells that cannot be reached from the rest: room at (7.5, 5.0)" in done.output
 
 
-def test_the_input_is_not_overwritten(lines):
-    with pytest.raises(InputError, match="another file"):
-        convert(lines, lines, 0.5)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "--out: found arcade.geojson, which is the input, expected another file"),
+        (("--out", "arcade.geojson"), "--out: found arcade.geojson, which is the input, expected another file"),
+        (("--out", "."), "--out: found ., which is a folder, expected a file to write"),
+    ],
+)
+def test_neither_the_input_nor_a_folder_is_written_over(tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(MAPS / "arcade.geojson", tmp_path)
+    assert str(run("convert", "arcade.geojson", *options).exception) == message
+    assert (tmp_path / "arcade.geojson").read_bytes() == (MAPS / "arcade.geojson").read_bytes()
+
+
+def test_a_picture_is_not_drawn_over(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    drawn.picture(0.1, texts=False).convert("RGBA").save(tmp_path / "scan.png")
+    before = (tmp_path / "scan.png").read_bytes()
+    assert run("convert", "scan.png", "--scale", 0.1).exit_code == 0
+    assert (tmp_path / "scan.png").read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"scan.png", "scan.geojson", "scan-plan.png"}
 
 
 def test_a_refused_plan_leaves_no_file(tmp_path):
@@ -152,22 +171,3 @@ def test_a_name_that_is_no_text_is_written_and_read_again(tmp_path):
     (tmp_path / "a.geojson").write_text(json.dumps(plan))
     convert(tmp_path / "a.geojson", tmp_path / "b.geojson")
     assert "caf\ud83d" in {area.name for area in Building.load(tmp_path / "b.geojson").floors[0].areas}
-
-
-def test_a_folder_is_no_target(lines, tmp_path):
-    with pytest.raises(InputError, match="a folder, expected a file"):
-        convert(lines, tmp_path, 0.5)
-
-
-def test_the_help_shows_no_escapes():
-    assert "\\b" not in run("convert", "--help").output
-
-
-def test_one_scale_is_stated_once(lines, tmp_path):
-    with pytest.raises(InputError, match="one of both"):
-        convert(lines, tmp_path / "a.geojson", 0.5, "0,0 1,1 = 2")
-
-
-def test_a_label_names_one_floor_only(tmp_path):
-    with pytest.raises(InputError, match="a plan of one floor"):
-        convert(MAPS / "two_floors.geojson", tmp_path / "a.geojson", floor="1")

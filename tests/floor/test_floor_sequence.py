@@ -46,12 +46,6 @@ def test_an_unknown_label_is_refused(office):
         FloorSequence.of(office, ["1", "3"])
 
 
-def test_every_piece_has_the_walls_of_its_floor(office):
-    floor_sequence = FloorSequence.of(office, ["1", "2"])
-    assert floor_sequence.field(0) is office["1"].distance
-    assert floor_sequence.field(1) is office["2"].distance
-
-
 def test_a_floor_change_lists_the_connections_between_its_floors(office):
     changes = FloorSequence.of(office, ["1", "1", "2", "2", "1"]).changes
     assert list(changes) == [2, 4]
@@ -88,11 +82,6 @@ def test_walls_of_another_floor_have_no_effect(office):
     fields, which, _ = FloorSequence.of(office, ["1"]).walls_along(place, np.ones(1, dtype=bool))
     assert which[0] != NOWHERE
     assert fields[which[0]].at(place)[0] > 0.3
-
-
-def test_near_is_false_far_from_every_floor(office):
-    floor_sequence = FloorSequence.of(office, ["1"])
-    assert floor_sequence.building.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]
 
 
 def test_a_cropped_plan_has_the_walls_of_the_whole():

@@ -13,12 +13,6 @@ from pdr_graph.floor.network import derive
 W, X, Y = 2.5, 45.0, 28.0  # [m] of maps/loop.geojson
 
 
-def parts(network):
-    i, j = network.links.T
-    n = len(network.nodes)
-    return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[0]
-
-
 def streets(seed):
     """Wide and narrow streets that cross a main street at right angles, with kiosks where there is room."""
     random = np.random.default_rng(seed)
@@ -30,16 +24,6 @@ def streets(seed):
     kiosks = [shapely.box(x, -0.5, x + 1.5, 0.5) for x in random.uniform(0, 78, 3)]
     turned = shapely.union_all([main, *across]) - shapely.union_all(kiosks)
     return shapely.affinity.rotate(turned, random.uniform(0, 90), origin=(0, 0))
-
-
-def test_the_network_of_the_loop_is_the_drawn_one():
-    network = FloorPlan.load(MAPS / "loop.geojson").network
-    assert len(network.nodes) == len(network) == 4
-    middle = np.array([(W / 2, W / 2), (X - W / 2, W / 2), (X - W / 2, Y - W / 2), (W / 2, Y - W / 2)])
-    for node, corners in zip(network.nodes, network.corners, strict=True):
-        nearest = middle[np.argmin(np.hypot(*(middle - node).T))]
-        assert node == pytest.approx(nearest, abs=0.01)
-        assert np.hypot(*(corners - node).T) == pytest.approx(np.full(4, W / np.sqrt(2)), abs=0.01)
 
 
 def test_the_derived_network_of_the_loop_equals_the_drawn_one():
@@ -67,16 +51,6 @@ def test_links_are_walkable_and_connected(seed):
     assert count == shapely.get_num_geometries(open_enough)
     for (i, j), line in zip(links, lines, strict=True):
         assert line[[0, -1]] == pytest.approx(nodes[[i, j]])
-
-
-@pytest.mark.parametrize("name", ["arcade", "figure_eight", "l_corridor", "loop", "mall", "office"])
-def test_no_link_of_our_maps_crosses_a_wall(name):
-    floor = FloorPlan.load(MAPS / f"{name}.geojson")
-    network = floor.network
-    assert len(network) > 0
-    assert parts(network) == 1
-    for line in network.lines:
-        assert not floor.crosses_wall(line[:-1], line[1:]).any()
 
 
 def test_a_crossing_of_two_corridors_has_the_corners_of_both():

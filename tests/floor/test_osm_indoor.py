@@ -6,8 +6,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 import shapely
+from refusals import refused
 
-from pdr_graph import InputError
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.formats.osm_indoor import levels_of
 from pdr_graph.floor.plan_files import Building
@@ -16,8 +16,7 @@ from pdr_graph.frames import enu
 FRAME = enu(45.0, 5.0)
 
 
-def box(x0, y0, x1, y1):
-    return shapely.box(x0, y0, x1, y1)
+box = shapely.box
 
 
 def mall():
@@ -127,52 +126,42 @@ def same(one, other):
 def test_rooms_corridors_stairs_and_lifts_have_their_levels(tmp_path):
     building = loaded(tmp_path)
     assert building.labels == ("0", "1")
-    assert [(a.kind, a.name) for a in building["0"].areas if a.name] == [
-        ("room", "Books"),
-        ("room", "Shoes"),
-        ("room", "Cinema"),
-    ]
+    rooms = [("room", name) for name in ("Books", "Shoes", "Cinema")]
+    assert [(a.kind, a.name) for a in building["0"].areas if a.name] == rooms
     assert [a.name for a in building["1"].of_kind("room")] == ["Cinema"]
     assert [(c.kind, c.floors) for c in building.connections] == [("stairs", (0, 1)), ("lift", (0, 1))]
     assert "1 feature without indoor tags were left out" in building.floors[0].notes
-
-
-def test_the_xml_and_both_forms_of_geojson_give_the_same_building(tmp_path):
-    flat = loaded(tmp_path)
-    same(flat, Building.load(as_xml(tmp_path / "mall.osm", mall())))
-    same(flat, Building.load(as_geojson(tmp_path / "nested.geojson", mall(), nested=True)))
-
-
-def test_a_door_node_opens_the_wall_that_it_lies_on(tmp_path):
-    building = loaded(tmp_path)
-    assert not crosses(building, "0", (4, 5), (4, 3))
-    assert crosses(building, "0", (6, 5), (6, 3)), "the wall beside the door"
-    assert crosses(building, "0", (9, 2), (11, 2)), "between the shops"
-
-
-def test_a_door_without_a_level_is_on_all_levels_of_its_walls(tmp_path):
-    building = loaded(tmp_path)
-    assert not crosses(building, "0", (4, 5), (4, 7))
-    assert not crosses(building, "1", (4, 5), (4, 7))
-
-
-def test_a_room_without_a_door_is_open_along_its_corridor(tmp_path):
-    building = loaded(tmp_path)
-    assert not crosses(building, "0", (15, 5), (15, 3))
-    assert crosses(building, "0", (15, 3), (15, -1)), "the outer wall"
+    assert problems(building) == (), "the entrance is no door to nowhere"
+    building = loaded(tmp_path, (shapely.Point(0, 2), {"door": "yes", "level": "0"}))
+    assert "doors that join fewer than two" in "".join(problems(building)), "another door is"
+    building = loaded(tmp_path, (box(0, 0, 20, 10), {"indoor": "level", "min_level": "0", "max_level": "1"}))
+    assert [len(floor.of_kind("floor")) for floor in building.floors] == [1, 1], "an outline has both levels"
     assert problems(building) == ()
 
 
-def test_a_shop_on_the_street_stays_closed_to_its_neighbours(tmp_path):
-    """It touches no corridor, and its door leads outside."""
-    building = loaded(tmp_path, (box(0, -5, 10, 0), {"indoor": "room", "level": "0", "name": "Kiosk"}))
-    assert crosses(building, "0", (5, 1), (5, -1))
+def test_the_xml_and_both_forms_of_geojson_give_the_same_building_in_any_order(tmp_path):
+    flat = loaded(tmp_path)
+    same(flat, Building.load(as_xml(tmp_path / "mall.osm", mall()[::-1])))
+    same(flat, Building.load(as_geojson(tmp_path / "nested.geojson", mall(), nested=True)))
 
 
-def test_an_entrance_is_no_door_to_nowhere(tmp_path):
-    assert problems(loaded(tmp_path)) == ()
-    tags = {"door": "yes", "level": "0"}
-    assert "doors that join fewer than two" in "".join(problems(loaded(tmp_path, (shapely.Point(0, 2), tags))))
+DOORS = {
+    "a door node opens the wall that it lies on": ("0", (4, 5), (4, 3), False),
+    "the wall beside the door stands": ("0", (6, 5), (6, 3), True),
+    "shops are closed to each other": ("0", (9, 2), (11, 2), True),
+    "a door without a level is on the lower level of its walls": ("0", (4, 5), (4, 7), False),
+    "and on the upper one": ("1", (4, 5), (4, 7), False),
+    "a room without a door is open along its corridor": ("0", (15, 5), (15, 3), False),
+    "but not through the outer wall": ("0", (15, 3), (15, -1), True),
+    "a shop that touches no corridor stays closed to its neighbours": ("0", (5, 1), (5, -1), True),
+}
+
+
+@pytest.mark.parametrize("claim", DOORS)
+def test_doors_open_walls(tmp_path, claim):
+    level, start, end, wall = DOORS[claim]
+    kiosk = (box(0, -5, 10, 0), {"indoor": "room", "level": "0", "name": "Kiosk"})
+    assert crosses(loaded(tmp_path, kiosk), level, start, end) == wall
 
 
 @pytest.mark.parametrize(
@@ -200,33 +189,23 @@ def test_other_levels_raise(text):
         levels_of(text)
 
 
-def test_a_level_that_does_not_exist_is_left_out_of_ranges_and_heights(tmp_path):
-    """The hotel has no 13th floor."""
-    hotel = [
-        (box(0, 0, 9, 9), {"indoor": "corridor", "level": "12-14"}),
-        (box(-1, -1, 10, 10), {"building": "hotel", "non_existent_levels": "13"}),
-    ]
-    building = Building.load(as_geojson(tmp_path / "hotel.geojson", hotel))
-    assert building.labels == ("12", "14")
-    assert building.heights == pytest.approx([0, 3.8])
+HALL = box(20, 4, 25, 6)
 
 
-def test_half_levels_are_half_a_storey_high(tmp_path):
-    building = loaded(tmp_path, (box(20, 4, 25, 6), {"indoor": "area", "level": "0.5"}))
-    assert building.labels == ("0", "0.5", "1")
-    assert building.heights == pytest.approx([0, 1.9, 3.8])
+HOTEL = (box(-1, -1, 30, 10), {"building": "hotel", "non_existent_levels": "2-11;13"})
+LEVELS = {
+    "half a level is half a storey high": ({"level": "0.5"}, {"0": 0, "0.5": 1.9, "1": 3.8}),
+    "a feature is repeated": ({"level": "0", "repeat_on": "14-15"}, {"0": 0, "1": 3.8, "14": 11.4, "15": 15.2}),
+    "some levels of a hotel do not exist": ({"level": "12-14"}, {"0": 0, "1": 3.8, "12": 7.6, "14": 11.4}),
+}
 
 
-def test_a_repeated_feature_is_on_all_its_levels(tmp_path):
-    building = loaded(tmp_path, (box(20, 4, 25, 6), {"indoor": "corridor", "level": "0", "repeat_on": "1-2"}))
-    assert building.labels == ("0", "1", "2")
-
-
-def test_outlines_have_the_levels_between_the_lowest_and_the_highest(tmp_path):
-    tags = {"indoor": "level", "min_level": "0", "max_level": "1"}
-    building = loaded(tmp_path, (box(0, 0, 20, 10), tags))
-    assert [len(floor.of_kind("floor")) for floor in building.floors] == [1, 1]
-    assert problems(building) == ()
+@pytest.mark.parametrize("claim", LEVELS)
+def test_levels_are_floors(tmp_path, claim):
+    tags, heights = LEVELS[claim]
+    building = loaded(tmp_path, (HALL, {"indoor": "corridor"} | tags), HOTEL)
+    assert building.labels == tuple(heights)
+    assert building.heights == pytest.approx([*heights.values()])
 
 
 def test_steps_drawn_as_a_line_and_lifts_drawn_as_a_point_have_an_area(tmp_path):
@@ -281,32 +260,23 @@ def test_a_wall_around_rooms_is_its_line_and_a_thick_wall_is_solid(tmp_path):
     assert not crosses(building, "0", (12, 5), (15, 5))
 
 
-def test_features_without_a_level_are_on_level_0(tmp_path):
-    building = loaded(tmp_path, (box(20, 4, 25, 6), {"indoor": "corridor"}))
-    assert "1 feature without a level: taken as level 0" in building.floors[0].notes
-    assert len(building["0"].of_kind("corridor")) == 2
-
-
-def test_unreadable_levels_are_noted(tmp_path):
-    building = loaded(tmp_path, (box(20, 4, 25, 6), {"indoor": "corridor", "level": "ground"}))
-    assert "1 feature with an unreadable level 'ground' left out" in building.floors[0].notes
-
-
-def test_the_order_of_elements_does_not_matter(tmp_path):
-    same(loaded(tmp_path), Building.load(as_xml(tmp_path / "reversed.osm", mall()[::-1])))
+@pytest.mark.parametrize(
+    ("tags", "halls", "note"),
+    [
+        ({}, 2, "1 feature without a level: taken as level 0"),
+        ({"level": "ground"}, 1, "1 feature with an unreadable level 'ground' left out"),
+    ],
+)
+def test_features_without_a_readable_level_are_noted(tmp_path, tags, halls, note):
+    building = loaded(tmp_path, (HALL, {"indoor": "corridor", **tags}))
+    assert note in building.floors[0].notes
+    assert len(building["0"].of_kind("corridor")) == halls
 
 
 def test_elements_that_an_editor_has_deleted_are_left_out(tmp_path):
     text = Xml(mall()).text().replace("<way id='-3'>", "<way id='-3' action='delete'>")
     (tmp_path / "mall.osm").write_text(text)
     assert [a.name for a in Building.load(tmp_path / "mall.osm")["0"].of_kind("room")] == ["Shoes", "Cinema"]
-
-
-def refused(path, message):
-    with pytest.raises(InputError, match=message) as refusal:
-        Building.load(path)
-    assert "\n" not in str(refusal.value)
-    assert str(path) in str(refusal.value)
 
 
 ENTITIES = "<!DOCTYPE osm [<!ENTITY a 'ha'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;'><!ENTITY c '&b;&b;&b;&b;'>]>"
@@ -318,34 +288,39 @@ OUTSIDE = "<!DOCTYPE osm [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>"
 def test_document_types_and_entities_are_refused(tmp_path, begin, encoding):
     text = Xml(mall()).text().replace("<osm ", begin + "<osm ", 1).replace("Books", "&a;").replace("UTF-8", encoding)
     (tmp_path / "mall.osm").write_bytes(text.encode(encoding))
-    refused(tmp_path / "mall.osm", "a document type definition")
+    refused(Building.load, tmp_path / "mall.osm", "a document type definition")
 
 
-def test_broken_xml_is_refused(tmp_path):
-    text = Xml(mall()).text()
-    for damaged, message in (
-        (text[:-200], "broken XML"),
-        ("<osm version='0.6'>" + "<way>" * 300 + "</way>" * 300 + "</osm>", "broken XML"),
-        (text.replace("lat='45", "lat='145"), "lat and lon in degrees"),
-        (text.replace("lat='45", "lat='x45"), "lat and lon in degrees"),
-        ("<osm></osm>", "no room, corridor or area"),
-        ("<gpx><!-- <osm --></gpx>", "an element 'gpx'"),
-    ):
-        (tmp_path / "mall.osm").write_text(damaged)
-        refused(tmp_path / "mall.osm", message)
+WHOLE = Xml(mall()).text()
+
+
+BROKEN = {
+    "cut": (WHOLE[:-200], "broken XML"),
+    "deep": ("<osm version='0.6'>" + "<way>" * 300 + "</way>" * 300 + "</osm>", "broken XML"),
+    "no latitude": (WHOLE.replace("lat='45", "lat='145"), "lat and lon in degrees"),
+    "no number": (WHOLE.replace("lat='45", "lat='x45"), "lat and lon in degrees"),
+    "empty": ("<osm></osm>", "no room, corridor or area"),
+    "no OpenStreetMap": ("<gpx><!-- <osm --></gpx>", "an element 'gpx'"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_xml_is_refused(tmp_path, name):
+    text, message = BROKEN[name]
+    (tmp_path / "mall.osm").write_text(text)
+    refused(Building.load, tmp_path / "mall.osm", message)
 
 
 def test_ways_without_their_nodes_are_noted(tmp_path):
-    text = Xml(mall()).text().replace("<nd ref='-1'/>", "<nd ref='99'/>").replace("<nd ref='-2'/>", "")
+    text = WHOLE.replace("<nd ref='-1'/>", "<nd ref='99'/>").replace("<nd ref='-2'/>", "")
     (tmp_path / "mall.osm").write_text(text.replace("<way id='-1'>", "<way id='-1'>" + "<nd ref='98'/>" * 3))
-    Building.load(tmp_path / "mall.osm")
+    notes = " ".join(Building.load(tmp_path / "mall.osm").floors[0].notes)
+    assert "2 rooms without an area left out" in notes
 
 
-def test_a_million_levels_are_refused(tmp_path):
-    """1200 rooms on 200 levels each."""
-    rooms = [(box(n, 0, n + 1, 1), {"indoor": "room", "level": "0-100", "repeat_on": "-99-0"}) for n in range(600)]
-    refused(as_geojson(tmp_path / "tower.geojson", rooms), "features on too many levels")
-
-
-def test_tags_without_rooms_are_refused(tmp_path):
-    refused(as_geojson(tmp_path / "doors.geojson", [(box(0, 0, 1, 1), {"indoor": "level"})]), "no room, corridor")
+def test_a_million_levels_and_no_rooms_at_all_are_refused(tmp_path):
+    tags = {"indoor": "room", "level": "0-100", "repeat_on": "-99-0"}  # on 200 levels each
+    tower = as_geojson(tmp_path / "tower.geojson", [(box(n, 0, n + 1, 1), tags) for n in range(600)])
+    refused(Building.load, tower, "features on too many levels")
+    nothing = as_geojson(tmp_path / "nothing.geojson", [(box(0, 0, 1, 1), {"indoor": "level"})])
+    refused(Building.load, nothing, "no room, corridor")

@@ -1,41 +1,33 @@
-"""Floor plans: where one can walk, distances to walls, crossings."""
+"""Floor plans: where one can walk, distances to walls, crossings, and what is too large."""
 
 import json
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import shapely
+from floor.geojson_plans import crosses, feature, written
+from refusals import refused
 from shapely import affinity
 
 from pdr_graph import FloorPlan, InputError
 from pdr_graph.floor.distance_field import OPEN_DISTANCE, DistanceField
-
-
-def lonlat_square(x0, y0, x1, y1):
-    """A rectangle in degrees, for a floor on which a degree is 100 km wide and high."""
-    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-    return [[120 + x / 1e5, 30 + y / 1e5] for x, y in corners]
-
-
-def feature(coordinates, **properties):
-    return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": coordinates}}
+from pdr_graph.floor.plan_files import Building
 
 
 @pytest.fixture
 def floor_folder(tmp_path):
-    """An outline of 40 × 20 m that a shop of 10 × 20 m divides."""
+    """Microsoft's: an outline of 40 × 20 m that a shop of 10 × 20 m divides; a degree is 100 km wide and high."""
+
+    def square(name, *corners):
+        box = shapely.box(*(origin + v / 1e5 for v, origin in zip(corners, (120, 30, 120, 30), strict=True)))
+        return {"type": "Feature", "properties": {"name": name}, "geometry": json.loads(shapely.to_geojson(box))}
+
+    nowhere = {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None}
+    features = [square("outline", 0, 0, 40, 20), square("shop", 15, 0, 25, 20), nowhere]
     folder = tmp_path / "F9"
     folder.mkdir()
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": "outline"},
-            "geometry": {"type": "MultiPolygon", "coordinates": [[lonlat_square(0, 0, 40, 20)]]},
-        },
-        feature([lonlat_square(15, 0, 25, 20)], name="shop"),
-        {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None},
-    ]
     (folder / "geojson_map.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     (folder / "floor_info.json").write_text(json.dumps({"map_info": {"width": 40.0, "height": 20.0}}))
     return folder
@@ -55,54 +47,25 @@ def test_crosses_wall_agrees_with_shapely_for_every_segment(floor_folder):
     a, b = random.uniform([-5, -5], [45, 25], (2, 300, 2))
     expected = [not plan.walkable.covers(shapely.LineString([p, q])) for p, q in zip(a, b, strict=True)]
     assert plan.crosses_wall(a, b).tolist() == expected
-    assert plan.crosses_wall(np.array([[2.0, 5.0]]), np.array([[12.0, 5.0]])).tolist() == [False]
+    assert not crosses(plan, (2, 5), (12, 5))
 
 
-@pytest.mark.parametrize(
-    ("damage", "complaint"),
-    [
-        (lambda f: (f / "geojson_map.json").write_text("{"), "JSON"),
-        (lambda f: (f / "geojson_map.json").write_text("[]"), "JSON object"),
-        (lambda f: (f / "geojson_map.json").write_text('{"type": "FeatureCollection", "features": []}'), "polygon"),
-        (lambda f: (f / "geojson_map.json").unlink(), "found a folder without geojson_map.json"),
-        (lambda f: (f / "floor_info.json").write_text('{"map_info": {"width": -1, "height": 2}}'), "positive"),
-        (lambda f: (f / "floor_info.json").write_text('{"map_info": 3}'), "positive"),
-    ],
-)
-def test_damaged_floors_are_refused_in_one_line(floor_folder, damage, complaint):
-    damage(floor_folder)
-    with pytest.raises(InputError, match=complaint) as refusal:
-        FloorPlan.load(floor_folder)
-    assert "\n" not in str(refusal.value)
+@pytest.mark.parametrize("info", ['{"map_info": {"width": -1, "height": 2}}', '{"map_info": 3}'])
+def test_a_floor_of_no_size_is_refused(floor_folder, info):
+    (floor_folder / "floor_info.json").write_text(info)
+    refused(FloorPlan.load, floor_folder, "positive")
 
 
 def test_own_geojson(tmp_path):
     """A corridor and a room joined by a door, with a gap between them that is the wall."""
-    rectangles = [("corridor", 0, 0, 20, 3), ("room", 5, 3.2, 12, 9), ("door", 8, 2.9, 9, 3.3), ("wall", 0, 0, 1, 3)]
-    features = [feature([lonlat_square(*r)], kind=kind) for kind, *r in rectangles]
-    path = tmp_path / "plan.geojson"
-    content = {"type": "FeatureCollection", "pdr_graph": {"origin": [120, 30], "floor": "2"}, "features": features}
-    path.write_text(json.dumps(content))
-    plan = FloorPlan.load(path)
+    hall, room, door = (0, 0, 20, 3), (5, 3.2, 12, 9), (8, 2.9, 9, 3.3)
+    features = [feature(kind, box) for kind, box in (("corridor", hall), ("room", room), ("door", door))]
+    plan = FloorPlan.load(written(tmp_path / "plan.geojson", *features, feature("wall", (0, 0, 1, 3)), floor="2"))
     assert plan.label == "2"
-    assert plan.frame.describe() == {"kind": "enu", "origin_lat": 30.0, "origin_lon": 120.0, "epsg": None}
-    # longitudes of a made-up 100 km degree are 96.5 km here: the areas are those of the drawing times both scales
-    door = np.array([[8.5, 1.0], [8.5, 5.0]]) * [0.965, 1.108]
-    beside = np.array([[11.0, 1.0], [11.0, 5.0]]) * [0.965, 1.108]
-    assert not plan.crosses_wall(door[:1], door[1:])[0]
-    assert plan.crosses_wall(beside[:1], beside[1:])[0]
-    content["features"][0]["properties"]["kind"] = "lake"
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"feature 0.*lake"):
-        FloorPlan.load(path)
-
-
-def test_a_plan_without_features_is_refused(tmp_path):
-    """An empty collection has no bounds."""
-    path = tmp_path / "plan.geojson"
-    path.write_text('{"type": "FeatureCollection", "features": []}')
-    with pytest.raises(InputError, match="found none with a geometry"):
-        FloorPlan.load(path)
+    assert plan.frame.describe() == {"kind": "enu", "origin_lat": 48.0, "origin_lon": 11.0, "epsg": None}
+    assert not crosses(plan, (8.5, 1), (8.5, 5))
+    assert crosses(plan, (11, 1), (11, 5))
+    refused(FloorPlan.load, written(tmp_path / "plan.geojson", feature("lake", hall)), "feature 0.*lake")
 
 
 def irregular_area():
@@ -113,16 +76,21 @@ def irregular_area():
     return hall.difference(shapely.box(1, 1, 3, 4))
 
 
-def test_distance_field_agrees_with_exact_distances():
-    """Bilinear on 0.25 m: 99 % of points within 0.06 m of shapely's distance, inside and outside."""
-    area = irregular_area()
-    points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    distance, _ = DistanceField(area).at(points)
-    error = np.abs(distance - exact)
+def signed(area, points):
+    """Distances of points ``(n, 2)`` from the walls, by shapely: negative where nobody can walk. [m]"""
+    distance = shapely.distance(area.boundary, shapely.points(points))
+    return np.where(shapely.contains_xy(area, *points.T), distance, -distance)
+
+
+def test_distances_agree_with_exact_ones():
+    """Bilinear on 0.25 m, approximate ones by half the diagonal of a pixel more, and exact ones without tiles."""
+    area, points = irregular_area(), np.random.default_rng(1).uniform(-18, 18, (3000, 2))
+    exact = signed(area, points)
+    error = np.abs(DistanceField(area).at(points)[0] - exact)
     assert np.percentile(error, 99) < 0.06
     assert error.max() < 0.18  # half a cell's diagonal: at corners, where distance has a ridge
+    assert np.percentile(np.abs(DistanceField(area).approximate(points.T) - exact), 99) < 0.1
+    assert DistanceField(area).exact(points[:300]) == pytest.approx(exact[:300], abs=0.01)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.3])
@@ -131,39 +99,10 @@ def test_distances_at_nodes_are_those_of_the_outline(turned):
     pillars = shapely.box(*np.array([(x, y, x + 0.25, y + 0.25) for x in range(1, 29) for y in range(1, 9)]).T)
     area = affinity.rotate(shapely.box(0, 0, 30, 10) - shapely.unary_union(pillars), turned, use_radians=True)
     x, y = (a.ravel() for a in np.meshgrid(np.arange(-2, 32, 0.25), np.arange(-2, 12, 0.25)))
-    exact = shapely.distance(area.boundary, shapely.points(x, y))
-    exact = np.where(shapely.contains_xy(area, x, y), exact, -exact)
-    found = DistanceField(area).at(np.stack([x, y], axis=1))[0]
-    assert found == pytest.approx(exact, abs=2e-3), "corners of pillars are arcs of chords"
-
-
-def test_approximate_distances_agree_with_exact_ones():
-    """99 % within 0.1 m: half the diagonal of a pixel, and the grid's own error."""
-    area = irregular_area()
-    points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    about = DistanceField(area).approximate(points.T)
-    assert np.percentile(np.abs(about - exact), 99) < 0.1
-
-
-def test_exact_distances_need_no_tiles():
-    area, points = irregular_area(), np.random.default_rng(2).uniform(-18, 18, (300, 2))
-    exact = shapely.distance(area.boundary, shapely.points(points))
-    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    assert DistanceField(area).exact(points) == pytest.approx(exact, abs=0.01)
-
-
-def test_tiles_of_others_make_no_difference():
-    """A user who computes few tiles at a time gets the same in a field that somebody else filled meanwhile."""
-    fresh, full = DistanceField(irregular_area()), DistanceField(irregular_area())
-    points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
-    everything = full.approximate(points)
-    mine, shared = fresh.no_tiles(), full.no_tiles()
-    for _ in range(5):
-        assert np.array_equal(fresh.approximate(points, 1, mine), full.approximate(points, 1, shared))
-    assert not np.array_equal(full.approximate(points, 1, shared), everything)
-    assert np.array_equal(full.approximate(points, 1), everything), "a control: without tiles of its own"
+    nodes = np.stack([x, y], axis=1)
+    assert DistanceField(area).at(nodes)[0] == pytest.approx(signed(area, nodes), abs=2e-3), (
+        "arcs at corners are chords"
+    )
 
 
 def test_threads_share_a_field():
@@ -211,3 +150,68 @@ def test_slits_between_shops_are_not_walkable():
     distance, _ = DistanceField(area).at(np.array([[10.0, 6.0], [10.0, 1.0]]))
     assert distance[0] < -3.5
     assert distance[1] == pytest.approx(1.0, abs=0.06)
+
+
+# Plans whose cost grows with the square of their parts are refused, and dense outlines cost no more
+
+
+def corridors(path, rings, floors=None):
+    """A plan of corridors with these outlines [m], on one floor or on one each."""
+    hall, features = feature("corridor", (0, 0, 1, 1)), []
+    for n, ring in enumerate(rings):
+        properties = hall["properties"] | ({"floor": floors[n]} if floors else {})
+        geometry = {"type": "Polygon", "coordinates": [ring]}
+        features.append(hall | {"properties": properties, "geometry": geometry})
+    path.write_text(json.dumps({"type": "FeatureCollection", "pdr_graph": {"frame": "local"}, "features": features}))
+    return path
+
+
+def box(x, y, width=2.0, height=2.0):
+    return [[x, y], [x + width, y], [x + width, y + height], [x, y + height], [x, y]]
+
+
+def test_hundreds_of_areas_on_one_place_are_refused(tmp_path):
+    """Every pair of them could have a passage: 10 000 took ten gigabytes."""
+    with pytest.raises(InputError, match="1000 areas, each of which touches more than 40 others"):
+        FloorPlan.load(corridors(tmp_path / "p.geojson", [box(0, 0)] * 1000))
+    side = [box(2 * (n % 40), 2 * (n // 40)) for n in range(1600)]
+    assert FloorPlan.load(corridors(tmp_path / "p.geojson", side)).walkable_area == pytest.approx(6400, rel=1e-3)
+
+
+def test_thousands_of_floors_are_refused(tmp_path):
+    floors = [str(n) for n in range(501)]
+    assert len(Building.load(corridors(tmp_path / "p.geojson", [box(0, 0)] * 500, floors=floors)).floors) == 500
+    with pytest.raises(InputError, match="found 501 floors, expected 1 to 500"):
+        Building.load(corridors(tmp_path / "p.geojson", [box(0, 0)] * 501, floors=floors))
+
+
+@pytest.mark.thorough
+def test_tens_of_thousands_of_features_or_holes_are_refused(tmp_path):
+    """10⁵ of either took more than a minute."""
+    with pytest.raises(InputError, match="found 50001 features, expected at most 50000"):
+        FloorPlan.load(corridors(tmp_path / "p.geojson", [box(0, 0)] * 50_001))
+    holes = [box(2 * (n % 200) + 0.5, 2 * (n // 200) + 0.5, 1, 1) for n in range(20_001)]
+    path = corridors(tmp_path / "p.geojson", [box(0, 0, 400, 400)])
+    value = json.loads(path.read_text())
+    value["features"][0]["geometry"]["coordinates"] += holes
+    path.write_text(json.dumps(value))
+    with pytest.raises(InputError, match="feature 0: found 20001 holes, expected at most 20000"):
+        FloorPlan.load(path)
+
+
+def test_a_scribble_is_refused_and_an_outline_that_crosses_itself_once_is_repaired(tmp_path):
+    corners = np.random.default_rng(0).uniform(0, 50, (500, 2)).round(3).tolist()
+    with pytest.raises(InputError, match="feature 0: found an outline of 500 sides that cross one another"):
+        FloorPlan.load(corridors(tmp_path / "p.geojson", [[*corners, corners[0]]]))
+    bow = [[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]]
+    assert "crosses itself" in FloorPlan.load(corridors(tmp_path / "p.geojson", [bow])).repairs[0]
+
+
+def test_an_outline_of_a_hundred_thousand_corners_costs_what_its_shape_costs():
+    """Each tile of distances looks at the walls near it: 10⁵ of them, some millimetres long, took minutes."""
+    circle = shapely.Point(0, 0).buffer(50, quad_segs=25_000)
+    begin = time.perf_counter()
+    fine, coarse = DistanceField(circle), DistanceField(shapely.Point(0, 0).buffer(50, quad_segs=100))
+    points = np.random.default_rng(0).uniform(-40, 40, (300, 2))
+    assert fine.at(points)[0] == pytest.approx(coarse.at(points)[0], abs=0.02)
+    assert time.perf_counter() - begin < 10

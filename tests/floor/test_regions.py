@@ -38,12 +38,20 @@ def test_a_plan_without_cells_is_one_region():
     assert floor.regions.along(track((1, 1), (20, 1)))[0].tolist() == [0] * 76
 
 
-def test_a_walk_through_a_door_has_the_cost_of_a_door(regions):
-    region, price = regions.along(track((1, 1.5), (4.5, 1.5), (4.5, 6)))
-    assert region[0] == HALLS_REGION
-    assert region[-1] == A
+WALKS = {
+    "through a door": ([(1, 1.5), (4.5, 1.5), (4.5, 6)], HALLS_REGION, A, REGIONS.door_cost),
+    "through the wall of a room without a door": ([(15, 1.5), (15, 8)], HALLS_REGION, B, REGIONS.wall_cost),
+    "from a room with a door into one without": ([(4.5, 6), (18, 6)], A, B, REGIONS.wall_cost),
+}
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_a_change_of_region_has_the_cost_of_what_is_between(regions, name):
+    corners, begin, end, cost = WALKS[name]
+    region, price = regions.along(track(*corners))
+    assert (region[0], region[-1]) == (begin, end)
     assert np.count_nonzero(np.diff(region)) == 1
-    assert price == pytest.approx(REGIONS.door_cost)
+    assert price == pytest.approx(cost)
 
 
 def test_one_step_into_a_room_does_not_change_the_region(regions):
@@ -53,18 +61,6 @@ def test_one_step_into_a_room_does_not_change_the_region(regions):
     region, price = regions.along(strays)
     assert set(region) == {HALLS_REGION}
     assert price == 0
-
-
-def test_a_walk_deep_into_a_room_without_a_door_has_the_cost_of_a_wall(regions):
-    region, price = regions.along(track((15, 1.5), (15, 8)))
-    assert (region[0], region[-1]) == (HALLS_REGION, B)
-    assert price == pytest.approx(REGIONS.wall_cost)
-
-
-def test_the_door_of_one_room_does_not_join_two_rooms(regions):
-    """Between the room with a door and the one without is only a wall."""
-    _, price = regions.along(track((4.5, 6), (18, 6)))
-    assert price == pytest.approx(REGIONS.wall_cost)
 
 
 def test_a_walk_far_from_all_regions_is_in_none_at_low_cost(regions):

@@ -72,6 +72,19 @@ def test_iron_is_unreliable_after_rotation_about_one_axis():
     assert iron.hard[:2] == pytest.approx(HARD[:2], abs=3.0)
 
 
+def test_iterations_of_a_fit_of_iron_converge():
+    """For a phone turned all ways in 50 µT with hard iron of 20 and −30 µT, and for one that was hardly turned."""
+    random = np.random.default_rng(1)
+    for spread, reliable in ((3.0, True), (0.3, False)):
+        way = random.normal([0, 0, 1], spread, (500, 3))
+        field = 50 * way / np.linalg.norm(way, axis=1, keepdims=True) + [20, 0, -30] + random.normal(0, 0.5, (500, 3))
+        fit, rounds = fit_iron(field, 50.0), None
+        for _ in range(10):
+            rounds = fit_iron(field, 50.0, rounds, 3)
+        assert rounds.hard == pytest.approx(fit.hard, abs=1e-3)
+        assert rounds.reliable == fit.reliable == reliable
+
+
 def test_the_gyroscope_predicts_the_field():
     """[gps-dr] Eqs. (1)–(3) against the exact rotation: the error is of second order."""
     random = np.random.default_rng(0)
@@ -86,12 +99,6 @@ def test_an_undisturbed_field_passes_both_tests_however_the_phone_turns():
     world = field_in_world(attitude, device)
     assert dip_error(world, EARTH.dip).max() < 1e-6
     assert prediction_error(world, PERIOD).max() < 1e-6
-
-
-def test_the_dip_is_measured_from_the_horizon():
-    """A field that dips by 1.0 rad where 0.4 rad is expected."""
-    world = np.tile(EARTH.vector, (5, 1))
-    assert dip_error(world, 0.4) == pytest.approx(0.6)
 
 
 def test_a_field_that_turns_without_the_phone_fails_the_prediction():
@@ -119,11 +126,6 @@ def test_north_is_bridged_past_steel():
     north = magnetic_north(attitude, device, EARTH)
     assert north.direction == pytest.approx(np.pi / 2 + 0.7, abs=0.05)
     assert north.sigma[60] > north.sigma[30]
-
-
-def test_a_field_that_is_always_disturbed_gives_no_north():
-    attitude, device = walk_with(np.linspace(0, 6, 3000), np.array([0.0, 0.0, 60.0]))
-    assert len(magnetic_north(attitude, device, EARTH)) == 0
 
 
 def test_a_dead_magnetometer_gives_no_north():

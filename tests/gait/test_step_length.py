@@ -34,18 +34,20 @@ def walked():
     return walk, StepFeatures(gait_signals(walk.recording("accelerometer", "gyroscope"))[0])
 
 
-def test_by_height():
-    """[calibration-walk] Eq. (6): 0.26 · 1.70 + 0.31 = 0.752."""
-    assert walker.by_height(features(), height=1.70)[0] == pytest.approx(0.752)
+NORMAL = {"normal_step": 0.7, "normal_cadence": 100.0}
+EQUATIONS = {
+    "[calibration-walk] Eq. (6): 0.26 · 1.70 + 0.31": (walker.by_height, {}, {"height": 1.70}, 0.752),
+    "[map-matching] Eqs. (1)–(3): at 120 steps/min": (walker.by_cadence, {}, NORMAL, 0.84),
+    "in a turn by 30° 66.28 %": (walker.by_cadence, {"turn": [-np.pi / 6]}, NORMAL, 0.84 * (1 - 0.01124 * 30)),
+    "clipped at 89°": (walker.by_cadence, {"turn": [3.0]}, NORMAL, STRIDES.shortest),
+    "Weinberg: the fourth root": (walker.weinberg, {"vertical": [16.0]}, {"k": 0.4}, 0.8),
+}
 
 
-def test_by_cadence():
-    """[map-matching] Eqs. (1)–(3): at 120 steps/min, of a walker of 0.7 m at 100, 0.84 m; in a turn by 30° 66.28 %."""
-    straight, turning = features(), features(turn=[-np.pi / 6])
-    normal = {"normal_step": 0.7, "normal_cadence": 100.0}
-    assert walker.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
-    assert walker.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
-    assert walker.by_cadence(features(turn=[3.0]), **normal)[0] == STRIDES.shortest, "clipped at 89°"
+@pytest.mark.parametrize("name", EQUATIONS)
+def test_a_stride_model_is_its_equation(name):
+    model, step, constants, length = EQUATIONS[name]
+    assert model(features(**step), **constants)[0] == pytest.approx(length)
 
 
 def test_the_default_model_is_shorter_in_bends():
@@ -68,10 +70,6 @@ def test_regression_fits_the_constants_of_by_amplitude():
         walker.regression(np.ones(9), np.ones(9))
 
 
-def test_weinberg():
-    assert walker.weinberg(features(vertical=[16.0]), k=0.4)[0] == pytest.approx(0.8)
-
-
 def test_lasso_uses_the_five_terms_of_the_paper():
     """[calibration-walk] Eq. (7)."""
     terms = walker.lasso_features(features(power=[[1, 2, 3, 4]]), 1.8)
@@ -80,11 +78,9 @@ def test_lasso_uses_the_five_terms_of_the_paper():
 
 
 def test_taller_people_take_longer_steps():
+    step = features(power=[[0.1, 0.2, 0.1, 0]])
     for model in (walker.inverted_pendulum, walker.by_height, walker.lasso):
-        assert (
-            model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.9)[0]
-            > model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.5)[0]
-        )
+        assert model(step, height=1.9)[0] > model(step, height=1.5)[0]
 
 
 @pytest.mark.parametrize("name", walker.MODELS)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from pdr_graph import InputError, Walker
+from pdr_graph import Walker
 from pdr_graph.gait.walker import Profile
 from pdr_graph.types import Steps
 
@@ -87,10 +88,21 @@ def test_the_profile_corrects_by_the_papers_equations():
 )
 def test_invalid_entries_are_refused_with_their_names(tmp_path, old, new, message):
     assert old in GOOD
-    with pytest.raises(InputError, match=message.replace(".", r"\.")):
-        Walker.load(written(tmp_path, GOOD.replace(old, new)))
+    refused(Walker.load, written(tmp_path, GOOD.replace(old, new)), message.replace(".", r"\."))
 
 
-def test_a_calibration_that_is_not_a_table_is_refused(tmp_path):
-    with pytest.raises(InputError, match="a table"):
-        Walker.load(written(tmp_path, "calibration = 3"))
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("calibration = 3", "a table"),
+        ("height = true", "number"),
+        ("height", "TOML"),
+        ("height = " + "9" * 10_000, "TOML"),
+        ("height = " + "[" * 10_000, "TOML"),
+        ("a" + ".a" * 100_000 + " = 1", "a name of more than 20 parts"),
+        ("#" * 1_000_001, "more than 1000000 bytes"),
+    ],
+    ids=lambda value: value[:12],
+)
+def test_files_that_are_no_walker_are_refused(tmp_path, text, message):
+    refused(Walker.load, written(tmp_path, text), message)

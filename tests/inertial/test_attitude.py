@@ -39,11 +39,6 @@ def test_a_phone_in_a_hand_is_not_at_rest():
     assert at_rest(rate, acceleration, PERIOD).mean() < 0.05
 
 
-def test_a_calm_moment_is_not_rest(random):
-    rate, force = table_then_walk(random, still=50)
-    assert not at_rest(rate, force, PERIOD).any()
-
-
 def test_the_bias_is_linear_between_rests(random):
     """It drifts by 0.01 rad/s between two rests half an hour apart; half-way it is half of that."""
     n = 90_000
@@ -55,5 +50,8 @@ def test_the_bias_is_linear_between_rests(random):
     assert bias == pytest.approx(drift, abs=0.0005)
 
 
-def test_without_a_rest_the_bias_is_zero(random):
-    assert not bias_from_rests(random.normal(0, 1, (100, 3)), np.zeros(100, bool), PERIOD).any()
+def test_a_calm_moment_is_not_rest_and_without_a_rest_the_bias_is_zero(random):
+    rate, force = table_then_walk(random, still=50)
+    rest = at_rest(rate, force, PERIOD)
+    assert not rest.any()
+    assert not bias_from_rests(rate, rest, PERIOD).any()

@@ -61,17 +61,11 @@ def test_errors_name_the_line(text, message):
         table("x.csv", text).floats("a", "b")
 
 
-def test_a_row_that_was_cut_off_is_left_out_only_at_the_end():
-    assert table("x.csv", "a,b\n1,2\n3").floats("a", "b").tolist() == [[1, 2]]
-
-
-def test_a_missing_optional_column_is_nan():
+def test_odd_rows_and_columns_lose_no_other_row():
+    assert table("x.csv", "a,b\n1,2\n3").floats("a", "b").tolist() == [[1, 2]], "one that was cut off at the end"
     assert np.isnan(table("x.csv", "a,b\n1,2\n").floats("a", optional=("z",))).tolist() == [[False, True]]
-
-
-def test_an_open_quote_does_not_swallow_the_next_row():
     read = table("t.csv", 'time,x,floor\n1,2,"F1\n3,4,F2\n')
-    assert read.floats("time", "x").tolist() == [[1, 2], [3, 4]]
+    assert read.floats("time", "x").tolist() == [[1, 2], [3, 4]], "an open quote does not swallow the next"
     assert read.rows.words(2) == ["F1", "F2"]
 
 

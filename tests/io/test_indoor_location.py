@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 
 START = 1_574_567_416_839
@@ -60,8 +60,6 @@ def replaced(old, new):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "empty"),
-        (bytes(range(256)) * 40, "bytes"),
         (b"time,x,y\n1,2,3\n", "header time,x,y, expected a recording"),
         (lines()[:150], "endTime"),
         ("\n".join(lines()).encode()[:3000], "endTime"),
@@ -70,16 +68,12 @@ def replaced(old, new):
         (replaced("9.81", "inf"), "line 7"),
         (replaced("9.81", "9,81"), "line 7"),
         (replaced("\t9.81\t3", ""), "line 7"),
-        ([line for line in lines() if "ACC" not in line and "GYR" not in line], "no accelerometer and no gyroscope"),
         ([*lines()[:2], *reversed(lines()[2:-1]), lines()[-1]], "time order"),
+        ([line for line in lines() if "ACC" not in line and "GYR" not in line], "no accelerometer and no gyroscope"),
     ],
 )
 def test_bad_recordings_raise_one_line(tmp_path, content, message):
-    path = written(tmp_path, content)
-    with pytest.raises(InputError, match=message) as error:
-        load(path)
-    assert "\n" not in str(error.value)
-    assert str(path) in str(error.value)
+    refused(load, written(tmp_path, content), message)
 
 
 def test_lines_that_are_not_rows_are_noted(tmp_path):
@@ -89,5 +83,4 @@ def test_lines_that_are_not_rows_are_noted(tmp_path):
 
 
 def test_a_missing_file_raises_no_such_file(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        load(tmp_path / "nothing.txt")
+    refused(load, tmp_path / "nothing.txt", "no such file")

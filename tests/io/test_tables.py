@@ -1,22 +1,24 @@
-"""Tables of fixes, truth and trajectories: readers and writers."""
+"""Tables of fixes, ranges, truth and trajectories: readers and writers."""
 
 import json
 
 import gpxpy
 import numpy as np
 import pytest
+from refusals import refused
 from walks import dead_reckon, fixes_on, wandering_walk
 
 from pdr_graph import smooth
-from pdr_graph.errors import InputError
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import enu
 from pdr_graph.io import gpx, writers
-from pdr_graph.io.tables import is_tum, read_fixes, read_trajectory
-from pdr_graph.types import LONLAT, Recording, Signal
+from pdr_graph.io.tables import RANGE_SIGMA, is_tum, read_fixes, read_ranges, read_trajectory
+from pdr_graph.types import LONLAT, Beacons, Recording, Signal, Trajectory
 
 ORIGIN = 1_700_000_000.0
 WALK = Recording("walk", ORIGIN, ORIGIN, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
+ANCHORS = Beacons(("A", "B"), np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.05, 1.0]), ("", ""), ("A", "B"))
+RANGES = f"time,anchor,range,sigma\n{ORIGIN + 2.5},b,7.5,\n{ORIGIN + 1},A,3.25,0.1\n"
 
 
 def table(tmp_path, text):
@@ -42,6 +44,15 @@ def test_fixes_in_degrees_are_transformed_into_the_frame(tmp_path):
     assert read_fixes(path, WALK).epsg == LONLAT
 
 
+def test_ranges_are_sorted_and_anchor_names_match_in_any_case(tmp_path):
+    ranges = read_ranges(table(tmp_path, RANGES), WALK, ANCHORS)
+    assert ranges.time == pytest.approx([1.0, 2.5])
+    assert ranges.anchor.tolist() == [0, 1]
+    assert ranges.range.tolist() == [3.25, 7.5]
+    assert ranges.sigma.tolist() == [0.1, RANGE_SIGMA]
+    assert ranges.position_sigma.tolist() == [0.05, 1.0]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -57,15 +68,37 @@ def test_fixes_in_degrees_are_transformed_into_the_frame(tmp_path):
         ("\x00\x01\x02", "header"),
     ],
 )
-def test_bad_fixes_raise_with_their_line(tmp_path, text, message):
-    with pytest.raises(InputError, match=message) as error:
-        read_fixes(table(tmp_path, text), WALK)
-    assert "\n" not in str(error.value)
+def test_fixes_that_cannot_be_are_refused_with_their_line(tmp_path, text, message):
+    refused(read_fixes, table(tmp_path, text), message, WALK)
 
 
-def test_a_trajectory_reads_back_as_written(tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("7.5", "-7.5", "data row 1, range"),
+        ("7.5", "7500", "metres"),
+        ("7.5", "nan", "range"),
+        ("0.1", "0", "sigma"),
+        ("A,", "C,", "'C'"),
+        (RANGES, RANGES.replace("17000", "17000000"), "milliseconds"),
+        (RANGES, "time,range\n", "line 2"),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(tmp_path, old, new, message):
+    refused(read_ranges, table(tmp_path, RANGES.replace(old, new)), message, WALK, ANCHORS)
+
+
+def test_truth_with_times_that_go_back_is_refused(tmp_path):
+    refused(read_trajectory, table(tmp_path, "time,x,y\n1,0,0\n3,0,0\n2,0,0\n"), "increase")
+
+
+@pytest.fixture(scope="module")
+def estimate():
     steps = wandering_walk(30)
-    estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
+    return smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
+
+
+def test_a_trajectory_reads_back_as_written(tmp_path, estimate):
     writers.write_trajectory(tmp_path / "t.csv", estimate.trajectory, ORIGIN)
     again = read_trajectory(tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text().splitlines()[0] == writers.TRAJECTORY_HEADER
@@ -75,23 +108,15 @@ def test_a_trajectory_reads_back_as_written(tmp_path):
     assert again.covariance[:, :2, :2] == pytest.approx(estimate.trajectory.covariance[:, :2, :2], abs=1e-3)
 
 
-def test_truth_with_times_that_go_back_raises(tmp_path):
-    with pytest.raises(InputError, match="increase"):
-        read_trajectory(table(tmp_path, "time,x,y\n1,0,0\n3,0,0\n2,0,0\n"))
-
-
-def test_geojson_and_gpx_hold_the_same_track(tmp_path):
+def test_geojson_and_gpx_hold_the_same_track(tmp_path, estimate):
     """As many points as rows, in longitude and latitude, and the fixes after them."""
-    steps, frame = wandering_walk(20), enu(35.0, 135.0)
-    estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
+    frame = enu(35.0, 135.0)
     writers.write_geojson(tmp_path / "t.geojson", estimate, frame, ORIGIN)
     gpx.write(tmp_path / "t.gpx", estimate.trajectory, frame, WALK.epoch, WALK.source)
-    features = json.loads((tmp_path / "t.geojson").read_text())["features"]
-    line, *points = features
+    line, *points = json.loads((tmp_path / "t.geojson").read_text())["features"]
     assert line["geometry"]["type"] == "LineString"
-    assert frame.from_lonlat(np.array(line["geometry"]["coordinates"])) == pytest.approx(
-        estimate.trajectory.position, abs=0.01
-    )
+    drawn = frame.from_lonlat(np.array(line["geometry"]["coordinates"]))
+    assert drawn == pytest.approx(estimate.trajectory.position, abs=0.01)
     assert [p["properties"]["kind"] for p in points] == ["fix"] * len(estimate.fixes)
     track = gpxpy.parse((tmp_path / "t.gpx").read_text()).tracks[0].segments[0].points
     assert len(track) == len(estimate.trajectory)
@@ -99,6 +124,20 @@ def test_geojson_and_gpx_hold_the_same_track(tmp_path):
     assert track[-1].time.timestamp() == pytest.approx(ORIGIN + estimate.trajectory.time[-1], abs=1e-3)
     times = [p["properties"]["time"] for p in points]
     assert times == pytest.approx([ORIGIN + fix.time for fix in estimate.fixes], abs=1e-3)
+
+
+def test_tum_rows_are_those_of_a_format_string(tmp_path):
+    """Unix times and positions of both signs; a heading that is not known is 0."""
+    random, n = np.random.default_rng(1), 3000
+    time, position = np.cumsum(random.uniform(0, 0.1, n)), random.normal(0, 300, (n, 2))
+    heading = np.where(random.uniform(size=n) < 0.1, np.nan, random.uniform(-np.pi, np.pi, n))
+    writers.write_tum(tmp_path / "track.tum", Trajectory(time, position, heading, ("",) * n), 1.7e9)
+    half = np.nan_to_num(heading) / 2
+    expected = "".join(
+        f"{t + 1.7e9:.6f} {x:.4f} {y:.4f} 0 0 0 {s:.8f} {c:.8f}\n"
+        for t, (x, y), s, c in zip(time, position, np.sin(half), np.cos(half), strict=True)
+    )
+    assert (tmp_path / "track.tum").read_bytes() == expected.encode()
 
 
 @pytest.mark.timeout(20)

@@ -101,16 +101,22 @@ def walked():
     return poses(walk, floor=plan, lag=60.0)
 
 
-def test_no_pose_is_outside_the_walkable_area(walked):
+@pytest.fixture(scope="module")
+def without_plan():
+    """The poses of the same walk without its plan."""
+    return poses(arcade()[1], lag=60.0)
+
+
+def test_no_pose_is_outside_the_walkable_area(walked, without_plan):
     """Although poses of the walk without the plan are."""
-    plan, walk = arcade()
+    plan, _ = arcade()
 
     def outside(poses):
         place = np.array([(pose.x, pose.y) for pose in poses if pose is not None])
         return np.count_nonzero(~shapely.covers(plan.walkable, shapely.points(place)))
 
     assert outside(walked) == 0
-    assert outside(poses(walk, lag=60.0)) > 50
+    assert outside(without_plan) > 50
 
 
 def test_modes_are_sorted_and_the_pose_is_their_mean():
@@ -141,9 +147,9 @@ def test_a_jump_is_displayed_within_two_seconds():
     assert np.hypot(*(shown - pose)[time < 3.95].T).max() > 8.0, "a control: at once it is not there"
 
 
-def test_a_map_shows_smaller_jumps_than_the_pose_has():
+def test_a_map_shows_smaller_jumps_than_the_pose_has(without_plan):
     """The live poses are half a second apart: one shows at most a quarter of a jump, beside the way walked since."""
-    shown = [pose for pose in poses(arcade()[1], lag=60.0) if pose is not None and pose.display is not None]
+    shown = [pose for pose in without_plan if pose is not None and pose.display is not None]
     pose, display = np.array([(one.x, one.y) for one in shown]), np.array([one.display for one in shown])
     jump, moved = (np.hypot(*np.diff(path, axis=0).T) for path in (pose, display))
     assert jump.max() > FAR
@@ -169,6 +175,7 @@ def test_the_first_pose_comes_with_the_first_fix():
 AROUND = ((0.0, 0.0), (30.0, 0.0), (30.0, 20.0), (0.0, 20.0))
 
 
+@pytest.mark.thorough
 def test_one_wild_fix_moves_the_pose_by_less_than_two_metres():
     """A fix 40 m off, and the next good one is 15 s away; one that states a sigma of 10 m is the control."""
     walk, truth = recorded(AROUND)
@@ -208,6 +215,7 @@ class Counting(ThreadPoolExecutor):
         return super().submit(*work, **named)
 
 
+@pytest.mark.thorough
 def test_results_do_not_depend_on_the_timing(walked):
     """The same poses bit by bit with a thread beside the walk, with a review after each event, and with neither."""
     walk = arcade()[1]
@@ -220,18 +228,11 @@ def test_results_do_not_depend_on_the_timing(walked):
     assert [row(pose) for pose in reviewed if pose is not None] == plain
 
 
+@pytest.mark.thorough
 def test_standing_still_the_pose_stands():
     """For a minute, the phone in a hand: within 0.2 m; the walk before it, and the control moves."""
-    simulation = simulate(
-        Scenario.of(
-            {
-                "seed": 1,
-                "start": 0.0,
-                "phone": {"rate": 50.0},
-                "route": [[0.0, 0.0], {"stand": 2}, {"to": [[15.0, 0.0], [15.0, 12.0]]}, {"stand": 62}],
-            }
-        )
-    )
+    route = [[0.0, 0.0], {"stand": 2}, {"to": [[15.0, 0.0], [15.0, 12.0]]}, {"stand": 62}]
+    simulation = simulate(Scenario.of({"seed": 1, "start": 0.0, "phone": {"rate": 50.0}, "route": route}))
     signals = {name: simulation.signals[name] for name in INERTIAL}
     stop = simulation.truth.time[-1] - 60.0
     fixes = fixes_at((0.5, 0.0, 0.0), (stop - 3.0, 15.0, 11.0))

@@ -35,31 +35,39 @@ def moment(event):
 
 
 def navigated(events):
+    """The last pose and the smoothed trajectory."""
     plan, beacons, _, _ = mall()
     nav = Navigator(plan, beacons=beacons, epoch=1.7e9)
     for event in events:
         nav.push(event)
-    return nav
+    return nav.pose, nav.finish().trajectory
+
+
+@cache
+def plain():
+    return navigated(mall()[2])
 
 
 def test_the_compass_tells_the_direction_without_a_fix():
-    """The georeferenced plan says where on earth it is; without a magnetometer the direction stays open, and said."""
-    _, _, events, truth = mall()
-    nav = navigated(events)
-    there = [float(np.interp(nav.pose.time, truth.time, axis)) for axis in truth.position.T]
-    assert np.hypot(nav.pose.x - there[0], nav.pose.y - there[1]) < 5.0
-    assert abs(nav.pose.heading) < 3 * np.sqrt(nav.pose.covariance[2, 2]) < 0.9
-    assert evaluate(nav.finish().trajectory, truth)["ce"]["p50"] < 3.0  # the batch has 1.4 m
-    blind = [event for event in events if not (isinstance(event, Samples) and event.sensor == "magnetometer")]
-    assert len(navigated(blind).pose.modes) > 6
+    """The georeferenced plan says where on earth it is."""
+    truth, (pose, trajectory) = mall()[3], plain()
+    there = [float(np.interp(pose.time, truth.time, axis)) for axis in truth.position.T]
+    assert np.hypot(pose.x - there[0], pose.y - there[1]) < 5.0
+    assert abs(pose.heading) < 3 * np.sqrt(pose.covariance[2, 2]) < 0.9
+    assert evaluate(trajectory, truth)["ce"]["p50"] < 3.0  # the batch has 1.4 m
 
 
-@pytest.mark.parametrize("radio", ["wifi", "bluetooth"])
+@pytest.mark.thorough
+def test_without_a_magnetometer_the_direction_stays_open_and_is_said_to():
+    blind = [one for one in mall()[2] if not (isinstance(one, Samples) and one.sensor == "magnetometer")]
+    assert len(navigated(blind)[0].modes) > 6
+
+
+@pytest.mark.parametrize("radio", ["wifi", pytest.param("bluetooth", marks=pytest.mark.thorough)])
 def test_access_points_with_the_addresses_of_beacons_are_no_beacons(radio):
     """Their levels led the walk 60 m astray; as advertisements they count."""
     _, beacons, events, _ = mall()
     far_away = Sightings(np.full(3, 10.0), beacons.name[5:8], np.full(3, -50.0))
     place = next(n for n, event in enumerate(events) if moment(event) > 10.0)
-    with_scan = [*events[:place], Scan(radio, far_away), *events[place:]]
-    same = np.array_equal(*(navigated(given).finish().trajectory.position for given in (with_scan, events)))
-    assert same == (radio == "wifi")
+    _, trajectory = navigated([*events[:place], Scan(radio, far_away), *events[place:]])
+    assert np.array_equal(trajectory.position, plain()[1].position) == (radio == "wifi")

@@ -39,19 +39,6 @@ def test_live_steps_on_stairs_are_those_of_the_batch(lag):
     assert walked(nav) == pytest.approx(batch.length.sum(), abs=0.8)
 
 
-def test_while_climbing_the_next_steps_are_short_at_once():
-    """From some seconds after the first step on, until the top."""
-    recording, level, batch = climbing()
-    on = np.flatnonzero(batch.length != level.length)
-    nav, late = Navigator(), level.time[on[0]] + 9.0
-    assert level.time[on[-1]] > late + 2.0
-    for event in events_of(recording):
-        nav.push(event)
-        tail = nav._tail
-        if isinstance(event, Samples) and tail is not None and late < event.time[-1] < level.time[on[-1]]:
-            assert (tail.length[tail.time > late] < 0.4).all()
-
-
 def test_a_barometer_that_stops_on_the_stairs_does_not_shorten_the_rest_of_the_walk():
     recording, level, batch = climbing()
     on = np.flatnonzero(batch.length != level.length)

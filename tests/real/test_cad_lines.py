@@ -1,7 +1,6 @@
 """A real building as bare CAD lines, without unit, outline and doors, and a walk in it."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.walk import Options, read
+from pdr_graph.walk import Options
 
 SCALE = 4.3197  # [m] per unit
 START = (8.0, 26.75)  # [m] surveyed; the walk heads along -y and is closed
@@ -49,19 +48,7 @@ def test_spaces_without_a_door_are_reported(plan):
     assert "cells that cannot be reached from the rest" in line
 
 
-def test_the_walk_returns_to_its_start_through_the_corridors(folder, tmp_path):
-    first = read(folder / "walk").walk.accelerometer.time[0]
-    origin = read(folder / "walk").walk.clock_origin
-    fixes = tmp_path / "fixes.csv"
-    fixes.write_text(f"time,x,y,sigma\n{first + origin:.3f},{START[0]},{START[1]},0.5\n")
-    options = Options(plan=folder / "cad_lines.csv", scale=SCALE, fixes=fixes, start_heading=180.0)
-    assert smooth_recording(folder / "walk", tmp_path / "out", options) == ()
-    track = read_trajectory(tmp_path / "out" / "trajectory.csv")
-    assert np.hypot(*(track.position[-1] - START)) < 2.0, "the walk is closed; dead reckoning ends 26.6 m away"
-    floor = Building.load(Path(folder) / "cad_lines.csv", SCALE).floors[0]
-    assert np.mean(floor.crosses_wall(track.position[:-1], track.position[1:])) < 0.02
-
-
+@pytest.mark.thorough
 def test_the_walk_is_found_on_the_lines_without_any_position(folder, tmp_path):
     """The published walk, by plan and steps alone: start and end to 1.5 m, and no wall between."""
     options = Options(plan=folder / "cad_lines.csv", scale=SCALE)

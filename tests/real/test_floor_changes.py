@@ -1,13 +1,40 @@
-"""Floors of real walks: a museum's stairs, and walks that stayed on one floor. Landmarks only score."""
+"""Floors of real walks, offline and live: a museum's stairs, and walks on one floor. Landmarks only score."""
 
 import numpy as np
 import pytest
 
 from pdr_graph import detect_steps
-from pdr_graph.estimation.floors import floors_along
+from pdr_graph.estimation.floors import LiveFloors, floors_along
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.inertial.barometer import climbs
 from pdr_graph.io.loading import load
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.types import Fixes, Signal
+
+PATIENCE = 15.0  # [s]
+
+
+def told_of(walk, start):
+    """Times and labels of the certain steps, as they were told PATIENCE later; and each new label, and when it came."""
+    gait, floors = StepStream(), LiveFloors(None, start)
+    waiting, told, changes = [], [], []
+    for event in events_of(walk):
+        if not isinstance(event, Samples):
+            continue
+        if event.sensor == "barometer":
+            floors.push(event.time, event.values)
+        gait.push(event.sensor, event.time, event.values)
+        certain, tail = gait.advance()
+        if certain is not None:
+            floors.add_steps(certain)
+            waiting += certain.time.tolist()
+        before, now = floors.label, float(event.time[-1])
+        floors.advance(tail)
+        if floors.label != before:
+            changes.append((now, floors.label))
+        while waiting and waiting[0] < now - PATIENCE:
+            told.append((waiting[0], *floors.labels(np.array([waiting.pop(0)]))))
+    return told, changes
 
 
 def of(path, start):
@@ -31,6 +58,20 @@ def test_the_stairs_of_a_museum(data):
     assert np.mean(labels[scored] == floor[before[scored]]) >= 0.95
 
 
+def test_live_floors_in_a_museum_are_soon_those_of_the_whole_recording(data):
+    """15 s later all but a few steps have the label that they keep; a new one comes within 8 s."""
+    (path,) = data.glob("ipin2023_track3/*Trial52*.txt")
+    walk, steps, found = of(path, "0")
+    offline = np.array(found.labels[1:-1])
+    told, changes = told_of(walk, "0")
+    time, labels = np.array([t for t, _ in told]), np.array([label for _, label in told])
+    nearest = np.abs(steps.time[:, None] - time).argmin(axis=0)
+    assert np.mean(labels == offline[nearest]) > 0.95
+    since = steps.time[1:][offline[1:] != offline[:-1]]
+    assert [label for _, label in changes] == offline[1:][offline[1:] != offline[:-1]].tolist()
+    assert np.all(np.array([now for now, _ in changes]) - since < 8)
+
+
 def test_up_and_down_the_same_stairs_is_as_high(data):
     """Two flights down and two up between the same floors: four measures of one height."""
     (path,) = data.glob("ipin2023_track3/*Trial52*.txt")
@@ -42,18 +83,21 @@ def test_up_and_down_the_same_stairs_is_as_high(data):
 @pytest.mark.parametrize(
     ("pattern", "start"),
     [
-        ("ipin2023_track3/*Trial01*.txt", "0"),
-        ("ipin2023_track3/*Trial24*.txt", "-2"),
-        ("nju_phyphox_outdoor", "1"),
+        pytest.param("ipin2023_track3/*Trial01*.txt", "0", marks=pytest.mark.thorough),
+        pytest.param("ipin2023_track3/*Trial24*.txt", "-2", marks=pytest.mark.thorough),
+        pytest.param("nju_phyphox_outdoor", "1", marks=pytest.mark.thorough),
         ("ipin21_hcu/eight", "4"),
     ],
 )
-def test_who_stays_on_a_floor_is_on_it(data, pattern, start):
+def test_who_stays_on_a_floor_is_on_it_live_too(data, pattern, start):
     """NJU's walk climbs hills of 1 and 3 m, at 0.07 m/s; they are ramps, not floors."""
     (path,) = data.glob(pattern)
-    _, _, found = of(path, start)
+    walk, _, found = of(path, start)
     assert set(found.labels) == {start}
     assert set(found.kinds) <= {"ramp"}
+    told, changes = told_of(walk, start)
+    assert changes == []
+    assert {label for _, label in told} == {start}
 
 
 @pytest.mark.parametrize(

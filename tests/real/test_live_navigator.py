@@ -33,6 +33,7 @@ def distance(track, at, place):
     return float(np.median(np.hypot(*(there - place[known]).T)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "lag"), [("IPIN", 60.0), ("NJU", None)])
 def test_live_is_about_as_good_as_the_batch(data, name, lag):
     """Smoothed, by the truth where it was surveyed, else by the GNSS fixes; both without the compass or a plan.

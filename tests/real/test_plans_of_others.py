@@ -65,6 +65,7 @@ def test_an_imdf_archive_of_offices(data):
     )
 
 
+@pytest.mark.thorough
 def test_a_walk_in_the_offices(data, tmp_path):
     summary, error = smoothed(tmp_path, data / "plans" / "imdf_cpc4", IN_CPC4)
     assert summary["verdict"]["state"] == "ok"
@@ -96,6 +97,7 @@ def test_shops_of_the_mall_open_to_its_corridor_and_not_to_each_other(data):
     assert not ground.crosses_wall(shop, in_front)[0]
 
 
+@pytest.mark.thorough
 def test_a_walk_up_the_stairs_of_the_mall(data, tmp_path):
     summary, error = smoothed(tmp_path, data / "plans" / "osm_caserne" / "caserne.osm", IN_CASERNE)
     assert summary["verdict"]["state"] == "ok"

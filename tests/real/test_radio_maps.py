@@ -11,6 +11,8 @@ from pdr_graph.io.loading import load
 from pdr_graph.priors import SCANS
 from pdr_graph.types import Fixes
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def floor(data):
@@ -31,12 +33,6 @@ def held_out(walks):
     for n, (walk, steps, headings, track) in enumerate(walks):
         others = [(t, w) for m, (w, _, _, t) in enumerate(walks) if m != n]
         yield walk, steps, headings, track, RadioMap.learn(others).fixes(walk)
-
-
-def test_an_access_point_is_heard_once_at_the_time_it_was_last_seen(floor):
-    for walk, *_ in floor[1]:
-        heard = list(zip(walk.wifi.time, walk.wifi.transmitter, strict=True))
-        assert len(heard) == len(set(heard))
 
 
 def test_fixes_are_as_good_as_they_say(floor):

@@ -6,6 +6,8 @@ from evaal.trials import assert_same_as_loaded, received, rows_of, run, summary
 
 from pdr_graph.io.loading import load
 
+pytestmark = pytest.mark.thorough
+
 LOGS = (
     "IPIN2023_T3_TrainingTrial01_repetition01.txt",
     "IPIN2023_T3_TrainingTrial24_repetition03.txt",

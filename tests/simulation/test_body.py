@@ -1,41 +1,37 @@
 """The movement of the body is continuous, follows the route and has its events."""
 
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 import pytest
+import shapely
+from plans import MAPS
 
 from pdr_graph import FloorPlan
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario, names
 from pdr_graph.lab.simulation.simulate import simulate
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 def walked(*route, **more):
     return simulate(Scenario.of({"seed": 1, "route": list(route), "phone": {"rate": 50}} | more)).body
 
 
-@pytest.fixture(scope="module")
-def mall():
-    return simulate(Scenario.load("mall"))
+@cache
+def scenario(name):
+    return simulate(Scenario.load(name))
 
 
 @pytest.mark.parametrize("name", names())
-def test_nobody_walks_through_a_wall(name):
-    walk = simulate(Scenario.load(name))
+def test_the_walker_of_a_scenario_crosses_no_wall_and_is_as_fast_as_people(name):
+    walk = scenario(name)
+    body, at = walk.body, walk.body.position
     for label, plan in walk.scenario.plans.items():
         on_floor = np.array(walk.truth.floor) == label
-        stays, at = on_floor[:-1] & on_floor[1:], walk.body.position
+        stays = on_floor[:-1] & on_floor[1:]
         assert not plan.crosses_wall(at[:-1][stays], at[1:][stays]).any()
     assert np.all(np.isfinite(walk.motion.acceleration))
-
-
-@pytest.mark.parametrize("name", names())
-def test_speed_and_acceleration_are_those_of_a_walker(name):
-    body = simulate(Scenario.load(name)).body
-    speed = np.hypot(*np.diff(body.position, axis=0).T) * body.rate
+    speed = np.hypot(*np.diff(at, axis=0).T) * body.rate
     assert speed.max() < 2.6
     assert np.abs(np.diff(speed) * body.rate).max() < 12
 
@@ -65,23 +61,20 @@ def test_zigzags_swing_from_side_to_side():
     assert 12 < np.sum(np.diff(np.sign(swinging.position[:, 1] - 0.001)) != 0) < 40
 
 
-def test_a_visitor_of_a_shop_stands_before_its_front(mall):
-    plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
-    visits = mall.body.events_of("visit")
+def test_a_visitor_of_a_shop_stands_before_its_front():
+    body = scenario("mall").body
+    plan, visits = FloorPlan.load(MAPS / "mall.geojson"), body.events_of("visit")
     assert [v.what for v in visits] == ["Books", "Coffee", "E0", "Music"]
     for visit, stay in zip(visits, (20, 30, 15, 10), strict=True):
         assert visit.end - visit.start == pytest.approx(stay, abs=0.1)
-        inside = (mall.body.time > visit.start + 0.5) & (mall.body.time < visit.end - 0.5)
-        place = mall.body.position[inside]
+        place = body.position[(body.time > visit.start + 0.5) & (body.time < visit.end - 0.5)]
         assert np.ptp(place, axis=0).max() < 0.05
         shop = next(a for a in plan.areas if a.name == visit.what)
-        import shapely
-
         assert shapely.distance(shop.shape, shapely.Point(place[0])) < 1.0
 
 
-def test_the_holds_are_those_of_the_route(mall):
-    holds = mall.body.events_of("hold")
+def test_the_holds_are_those_of_the_route():
+    holds = scenario("mall").body.events_of("hold")
     assert [h.what for h in holds] == ["hand", "trouser pocket", "hand", "swinging arm"]
     assert all(h.end - h.start == pytest.approx(1.4) for h in holds[1:])
 
@@ -97,7 +90,7 @@ def test_a_lift_has_its_speed_and_acceleration():
 
 def test_stairs_and_lifts_climb_to_the_floors_of_the_building():
     """4 m by the plan; the floor changes half-way, and the pressure falls by 12 Pa per metre."""
-    walk = simulate(Scenario.load("two_floors"))
+    walk = scenario("two_floors")
     truth, height = walk.truth, walk.body.height
     changes = [n for n in range(1, len(truth)) if truth.floor[n] != truth.floor[n - 1]]
     assert [truth.floor[n] for n in (0, *changes)] == ["1", "2", "1"]
@@ -119,7 +112,7 @@ def test_stairs_are_climbed_step_by_step():
 
 def test_a_cart_moves_as_pushed_and_keeps_its_heading():
     """[stationary-switch]: forward 0.95 m, back 1.05 m, without a turn or a step."""
-    body = simulate(Scenario.load("cart")).body
+    body = scenario("cart").body
     assert len(body.landings) == 0
     assert np.ptp(body.heading) == 0
     forth, back = np.diff(body.position[:, 0]).clip(0).sum(), np.diff(body.position[:, 0]).clip(None, 0).sum()

@@ -1,12 +1,12 @@
 """Motion of the phone agrees with the movement of the body; measurements have the requested errors."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pdr_graph import detect_steps
 from pdr_graph.lab.simulation import sensors
 from pdr_graph.lab.simulation.carrying import HOLDS
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -16,45 +16,30 @@ ROUTE = [[0, 0], {"stand": 4}, {"to": [[25, 0], [25, 15]]}, {"stand": 4}]
 CARRIED = [hold for hold in HOLDS if hold != "cart"]
 
 
-def walked(route=ROUTE, seed=1, **phone):
+@cache
+def walked(hold="hand", **phone):
+    """The walk of a phone along ROUTE."""
+    return along(ROUTE, hold=hold, **phone)
+
+
+def along(route, seed=1, **phone):
     return simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 100} | phone}))
 
 
-@pytest.fixture(scope="module", params=CARRIED)
-def walk(request):
-    return walked(hold=request.param)
-
-
-def test_integrated_angular_rates_give_the_attitude(walk):
-    """The product of the exponentials of the angular rate is the true attitude."""
-    motion = walk.motion
+@pytest.mark.parametrize("hold", CARRIED)
+def test_angular_rates_and_accelerations_are_those_of_the_motion(hold):
+    """The rates integrate to the attitude; from rest to rest, and at rest, no force but gravity is left on average."""
+    motion = walked(hold=hold).motion
     mean = (motion.angular_rate[:-1] + motion.angular_rate[1:]) / 2 / motion.rate
     turned = Rotation.identity()
     for step in Rotation.from_rotvec(mean):
         turned = turned * step
     truth = motion.R_world_device[0].inv() * motion.R_world_device[-1]
     assert np.degrees((turned.inv() * truth).magnitude()) < 1.0
-
-
-def test_the_mean_force_from_rest_to_rest_is_gravity(walk):
-    """Newton: a body at rest before and after was subject to no other force on average."""
-    force = walk.motion.R_world_device.apply(walk.motion.acceleration)
+    force = motion.R_world_device.apply(motion.acceleration)
     assert force.mean(axis=0) == pytest.approx([0, 0, 9.80665], abs=0.03)
-
-
-def test_a_phone_at_rest_measures_gravity(walk):
-    rest = (walk.motion.time > 0.5) & (walk.motion.time < 3.0)
-    assert np.linalg.norm(walk.motion.acceleration[rest], axis=1) == pytest.approx(9.80665, abs=0.3)
-
-
-@pytest.mark.parametrize("hold", CARRIED)
-def test_the_step_detector_finds_the_steps(hold):
-    """For most people: in some pockets heel strikes count twice, on some swinging arms strides count once."""
-    ratios = []
-    for seed in range(5):
-        walk = walked(hold=hold, seed=seed)
-        ratios.append(len(detect_steps(walk.recording("accelerometer", "gyroscope"))) / len(walk.body.landings))
-    assert np.median(ratios) == pytest.approx(1, abs=0.06)
+    rest = (motion.time > 0.5) & (motion.time < 3.0)
+    assert np.linalg.norm(motion.acceleration[rest], axis=1) == pytest.approx(9.80665, abs=0.3)
 
 
 def test_an_elliptical_swing_drifts_the_rate_about_the_vertical():
@@ -63,7 +48,7 @@ def test_an_elliptical_swing_drifts_the_rate_about_the_vertical():
     def drift(hold):
         drifted = []
         for seed in range(6):
-            walk = walked(hold=hold, seed=seed, route=[[0, 0], [60, 0]])
+            walk = along([[0, 0], [60, 0]], hold=hold, seed=seed)
             motion, heading = walk.motion, walk.body.heading
             up = motion.R_world_device.inv().apply([0.0, 0.0, 1.0])
             turned = np.sum(motion.angular_rate * up) / motion.rate
@@ -84,7 +69,7 @@ def test_holds_differ_as_on_real_recordings():
 
 
 def test_a_change_of_hold_turns_the_phone_within_its_time_only():
-    walk = walked([[0, 0], {"stand": 5}, {"hold": "trouser pocket"}, {"stand": 5}])
+    walk = along([[0, 0], {"stand": 5}, {"hold": "trouser pocket"}, {"stand": 5}])
     begun = walk.body.events_of("hold")[1].start
     attitude, time = walk.motion.R_world_device, walk.motion.time
 
@@ -97,7 +82,7 @@ def test_a_change_of_hold_turns_the_phone_within_its_time_only():
 
 
 def test_shaking_turns_the_phone_fast():
-    walk = walked([[0, 0], {"stand": 5}, {"shake": 5}, {"stand": 5}])
+    walk = along([[0, 0], {"stand": 5}, {"shake": 5}, {"stand": 5}])
     (event,) = walk.body.events_of("shake")
     on = (walk.motion.time > event.start + 1) & (walk.motion.time < event.end - 1)
     rate = np.linalg.norm(walk.motion.angular_rate, axis=1)
@@ -115,7 +100,7 @@ def test_the_accelerometer_on_a_cart_integrates_to_its_speed():
 
 @pytest.mark.parametrize("rate", [25, 50, 100, 200, 400])
 def test_samples_have_the_requested_rate(rate):
-    walk = walked([[0, 0], {"to": [10, 0]}], rate=rate, lost=0, repeated=0, jitter=0.0001)
+    walk = along([[0, 0], {"to": [10, 0]}], rate=rate, lost=0, repeated=0, jitter=0.0001)
     signal = walk.signals["accelerometer"]
     assert np.median(np.diff(signal.time)) == pytest.approx(1 / rate, rel=0.02)
     assert len(signal) == pytest.approx(rate * walk.body.time[-1], abs=2)
@@ -129,7 +114,7 @@ def test_samples_are_lost_and_repeated_at_the_requested_shares():
 
 
 def test_a_sensor_has_its_range_and_resolution():
-    still = walked([[0, 0], {"stand": 60}]).motion
+    still = along([[0, 0], {"stand": 60}]).motion
     hit = replace(still, acceleration=still.acceleration * 50)
     signal = sensors.imu(hit, sensors.SampleClock(), np.random.default_rng(0))["accelerometer"]
     assert np.abs(signal.values).max() == 78.4
@@ -137,11 +122,12 @@ def test_a_sensor_has_its_range_and_resolution():
     assert np.abs(inside / 0.0024 - np.round(inside / 0.0024)).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_the_gyroscope_drifts_while_the_phone_warms_up():
     """Over a quarter of an hour the mean of a gyroscope at rest changes by more than its noise explains."""
     moved = []
     for seed in range(8):
-        values = walked([[0, 0], {"stand": 900}], seed=seed, hold="cart", rate=25).signals["gyroscope"].values
+        values = along([[0, 0], {"stand": 900}], seed=seed, hold="cart", rate=25).signals["gyroscope"].values
         moved.append(values[-1000:].mean(axis=0) - values[:1000].mean(axis=0))
     assert 0.0003 < np.std(moved) < 0.003  # [rad/s]; 0.0022 of noise leaves 0.00005
 
@@ -175,7 +161,7 @@ def test_a_storey_is_half_a_hectopascal():
     route = [[0, 0], {"stand": 20}, {"lift": "2", "climb": 3.8}, {"stand": 20}]
     fell = []
     for seed in range(10):
-        signal = walked(route, seed=seed).signals["barometer"]
+        signal = along(route, seed=seed).signals["barometer"]
         low, high = signal.time < 19, signal.time > signal.time[-1] - 19
         fell.append(signal.values[low].mean() - signal.values[high].mean())
     assert np.mean(fell) == pytest.approx(3.8 * 0.120, abs=0.03)

@@ -21,16 +21,22 @@ def error(walk, late=0.0):
     return fixes.position - interpolate(fixes.time - late, walk.body.time, walk.body.position)
 
 
-def test_68_percent_of_gnss_fixes_are_within_their_accuracy():
-    walks = [walked(seed, gnss={"outliers": 0}) for seed in range(25)]
-    inside = np.concatenate([np.hypot(*error(w).T) < w.gnss.accuracy for w in walks])
+@pytest.fixture(scope="module")
+def without_outliers():
+    return [walked(seed, gnss={"outliers": 0}) for seed in range(25)]
+
+
+@pytest.mark.thorough
+def test_68_percent_of_gnss_fixes_are_within_their_accuracy(without_outliers):
+    inside = np.concatenate([np.hypot(*error(w).T) < w.gnss.accuracy for w in without_outliers])
     assert inside.mean() == pytest.approx(0.68, abs=0.06)
 
 
-def test_gnss_errors_are_correlated_for_tens_of_seconds():
-    walks = [walked(seed, gnss={"outliers": 0}) for seed in range(10)]
-    kept = [np.corrcoef(e[:-10].ravel(), e[10:].ravel())[0, 1] for e in map(error, walks)]
-    gone = [np.corrcoef(e[:-200].ravel(), e[200:].ravel())[0, 1] for e in map(error, walks)]
+@pytest.mark.thorough
+def test_gnss_errors_are_correlated_for_tens_of_seconds(without_outliers):
+    errors = [error(walk) for walk in without_outliers]
+    kept = [np.corrcoef(e[:-10].ravel(), e[10:].ravel())[0, 1] for e in errors]
+    gone = [np.corrcoef(e[:-200].ravel(), e[200:].ravel())[0, 1] for e in errors]
     assert np.mean(kept) > 0.5 > 0.3 > np.mean(gone)
 
 
