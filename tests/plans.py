@@ -10,6 +10,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 
 MAPS = Path(__file__).resolve().parents[1] / "maps"
+ARCADE, TWO_FLOORS, EIGHT = (MAPS / f"{name}.geojson" for name in ("arcade", "two_floors", "figure_eight"))
 
 
 def plan(*areas):

@@ -324,6 +324,12 @@ MISTAKES = {
         lambda g: pdr.Navigator().push(pdr.Samples("acc", 0.01, (0, 0, 9.8))),
         "Samples.sensor: found 'acc' (accelerometer?), expected one of accelerometer, gyroscope, magnetometer",
     ),
+    "samples of one axis": (
+        lambda g: pdr.Navigator().push(pdr.Samples("gyroscope", np.zeros(2), np.zeros((2, 1)))),
+        "found shape (2, 1) at 2 times, expected (2, 3)",
+    ),
+    "a path for a live plan": (lambda g: pdr.Navigator("plan.geojson"), "expected FloorPlan or Building or None"),
+    "a number for an event": (lambda g: pdr.Navigator().push(1.0), "Navigator.push, event: found float 1.0, expected"),
     "no lag": (lambda g: pdr.Navigator(lag=0), "found 0, expected seconds above 0"),
     "a name for a scenario": (lambda g: pdr.simulate("arcade"), 'as of Scenario.load("arcade")'),
     "a scenario that is not there": (lambda g: pdr.Scenario.load("atlantis"), "one of arcade, campus"),
