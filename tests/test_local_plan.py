@@ -8,7 +8,8 @@ import drawn_plans
 import numpy as np
 import pytest
 import simulated
-from test_cli import ARCADE, ROUTE
+from plans import ARCADE
+from simulated import ROUTE
 from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import simulated
 from commands import run
-from test_cli import ARCADE, MAPS, ROUTE
+from plans import ARCADE, MAPS
+from simulated import ROUTE
 
 from pdr_graph.apps.replay import navigator_of
 from pdr_graph.errors import InputError

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 import simulated
-from test_cli import ARCADE, ROUTE
+from plans import ARCADE
+from simulated import ROUTE
 
 from pdr_graph.apps.replay import replay_recording
 from pdr_graph.apps.report.output_files import smooth_recording
