@@ -4,12 +4,14 @@ import json
 import re
 import shutil
 
+import numpy as np
 import pytest
 import recorders
 from commands import run
 from plans import MAPS
 
 import pdr_graph
+from pdr_graph import read_trajectory
 from pdr_graph.errors import printable
 from pdr_graph.lab.simulation import scenario
 
@@ -92,6 +94,7 @@ def test_the_stored_scores_are_those_of_evaluate(arcade_walk, written):
     assert stored["ce"] == pytest.approx(scores["ce"], abs=1e-3)
     assert 0.8 < stored["in_90"] <= 1
     assert stored["n"] == scores["n"]
+    assert np.isfinite(read_trajectory(out / "truth.tum").heading).all()
 
 
 def test_truth_is_scored_and_not_used_and_no_report_writes_the_rest(arcade_walk, written, tmp_path):
