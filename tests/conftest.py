@@ -1,6 +1,7 @@
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -19,3 +20,19 @@ def pytest_collection_modifyitems(config, items):
         left_out = [item for item in items if item.get_closest_marker("thorough")]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("thorough")]
+
+
+@pytest.fixture(scope="session")
+def arcade_walk(tmp_path_factory):
+    """A walk of 27 s through the arcade, as Sensor Logger writes it, with plan, fixes and truth; only to be read."""
+    import simulated
+
+    return simulated.arcade(tmp_path_factory.mktemp("arcade") / "walk")
+
+
+@pytest.fixture(scope="session")
+def long_walk(tmp_path_factory):
+    """A walk of a minute along `simulated.ROUTE`: walk.txt, fixes.csv with outliers, truth.csv; only to be read."""
+    import simulated
+
+    return simulated.indoor_location(tmp_path_factory.mktemp("long"), simulated.ROUTE, seed=4)

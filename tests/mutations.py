@@ -4,40 +4,25 @@ import io as memory
 import json
 import random
 import zipfile
-from dataclasses import fields, replace
 
 import drawn_plans
 import shapely
-from recorders import EXPORTS, phyphox, sample
+from recorders import EXPORTS, Sample, phyphox, sample
 
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 
 SAMPLES = 80
-NUMBERS = (
-    b"nan",
-    b"inf",
-    b"-inf",
-    b"1e308",
-    b"-1",
-    b"0",
-    b"",
-    b"9" * 400,
-    b"1e-320",
-    b"0x10",
-    b"1,5",
-    b"true",
-    b"\xff\xfe",
-)
+NUMBERS = (b"nan", b"inf", b"-inf", b"1e308", b"-1", b"0", b"", b"9" * 400, b"1e-320", b"0x10", b"1,5", b"true")
+NUMBERS += (b"\xff\xfe",)
 BYTES = (b"\x00", b'"', b",", b";", b"\t", b"\n", b"\r", b"\\", b"<", b"&", b"{", b"[", b"\xef\xbb\xbf", "٣".encode())
 
 
 def small():
-    """The first second and a half of the walk."""
-    whole = sample()
-    long = {f.name: getattr(whole, f.name) for f in fields(whole)}
+    """The first second and a half of the walk, with two fixes."""
+    whole = vars(sample())
     few = {"fix_time", "lonlat", "accuracy"}
-    return replace(whole, **{n: v[: 2 if n in few else SAMPLES] for n, v in long.items()})
+    return Sample(**{name: column[: 2 if name in few else SAMPLES] for name, column in whole.items()})
 
 
 def zipped(files):
@@ -54,32 +39,24 @@ def gpx():
     return f'<?xml version="1.0"?><gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{points}</trkseg></trk></gpx>'
 
 
-def geolife():
-    head = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n"
-    return head + "".join(f"39.9,116.3{n},0,492,39747.11240{n},2008-10-26,02:41:5{n}\n" for n in range(6))
-
-
 def plan(ipin=False, local=False):
-    shift = (566e3, 5932e3) * 2 if ipin else (8, 49) * 2
-    scale = 1.0 if ipin or local else 1e-5
+    """A corridor, a room and stairs between two floors."""
+    shift, scale = ((566e3, 5932e3), 1.0) if ipin else ((8, 49), 1.0 if local else 1e-5)
     boxes = {"corridor": (0, 0, 9, 2), "room": (0, 2, 9, 6), "wall": (0, 2, 4, 2.2), "door": (4, 2, 5, 2.2)}
-    boxes["stairs"] = (0, -3, 2, 0)
     features = []
-    for kind, b in boxes.items():
-        box = shapely.box(*(v * scale + o for v, o in zip(b, shift, strict=True)))
+    for kind, box in (boxes | {"stairs": (0, -3, 2, 0)}).items():
         properties = {"Type": kind.title()} if ipin else {"kind": kind, "name": kind, "floor": ["0", "1"]}
-        features.append({"type": "Feature", "properties": properties, "geometry": json.loads(shapely.to_geojson(box))})
-    about = (
-        {"crs": {"properties": {"name": "EPSG::32632"}}}
-        if ipin
-        else {"pdr_graph": ({"frame": "local"} if local else {"origin": [8.0, 49.0]}) | {"heights": {"0": 0, "1": 4}}}
-    )
+        features.append({"type": "Feature", "properties": properties, "geometry": placed(box, shift, scale)})
+    frame = {"frame": "local"} if local else {"origin": [8.0, 49.0]}
+    ours = {"pdr_graph": frame | {"heights": {"0": 0, "1": 4}}}
+    about = {"crs": {"properties": {"name": "EPSG::32632"}}} if ipin else ours
     return json.dumps({"type": "FeatureCollection", **about, "features": features})
 
 
-def placed(box):
+def placed(box, shift=(8, 49), scale=1e-5):
     """The GeoJSON geometry of a box in metres."""
-    return json.loads(shapely.to_geojson(shapely.box(*(v * 1e-5 + o for v, o in zip(box, (8, 49) * 2, strict=True)))))
+    moved = shapely.box(*(v * scale + o for v, o in zip(box, shift * 2, strict=True)))
+    return json.loads(shapely.to_geojson(moved))
 
 
 def imdf():
@@ -164,17 +141,13 @@ def simulated_if_short(path):
         simulate(scenario)
 
 
-def _encoded(content):
-    return content.encode() if isinstance(content, str) else content
-
-
 def inputs():
     """Name to (file name, bytes or files of a folder) of a whole input of every kind."""
     s = small()
-    recordings = {name: (path, _encoded(write(s))) for name, (path, write) in EXPORTS.items()}
+    recordings = {name: (path, write(s)) for name, (path, write) in EXPORTS.items()}
+    recordings = {n: (path, t.encode() if isinstance(t, str) else t) for n, (path, t) in recordings.items()}
     recordings |= {
         "phyphox": ("walk.zip", phyphox(s) | {"meta/time.csv": '"event","a","b"\n"START",0.0,1.7E9\n'}),
-        "geolife": ("day.plt", geolife().encode()),
         "gpx": ("track.gpx", gpx().encode()),
     }
     tables = {
@@ -190,7 +163,7 @@ def inputs():
         "osm indoor geojson": ("mall.geojson", osm_geojson().encode()),
         "a file per floor": ("house.zip", {"house/0.geojson": plan(), "house/2.geojson": osm_geojson(first=2)}),
         "local plan": ("local.geojson", plan(local=True).encode()),
-        "cad lines": ("lines.csv", _encoded(drawn_plans.csv(drawn_plans.segments(drawn_plans.walls())))),
+        "cad lines": ("lines.csv", drawn_plans.csv(drawn_plans.segments(drawn_plans.walls())).encode()),
         "dxf": ("plan.dxf", drawn_plans.file_bytes(lambda folder: drawn_plans.dxf(folder / "a.dxf"))),
         "picture": ("plan.png", drawn_plans.file_bytes(lambda folder: drawn_plans.picture(0.1).save(folder / "a.png"))),
         "pdf": ("plan.pdf", drawn_plans.file_bytes(lambda folder: drawn_plans.pdf(folder / "a.pdf"))),

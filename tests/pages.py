@@ -5,7 +5,7 @@ A block of ``text`` right after one is what it says: the same words in the same 
 A picture is what its page made: of its own name, or that in a comment ``<!-- made: result/figure.png -->`` before it.
 
 As a program, ``pages.py PAGE …`` runs pages and puts the pictures that they made beside them; ``pages.py --in FOLDER
-PAGE`` runs one and leaves what it made there, with a third argument by the programs in that folder first.
+PAGE`` runs one and leaves what it made there.
 """
 
 import contextlib
@@ -50,22 +50,19 @@ def blocks(page):
             yield Block(this[1], this[2], text.count("\n", 0, this.start(2)), said)
 
 
-def execute(page, folder, programs=None):
-    """Run a page in a folder; says which line of it failed, and returns all that was printed.
-
-    programs: a folder whose programs come before the installed ones.
-    """
+def execute(page, folder):
+    """Run a page in a folder; says which line of it failed, and returns all that was printed."""
     names, heard = {}, []
     for block in blocks(page):
-        said = _shell(block, page, folder, programs) if block.language == "sh" else _python(block, page, folder, names)
+        said = _shell(block, page, folder) if block.language == "sh" else _python(block, page, folder, names)
         _check(block, page, said)
         heard.append(said)
     return "".join(heard)
 
 
-def execute_apart(page, folder, programs=None):
+def execute_apart(page, folder):
     """The same in a process of its own: what went wrong, empty if nothing did."""
-    command = [sys.executable, __file__, "--in", str(folder), str(page), *([str(programs)] if programs else [])]
+    command = [sys.executable, __file__, "--in", str(folder), str(page)]
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
     return done.stderr if done.returncode else ""
 
@@ -94,9 +91,8 @@ def _photograph(html, png):
     subprocess.run([browser, "--headless", "--no-sandbox", *window, html.as_uri()], check=True, capture_output=True)
 
 
-def _shell(block, page, folder, programs=None):
-    first = [str(programs)] if programs else []
-    path = os.pathsep.join([*first, str(Path(sys.executable).parent), os.environ["PATH"]])
+def _shell(block, page, folder):
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     command = ["bash", "-euo", "pipefail", "-c", block.text]
     environment = os.environ | {"PATH": path, "COLUMNS": "200"}
     kept = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
@@ -137,8 +133,7 @@ def _about(stated, found):
 
 if __name__ == "__main__":
     if sys.argv[1] == "--in":
-        _, _, folder, page, *programs = map(Path, sys.argv)
-        execute(page, folder, *programs)
+        execute(Path(sys.argv[3]), Path(sys.argv[2]))
     else:
         for argument in sys.argv[1:]:
             draw(Path(argument))

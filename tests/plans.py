@@ -9,7 +9,9 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 
-MAPS = Path(__file__).resolve().parents[1] / "maps"
+ROOT = Path(__file__).resolve().parents[1]
+MAPS = ROOT / "maps"
+ARCADE, TWO_FLOORS, EIGHT = (MAPS / f"{name}.geojson" for name in ("arcade", "two_floors", "figure_eight"))
 
 
 def plan(*areas):

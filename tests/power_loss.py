@@ -11,13 +11,30 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE / "online"), str(HERE / "lifelog")]
 
-from pdr_graph import InputError  # noqa: E402
+# ruff: noqa: E402
+import days_standin
+import numpy as np
+from simulated import walk_along
+from standin import StandIn, event
+
+from pdr_graph import InputError
+from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.diary import digest_of
+from pdr_graph.apps.lifelog.facts import AT, Correction, Guess
+from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.store import ZONE, Store
+from pdr_graph.apps.serve.live_walk import LOG, PUBLISHED, SESSION, LiveWalk, MessageLog, Session, write_session
+from pdr_graph.apps.serve.publishing import Hub
+from pdr_graph.apps.serve.reception import Reception, blank_pose
+from pdr_graph.lab.simulation.streaming import batches, message
+from pdr_graph.online.journal import Journal, read_entries
+from pdr_graph.types import Recording, Signal
 
 WHOLE = "whole"  # nothing is missing
 STATED = "loss said"  # what came back is an earlier whole state or a part, and the loss was said
@@ -93,18 +110,15 @@ def attack(target, damage, seed, folder):
         shared = folder / f"{next(iter(target.ages[-1]))}-shm"
         if not shared.exists():
             shared.write_bytes(chance.randbytes(32768))
-    before = taken(folder)
+    before = {path: each for path, each in taken(folder).items() if not path.endswith("-shm")}
     try:
         outcome, found = target.reopen(folder)
     except InputError as refusal:
-        text = on_one_line(refusal)
-        found = f"{name}: {text}"
-        kept = {path: each for path, each in before.items() if not path.endswith("-shm")}
-        if any(taken(folder).get(path) != each for path, each in kept.items()):
-            return FAILED, f"{name}: refused, but files have changed: {text}"
-        return REFUSED, found
+        outcome, found = REFUSED, on_one_line(refusal)
+        if any(taken(folder).get(path) != each for path, each in before.items()):
+            outcome, found = FAILED, f"refused, but files have changed: {found}"
     except Exception as error:
-        return FAILED, f"{name}: {type(error).__name__}: {error}"
+        outcome, found = FAILED, f"{type(error).__name__}: {error}"
     return outcome, f"{name}: {found}"
 
 
@@ -141,45 +155,17 @@ def taken(folder):
     }
 
 
-class Said:
-    """The lines that are said while something is opened."""
-
-    def __enter__(self):
-        self._caught = warnings.catch_warnings(record=True)
-        self._records = self._caught.__enter__()
-        warnings.simplefilter("always")
-        return self
-
-    def __exit__(self, *error):
-        self._caught.__exit__(*error)
-
-    def __bool__(self):
-        return bool(self._records)
-
-    def __str__(self):
-        return "; ".join(str(record.message) for record in self._records)
-
-
 # ── the journal of a walk ───────────────────────────────────────────────────────────────────────────────────────────
 
 EVENTS = 230
 
 
 def journal(path):
-    from standin import StandIn
-
-    from pdr_graph.online.journal import Journal
-
     return Journal.open(path, StandIn, {"lag": 60.0})
 
 
-def walk_of(journal):
+def walk_of(navigator):
     """All that a walk is, bit by bit: where it is, and each row of its trajectory."""
-    return of_navigator(journal.navigator)
-
-
-def of_navigator(navigator):
-    """`walk_of` that a navigator estimates."""
     track = navigator.finish().trajectory
     columns = (track.time, track.position, track.heading, track.covariance)
     rows = zip(*([row.tobytes() for row in column] for column in columns), track.floor, strict=True)
@@ -188,12 +174,10 @@ def of_navigator(navigator):
 
 def journal_target(folder):
     """A walk whose process ended without closing its journal."""
-    from standin import event
-
     states, ages = [], []
     with journal(folder / "walk") as walk:
         for number in range(EVENTS + 1):
-            states.append(walk_of(walk))
+            states.append(walk_of(walk.navigator))
             if number in (0, 20, 60, 93, 95, 142, 180, 200):
                 ages.append(taken(folder))
             if number < EVENTS:
@@ -203,14 +187,14 @@ def journal_target(folder):
     def reopen(damaged):
         with journal(damaged / "walk") as found:
             resumed, loss = found.count, found.loss
-            if walk_of(found) != states[resumed]:
+            if walk_of(found.navigator) != states[resumed]:
                 return FAILED, f"another walk after {found.count} events"
             for number in range(found.count, EVENTS):
                 found.push(event(number))
-            if walk_of(found) != states[EVENTS]:
+            if walk_of(found.navigator) != states[EVENTS]:
                 return FAILED, f"a walk that goes on otherwise after {resumed} events"
         with journal(damaged / "walk") as again:
-            if walk_of(again) != states[EVENTS]:
+            if walk_of(again.navigator) != states[EVENTS]:
                 return FAILED, "another walk when it is opened again"
         return verdict(resumed == EVENTS and not loss, loss, f"{resumed} of {EVENTS} events")
 
@@ -224,19 +208,9 @@ def verdict(whole, said, found):
 
 # ── the store of a lifelog ──────────────────────────────────────────────────────────────────────────────────────────
 
-DATES = tuple(f"2024-05-0{n}" for n in range(1, 6))
-
 
 def lifelog_ages(folder):
     """A lifelog of five days after each of its builds, and in the middle of them; the last one is killed in a build."""
-    import days_standin as standin
-
-    from pdr_graph.apps.lifelog.build import build
-    from pdr_graph.apps.lifelog.diary import digest_of
-    from pdr_graph.apps.lifelog.facts import AT, Correction, Guess
-    from pdr_graph.apps.lifelog.ingest import add
-    from pdr_graph.apps.lifelog.store import ZONE, Store
-
     ages = []
     (folder / "store").mkdir()
     with Store(folder / "store" / "log", new=True) as log:
@@ -244,10 +218,10 @@ def lifelog_ages(folder):
 
     def reconstruct(*inputs):
         ages.append(taken(folder / "store"))
-        return standin.reconstruct(*inputs)
+        return days_standin.reconstruct(*inputs)
 
     for day in range(5):
-        raw = standin.recording(folder / "raw" / f"{day}.plt", day, seed=day)
+        raw = days_standin.recording(folder / "raw" / f"{day}.plt", day, seed=day)
         add(folder / "store" / "log", [raw], copy=True)
         with Store(folder / "store" / "log") as log:
             log.put_correction(Correction(0, "me", 1.7e9, AT, 86400.0 * day, 86400.0 * day + 60, {"name": f"at {day}"}))
@@ -263,8 +237,6 @@ def lifelog_ages(folder):
 
 def lifelog_content(log):
     """Everything in a lifelog, by what it is of; without the folder in which it lies."""
-    from dataclasses import replace
-
     found = {("recording", entry.hash): repr(replace(entry, path="")) for entry in log.entries()}
     found |= {("correction", each.number): repr(each) + each.content for each in log.corrections()}
     found |= {("guess", each.start): repr(each) for each in log.guesses("me")}
@@ -277,8 +249,6 @@ def lifelog_content(log):
 
 def shown(store):
     """The content of a lifelog, or nothing and why it is refused, in one line."""
-    from pdr_graph.apps.lifelog.store import Store
-
     try:
         with Store(store) as log:
             return lifelog_content(log), ""
@@ -288,22 +258,17 @@ def shown(store):
 
 def store_target(folder, killed=True):
     """The database of a lifelog. killed: while a build had it open."""
-    ages = [{name: content for name, content in age.items()} for age in lifelog_ages(folder)]
-    ages = ages[:-1] if killed else ages
+    ages = lifelog_ages(folder)[: -1 if killed else None]
     states = [content_of(age, folder / "scratch") for age in ages]
     known = {name: {state[name] for state in states if name in state} for state in states for name in state}
 
     def reopen(damaged):
-        import days_standin as standin
-
-        from pdr_graph.apps.lifelog.build import build
-        from pdr_graph.apps.lifelog.ingest import add
-
-        with Said() as said:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
             before, refusal = shown(damaged / "log")
             if said:  # as the line says
                 add(damaged / "log", sorted((folder / "raw").iterdir()), copy=True)
-            result = build(damaged / "log", "UTC" if said else None, reconstruct=standin.reconstruct)
+            result = build(damaged / "log", "UTC" if said else None, reconstruct=days_standin.reconstruct)
             after, refusal_after = shown(damaged / "log")
         wrong = [name for found in (before, after) for name in found if found[name] not in known.get(name, ())]
         lost = {name for name, value in final.items() if after.get(name) != value}
@@ -311,7 +276,7 @@ def store_target(folder, killed=True):
             return FAILED, f"failures of the next build: {result.failures} {refusal_after}"
         if wrong:
             return CHANGED, f"{wrong}"
-        loss = str(said) or refusal
+        loss = "; ".join(str(each.message) for each in said) or refusal
         return verdict(not lost and not loss, loss, f"{len(lost)} of {len(final)} rows earlier or lost")
 
     final = content_of(ages[-1], folder / "scratch", build_it=True)
@@ -323,15 +288,10 @@ def store_target(folder, killed=True):
 
 def content_of(age, folder, build_it=False):
     """The content of a lifelog at an age; build_it: after a build."""
-    import days_standin as standin
-
-    from pdr_graph.apps.lifelog.build import build
-    from pdr_graph.apps.lifelog.store import Store
-
     shutil.rmtree(folder, ignore_errors=True)
     put(folder, age)
     if build_it:
-        build(folder / "log", reconstruct=standin.reconstruct)
+        build(folder / "log", reconstruct=days_standin.reconstruct)
     with Store(folder / "log") as log:
         return lifelog_content(log)
 
@@ -343,12 +303,6 @@ def closed_store_target(folder):
 
 def beside_target(folder):
     """The files beside the database: observations of recordings and digests of days."""
-    import days_standin as standin
-
-    from pdr_graph.apps.lifelog.build import build
-    from pdr_graph.apps.lifelog.diary import digest_of
-    from pdr_graph.apps.lifelog.store import Store
-
     ages = lifelog_ages(folder)
     final = content_of(ages[-1], folder / "scratch", build_it=True)
 
@@ -362,8 +316,8 @@ def beside_target(folder):
         found = digests(damaged / "log")
         with Store(damaged / "log") as log:
             log.delete_days(log.days())
-        told = build(damaged / "log", reconstruct=standin.reconstruct).failures  # damaged observations
-        result = build(damaged / "log", reconstruct=standin.reconstruct)
+        told = build(damaged / "log", reconstruct=days_standin.reconstruct).failures  # damaged observations
+        result = build(damaged / "log", reconstruct=days_standin.reconstruct)
         if found != expected or result.failures or shown(damaged / "log")[0] != final:
             return FAILED, f"other days: {result.failures}"
         return verdict(not told, "".join(told), "made again")
@@ -378,12 +332,6 @@ MESSAGES, EPOCH = 12, 1_700_000_000.0
 
 def messages():
     """Messages of a phone, a second each."""
-    import numpy as np
-    from simulated import walk_along
-
-    from pdr_graph.lab.simulation.streaming import batches, message
-    from pdr_graph.types import Recording, Signal
-
     walk = walk_along(np.array([[0.0, 0.0], [12.0, 0.0]]), seed=3)
     signals = {"accelerometer": walk.acceleration, "gyroscope": walk.angular_rate}
     recording = Recording("walk", 0.0, EPOCH, **{name: Signal(walk.time, rows) for name, rows in signals.items()})
@@ -392,11 +340,6 @@ def messages():
 
 def walker(folder):
     """The walker of a session with all its messages used."""
-    import numpy as np
-    from standin import StandIn
-
-    from pdr_graph.apps.serve.live_walk import LiveWalk, Session
-
     session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
     walk = LiveWalk(folder, session, lambda epoch: StandIn())
     while walk.work(np.inf):
@@ -406,9 +349,6 @@ def walker(folder):
 
 def session_target(folder):
     """A live walk whose server ended without closing its files."""
-    from pdr_graph.apps.serve.live_walk import LOG, MessageLog
-    from pdr_graph.online.journal import read_entries
-
     bodies, ages, store = messages(), [], folder / "store"
     store.mkdir()
     for n, body in enumerate(bodies[:MESSAGES]):
@@ -416,7 +356,7 @@ def session_target(folder):
         log.add(n, EPOCH + n, body)
         log.close()
         ages.append(taken(store))
-    final = walk_of_session(store)
+    final = of_session(walker(store))
 
     def reopen(damaged):
         try:
@@ -428,7 +368,7 @@ def session_target(folder):
         shutil.rmtree(fresh, ignore_errors=True)
         put(fresh, {LOG: (damaged / LOG).read_bytes()})
         remaining = list(read_entries(damaged / LOG))
-        if found not in (final, walk_of_session(fresh)):
+        if found not in (final, of_session(walker(fresh))):
             return FAILED, "neither the whole walk nor that of the messages that remain"
         log = MessageLog(damaged / LOG)
         log.add(MESSAGES, EPOCH + MESSAGES, bodies[MESSAGES])
@@ -441,22 +381,13 @@ def session_target(folder):
     return Target(ages, (LOG,), reopen)
 
 
-def walk_of_session(folder):
-    """All that the walk of a session is, with all its messages."""
-    return of_session(walker(folder))
-
-
 def of_session(walk):
     """`walk_of` that its navigator estimates; None without one."""
-    return None if walk._navigator is None else of_navigator(walk._navigator)
+    return None if walk._navigator is None else walk_of(walk._navigator)
 
 
 def published_target(folder):
     """What is known of a finished session, and shown of it."""
-    from pdr_graph.apps.serve.live_walk import PUBLISHED, SESSION, Session, write_session
-    from pdr_graph.apps.serve.publishing import Hub
-    from pdr_graph.apps.serve.reception import Reception, blank_pose
-
     session = Session("id", "key", "phone", "ann", "sensorlogger", "android", EPOCH)
     pose, ages = blank_pose(session) | {"state": "finished", "x": 1.25}, []
     root = folder / "store" / "id"

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from plans import MAPS
+from plans import ARCADE
 
 from pdr_graph import detect_steps
 from pdr_graph.frames import enu
@@ -16,6 +16,7 @@ from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
 RATE = 50.0  # [Hz]
 START = 1.7e9  # Unix time [s]
+ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])  # [m] in the arcade
 GYRO_BIAS = np.array([0.003, -0.002, 0.002])  # [rad/s]
 
 
@@ -79,7 +80,7 @@ def indoor_location(folder, route, seed=0):
 
 def arcade(folder, seed=1, **more):
     """Write a walk of 27 s through maps/arcade.geojson as Sensor Logger does, with eight fixes and the truth."""
-    given = {"seed": seed, "start": 1777629600.0, "plan": str(MAPS / "arcade.geojson"), "phone": {"rate": RATE}}
+    given = {"seed": seed, "start": 1777629600.0, "plan": str(ARCADE), "phone": {"rate": RATE}}
     route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [20.0, 27.7]]}, {"stand": 2}]
     given |= {"route": route, "fixes": {"period": 4.0, "sigma": 1.0}}
     write(simulate(Scenario.of(given | more)), folder)

@@ -20,9 +20,11 @@ MADE_AT = r"Made at (or before )?commit [0-9a-f]{7}( \+ changes)?(: .*; the othe
 NO_COMMAND = {"index", "metrics", "papers"}
 MOST_WORDS = 1500
 
-# Sentence of a page, and the cells that its figures are: document, marker, beginning of the row, column, decimals
-MICROSOFT = ("results/microsoft.md", "microsoft")
+# Page and sentence: the cells that its figures are, each a document, marker, beginning of the row, column, decimals
+MICROSOFT, LIVE, VISITS = ("results/microsoft.md", "microsoft"), ("results/live.md", "live"), "results/lifelog.md"
+PERFORMANCE = "performance.md"
 CE = ("CE50 [m]", "CE75 [m]", "CE95 [m]")
+LIVE_COLUMNS = ("current pose [m]", "filter [m]", "lag 60 s [m]")
 WAYPOINTS = {
     "every second waypoint: straight lines between them": ("every second waypoint", "straight lines"),
     "every second waypoint: graph": ("every second waypoint", "graph"),
@@ -32,101 +34,53 @@ WAYPOINTS = {
     "first waypoint alone: graph, the direction by the magnetometer": ("first only", "graph"),
     "first waypoint alone: graph with the floor plan": ("first only", "graph with map"),
 }
-QUOTES = [
-    (
-        "README.md",
-        f"| {label.replace('**', '')} | {{}} m | {{}} m | {{}} m |",
-        [(*MICROSOFT, row, column, 2) for column in CE],
-    )
-    for label, row in WAYPOINTS.items()
-] + [
-    (
-        "README.md",
-        "{} % of {} simulated visits are assigned to the right shop",
-        [("results/lifelog.md", "lifelog-visits", ("all",), c, 0) for c in ("named right", "visits")],
-    ),
-    (
-        "README.md",
-        "a month of 10⁶ steps takes {} s to build",
-        [("performance.md", "lifelog", ("30 days, 1000000 steps, one process",), "", 0)],
-    ),
-    (
-        "README.md",
-        "an hour at 100 Hz with a map takes {} s from file to report, {} s of it for the graph",
-        [
-            ("performance.md", "hour", ("**the whole command**",), "CPU [s]", 0),
-            ("performance.md", "hour", ("**of which the graph**",), "CPU [s]", 1),
-        ],
-    ),
-    (
-        "README.md",
-        "is {} to {} times as fast as a filterpy filter with its smoother",
-        [
-            ("performance.md", "rivals", (steps, "filterpy: extended Kalman filter and RTS"), "ratio", 1)
-            for steps in ("2000", "7000")
-        ],
-    ),
-    (
-        "README.md",
-        "and {} times as fast as one Python factor per step with GTSAM's own optimiser",
-        [
-            (
-                "performance.md",
-                "rivals",
-                ("2000", "GTSAM: a CustomFactor per step, LevenbergMarquardtOptimizer"),
-                "ratio",
-                0,
-            )
-        ],
-    ),
-    ("README.md", "10⁶ steps take {} s.", [("performance.md", "scaling", ("1 000 000",), "CPU [s]", 0)]),
-    (
-        "README.md",
-        "has {} m in the median and {} m at 95 %; a causal filter of the same steps has {} and {} m, "
-        "the smoothed walk {} and {} m",
-        [
-            ("results/live.md", "live", ("Microsoft", "first only, plan"), (column, n), 2)
-            for column in ("current pose [m]", "filter [m]", "lag 60 s [m]")
-            for n in (0, 2)
-        ],
-    ),
-    (
-        "docs/limits.md",
-        "[{} m] over walks of 60 m",
-        [("results/microsoft.md", "microsoft", ("first only", "graph"), "CE50 [m]", 1)],
-    ),
-    (
-        "docs/limits.md",
-        "[{} m in the median, {} m at 95 %]; batch {} and {} m",
-        [
-            ("results/live.md", "live", ("NJU campus", "one in 60 s"), tuple(cell), digits)
-            for *cell, digits in (
-                ("current pose [m]", 0, 1),
-                ("current pose [m]", 2, 0),
-                ("batch [m]", 0, 1),
-                ("batch [m]", 2, 1),
-            )
-        ],
-    ),
-    (
-        "docs/limits.md",
-        "in the middle {} m on the same walks",
-        [("results/microsoft.md", "microsoft", ("first and last", "graph"), "CE50 [m]", 1)],
-    ),
-    (
-        "docs/limits.md",
-        "the region holds {} % of the current poses with a start 8 m off",
-        [("results/integrity-live.md", "integrity live", ("indoors", "user fixes, start: 8 m off"), "in 90 % (2)", 0)],
-    ),
-    (
-        "docs/limits.md",
-        "{} to {} % of the waypoints of real malls are in the region",
-        [
-            ("results/microsoft.md", "microsoft", (given, "graph with map"), "in 90 % region", 0)
-            for given in ("first and last", "first only")
-        ],
-    ),
-]
+README = {
+    f"| {label} | {{}} m | {{}} m | {{}} m |": [(*MICROSOFT, row, c, 2) for c in CE] for label, row in WAYPOINTS.items()
+}
+README |= {
+    "{} % of {} simulated visits are assigned to the right shop": [
+        (VISITS, "lifelog-visits", ("all",), column, 0) for column in ("named right", "visits")
+    ],
+    "a month of 10⁶ steps takes {} s to build": [
+        (PERFORMANCE, "lifelog", ("30 days, 1000000 steps, one process",), "", 0)
+    ],
+    "an hour at 100 Hz with a map takes {} s from file to report, {} s of it for the graph": [
+        (PERFORMANCE, "hour", ("**the whole command**",), "CPU [s]", 0),
+        (PERFORMANCE, "hour", ("**of which the graph**",), "CPU [s]", 1),
+    ],
+    "is {} to {} times as fast as a filterpy filter with its smoother": [
+        (PERFORMANCE, "rivals", (steps, "filterpy: extended Kalman filter and RTS"), "ratio", 1)
+        for steps in ("2000", "7000")
+    ],
+    "and {} times as fast as one Python factor per step with GTSAM's own optimiser": [
+        (PERFORMANCE, "rivals", ("2000", "GTSAM: a CustomFactor per step, LevenbergMarquardtOptimizer"), "ratio", 0)
+    ],
+    "10⁶ steps take {} s.": [(PERFORMANCE, "scaling", ("1 000 000",), "CPU [s]", 0)],
+    "has {} m in the median and {} m at 95 %; a causal filter of the same steps has {} and {} m, "
+    "the smoothed walk {} and {} m": [
+        (*LIVE, ("Microsoft", "first only, plan"), (column, n), 2) for column in LIVE_COLUMNS for n in (0, 2)
+    ],
+}
+LIMITS = {
+    "[{} m] over walks of 60 m": [(*MICROSOFT, ("first only", "graph"), "CE50 [m]", 1)],
+    "[{} m in the median, {} m at 95 %]; batch {} and {} m": [
+        (*LIVE, ("NJU campus", "one in 60 s"), column, decimals)
+        for *column, decimals in (
+            ("current pose [m]", 0, 1),
+            ("current pose [m]", 2, 0),
+            ("batch [m]", 0, 1),
+            ("batch [m]", 2, 1),
+        )
+    ],
+    "in the middle {} m on the same walks": [(*MICROSOFT, ("first and last", "graph"), "CE50 [m]", 1)],
+    "the region holds {} % of the current poses with a start 8 m off": [
+        ("results/integrity-live.md", "integrity live", ("indoors", "user fixes, start: 8 m off"), "in 90 % (2)", 0)
+    ],
+    "{} to {} % of the waypoints of real malls are in the region": [
+        (*MICROSOFT, (given, "graph with map"), "in 90 % region", 0) for given in ("first and last", "first only")
+    ],
+}
+QUOTES = {"README.md": README, "docs/limits.md": LIMITS}
 # Numbers of these pages that are no results: names, versions, definitions and settings of the data
 SETTINGS = {
     "README.md": [
@@ -279,13 +233,12 @@ def test_a_quick_table_is_that_of_its_page(name):
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("page", ["accuracy", *sorted(RESULTS)])
-def test_markers_come_in_pairs(page):
+def test_markers_come_in_pairs():
     """Each once, so that a script finds its place."""
-    text = RESULTS.get(page, ACCURACY)
-    begun, ended = re.findall(r"<!-- ([^/].*?) -->", text), re.findall(r"<!-- /(.*?) -->", text)
-    assert begun == ended
-    assert len(set(begun)) == len(begun)
+    for page, text in (RESULTS | {"accuracy": ACCURACY}).items():
+        begun, ended = re.findall(r"<!-- ([^/].*?) -->", text), re.findall(r"<!-- /(.*?) -->", text)
+        assert begun == ended, page
+        assert len(set(begun)) == len(begun), page
 
 
 def test_two_scripts_agree_on_microsofts_walks():
@@ -303,13 +256,13 @@ def test_two_scripts_agree_on_microsofts_walks():
     assert seen == 15
 
 
-@pytest.mark.parametrize("row", [line for line in RESULTS["papers"].splitlines() if "](" in line])
-def test_figures_of_the_papers_stand_on_their_pages(row):
+def test_figures_of_the_papers_stand_on_their_pages():
     """Published or ours, whatever has a decimal."""
-    _, _, published, ours, link = cells(row)
-    (page,) = re.findall(r"\]\(([\w-]+)\.md", link)
-    for figure in re.findall(r"\d+\.\d+", f"{published} {ours}"):
-        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", RESULTS[page]), (figure, row)
+    for row in (line for line in RESULTS["papers"].splitlines() if "](" in line):
+        _, _, published, ours, link = cells(row)
+        [page] = re.findall(r"\]\(([\w-]+)\.md", link)
+        for figure in re.findall(r"\d+\.\d+", f"{published} {ours}"):
+            assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", RESULTS[page]), (figure, row)
 
 
 def cell_of(tables, document, name, row, column, decimals):
@@ -321,22 +274,20 @@ def cell_of(tables, document, name, row, column, decimals):
     return f"{float(re.findall(r'[0-9][0-9.e+]*', found[0][header])[nth]):.{decimals}f}"
 
 
-@pytest.mark.parametrize("quote", QUOTES, ids=lambda quote: quote[1][:40])
-def test_a_quoted_figure_is_that_of_its_table(scripts, quote):
-    page, sentence, sources = quote
-    figures = [cell_of(scripts[1], *source) for source in sources]
-    assert sentence.format(*figures) in prose(page)
+def test_a_quoted_figure_is_that_of_its_table(scripts):
+    for page, quotes in QUOTES.items():
+        said = {sentence.format(*(cell_of(scripts[1], *source) for source in at)) for sentence, at in quotes.items()}
+        assert {sentence for sentence in said if sentence not in prose(page)} == set(), page
 
 
 @pytest.mark.parametrize("page", SETTINGS)
 def test_no_figure_stands_in_prose_without_its_table(page):
     """All numbers of the page are in `QUOTES`, in `SETTINGS` or in a table that a script wrote."""
     text = prose(page)
-    sentences = [re.escape(sentence).replace(r"\{\}", r"[\d.]+") for of, sentence, _ in QUOTES if of == page]
+    sentences = [re.escape(sentence).replace(r"\{\}", r"[\d.]+") for sentence in QUOTES.get(page, ())]
     for pattern in [*sentences, *map(re.escape, SETTINGS[page])]:
         text = re.sub(pattern, "", text)
-    left = re.findall(r".{0,40}(?<![\w.])\d.{0,20}", text)
-    assert not left, left
+    assert re.findall(r".{0,40}(?<![\w.])\d.{0,20}", text) == []
 
 
 def prose(page):

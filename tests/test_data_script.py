@@ -38,20 +38,16 @@ def test_files_come_from_their_repository_and_are_not_fetched_again(data):
     assert (data.DATA / "walks" / "one.txt").read_text() == "a walk"
     data.source.unlink()
     assert ending(data) == 0
+    assert "no folder nowhere" in ending(data, "nowhere")
 
 
-def test_another_file_than_the_list_states_is_named_and_not_kept(data):
+def test_another_file_than_the_list_states_is_named_and_not_kept_or_left_alone(data):
+    """Not kept if it comes so, left alone if it was changed here."""
     data.source.write_text("another walk")
     assert "another file than the list states" in ending(data)
     assert list(data.DATA.rglob("*")) == []
-
-
-def test_a_file_that_was_changed_here_is_named_and_left_alone(data):
+    data.source.write_text("a walk")
     assert ending(data) == 0
     (data.DATA / "walks" / "one.txt").write_text("edited")
     assert "another file" in ending(data)
     assert (data.DATA / "walks" / "one.txt").read_text() == "edited"
-
-
-def test_an_unknown_folder_is_an_error(data):
-    assert "no folder nowhere" in ending(data, "nowhere")

@@ -3,13 +3,22 @@
 import ast
 import math
 import re
+import sys
 from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-HOUSE = ROOT / "pdr_graph"
+import numpy as np
+import pytest
+from source import FILES, PACKAGE, ROOT, text_of, tree_of
+
+from pdr_graph.apps.replay import navigator_of
+from pdr_graph.lab.simulation.recorders import write
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.online.interface import events_of
+from pdr_graph.walk import Options, estimate, observe, read
+
 # From the top: a file may import what stands on its own floor or below
 FLOORS = [
     ["__main__"],
@@ -30,33 +39,23 @@ FLOORS = [
     ["errors", "whole_files", "priors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
-ROOMS = {
-    "gtsam": {"estimation"},
-    "matplotlib": {"report", "lifelog"},
-    "pyproj": {"frames"},
-    "pygeomag": {"frames"},
-    "lxml": {"io", "floor", "lifelog"},
-    "ezdxf": {"floor"},
-    "skimage": {"floor"},
-    "pypdfium2": {"floor"},
-    "yaml": {"floor"},
-    "PIL": {"floor"},
-    "vqf": {"inertial", "papers"},
-    "joblib": {"lifelog"},
-    "tzfpy": {"lifelog"},
-    "dask": {"lifelog"},
-    "geopandas": {"lifelog"},
-    "pandas": {"lifelog"},
-    "pyarrow": {"io", "lifelog"},
-    "isal": {"io", "report"},
-    "numba": {"estimation"},
-    "sqlite3": {"storage", "recovery", "online", "lifelog"},
-    "httpx": {"web_request"},
-    "starlette": {"serve"},
-    "uvicorn": {"serve"},
-    "aiomqtt": {"serve"},
-    "typer": {"cli"},
-    "garmin_fit_sdk": {"lifelog"},
+# What each room may import of others' libraries, of those that are listed for some room
+LIBRARIES = {
+    "cli": {"typer"},
+    "serve": {"starlette", "uvicorn", "aiomqtt"},
+    "lifelog": {"matplotlib", "lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}
+    | {"garmin_fit_sdk"},
+    "report": {"matplotlib", "isal"},
+    "online": {"sqlite3"},
+    "papers": {"vqf"},
+    "estimation": {"gtsam", "numba"},
+    "inertial": {"vqf"},
+    "floor": {"lxml", "ezdxf", "skimage", "pypdfium2", "yaml", "PIL"},
+    "io": {"lxml", "pyarrow", "isal"},
+    "frames": {"pyproj", "pygeomag"},
+    "storage": {"sqlite3"},
+    "recovery": {"sqlite3"},
+    "web_request": {"httpx"},
 }
 
 
@@ -93,21 +92,18 @@ REACH: dict[str, tuple[int, int]] = {
 }
 
 
-def modules():
-    """Every file of the package by the name of its module."""
-    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in sorted(HOUSE.rglob("*.py"))}
-    return {name.removesuffix(".__init__"): path for name, path in paths.items()}
+def module_of(path):
+    """The dotted name of a file of the package."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = modules()
-
-
+MODULES = {module_of(path): path for path in FILES}
 GROUPS = "apps", "lab"  # folders of folders
 
 
 def room(path):
     """The folder of a file, or the file itself at the top of the package; within ``apps`` and ``lab`` likewise."""
-    parts = path.relative_to(HOUSE).with_suffix("").parts
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
     return parts[1] if parts[0] in GROUPS else parts[0]
 
 
@@ -126,7 +122,7 @@ def is_type_checking(node):
 @cache
 def imported(path, checking=True):
     """The names that a file imports, in functions too, with dots; checking: those for type checkers too."""
-    nodes, found = [ast.parse(path.read_text(encoding="utf-8"))], set()
+    nodes, found = [tree_of(path)], set()
     while nodes:
         node = nodes.pop()
         if isinstance(node, ast.Import):
@@ -157,9 +153,9 @@ def reach(start):
 @cache
 def code_lines(path):
     """Number of lines of code in a file: no docstrings, comments, blank lines, imports."""
-    text = path.read_text(encoding="utf-8")
-    left = {n for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.strip().startswith("#")}
-    for node in ast.walk(ast.parse(text)):
+    lines = text_of(path).splitlines()
+    left = {n for n, line in enumerate(lines, 1) if line.strip() and not line.strip().startswith("#")}
+    for node in ast.walk(tree_of(path)):
         is_import = isinstance(node, ast.Import | ast.ImportFrom)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
             node = node.body[0]
@@ -178,7 +174,7 @@ def sizes():
     """Modules and lines of code of each folder, and of what the two estimators reach."""
     folders = {}
     for name, path in MODULES.items():
-        folders.setdefault(path.parent.relative_to(HOUSE).as_posix(), []).append(name)
+        folders.setdefault(path.parent.relative_to(PACKAGE).as_posix(), []).append(name)
     return {folder: size(names) for folder, names in folders.items()}, {
         start: size(reach(f"pdr_graph.{start}")) for start in REACH
     }
@@ -187,7 +183,7 @@ def sizes():
 def test_every_folder_has_its_place_in_the_page():
     page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
     house = page.split("## Source layout")[1].split("\n## ")[0]
-    folders = {path.parent.relative_to(HOUSE).as_posix() for path in MODULES.values()} - {"."}
+    folders = {path.parent.relative_to(PACKAGE).as_posix() for path in MODULES.values()} - {"."}
     assert folders <= set(re.findall(r"`([\w/]+)/`", house))
 
 
@@ -200,33 +196,6 @@ def test_folders_and_reaches_are_within_their_budgets():
         assert over == {}, f"the budgets are {[most[name] for name in over]}"
         loose = {name: found for name, found in measured.items() if most[name][1] > 1.1 * found[1] + 30}
         assert loose == {}, f"the budgets are {[most[name] for name in loose]}"
-
-
-TOY = '''"""A text
-of two lines."""
-from typing import (
-    TYPE_CHECKING,
-)
-
-if TYPE_CHECKING:
-    import a.b
-
-def one():
-    """One."""
-    from pdr_graph.io import gpx  # here
-
-    # why
-    return gpx, "a"
-'''
-
-
-def test_the_measures_see_what_they_are_for(tmp_path):
-    file = tmp_path / "toy.py"
-    file.write_text(TOY)
-    assert code_lines(file) == 3, "if, def, return"
-    assert {"pdr_graph.io", "pdr_graph.io.gpx"} <= imported(file, False)
-    assert "a.b" in imported(file)
-    assert "a.b" not in imported(file, False)
 
 
 def test_the_estimators_reach_no_reader():
@@ -246,16 +215,19 @@ def test_imports_point_down():
     assert up == set()
 
 
-def test_apps_and_lab_are_imported_by_nothing_below():
+def test_apps_and_lab_are_imported_by_nothing_below_and_papers_by_nothing():
     """The program starts the command line; that apart, only apps and lab import them."""
     above = re.compile(r"pdr_graph\.(apps|lab)\b")
-    below = {name for name, path in MODULES.items() if any(above.match(wanted) for wanted in imported(path))}
-    assert {name for name in below if not above.match(name)} == {"pdr_graph.__main__"}
+    importing = {(name, wanted) for name, path in MODULES.items() for wanted in imported(path) if above.match(wanted)}
+    assert {name for name, _ in importing if not above.match(name)} == {"pdr_graph.__main__"}
+    papers = {name for name, wanted in importing if wanted.startswith("pdr_graph.lab.papers")}
+    assert {name for name in papers if room(MODULES[name]) != "papers"} == set()
 
 
 def test_a_dependency_has_its_rooms():
-    using = {(name.split(".")[0], room(path)) for path in MODULES.values() for name in imported(path)}
-    assert {(library, where) for library, where in using if library in ROOMS and where not in ROOMS[library]} == set()
+    listed = set().union(*LIBRARIES.values())
+    using = {(name.split(".")[0], room(path)) for path in FILES for name in imported(path)}
+    assert {(name, where) for name, where in using if name in listed - LIBRARIES.get(where, set())} == set()
 
 
 def test_no_import_circle_even_among_imports_in_functions():
@@ -280,17 +252,10 @@ def test_one_module_makes_evidence_of_files_and_a_result_of_evidence():
     assert {name for name, names in pages.items() if names & steps and room(MODULES[name]) != "papers"} == set()
 
 
-def test_the_product_imports_no_papers():
-    others = {name: path for name, path in MODULES.items() if room(path) != "papers"}
-    assert {
-        name for name, path in others.items() if any(n.startswith("pdr_graph.lab.papers") for n in imported(path))
-    } == set()
-
-
 def test_no_factor_class_is_named_outside_the_factors():
     """The rest asks what a kind can do, or which kind a type of data became: so a kind of others is like ours."""
-    factors = HOUSE / "estimation" / "factors"
-    classes = [node for path in factors.glob("*.py") for node in ast.parse(path.read_text()).body]
+    factors = PACKAGE / "estimation" / "factors"
+    classes = [node for path in factors.glob("*.py") for node in tree_of(path).body]
     kinds = {
         node.name
         for node in classes
@@ -298,12 +263,57 @@ def test_no_factor_class_is_named_outside_the_factors():
     }
     assert len(kinds) > 8
     elsewhere = [path for path in MODULES.values() if factors not in path.parents]
-    naming = {
-        path.stem: found
-        for path in elsewhere
-        if (found := kinds & set(re.findall(r"\w+", path.read_text(encoding="utf-8"))))
-    }
+    naming = {path.stem: found for path in elsewhere if (found := kinds & set(re.findall(r"\w+", text_of(path))))}
     assert naming == {}
+
+
+# How many modules of the package a walk passes; the aim is 25 from the files to the result
+TO_EVIDENCE, TO_RESULT, TO_POSE = 26, 45, 28
+
+
+def passed(call):
+    """What a call returns, and the modules of the package in which a function ran."""
+    modules = set()
+
+    def note(frame, event, _):
+        name = frame.f_globals.get("__name__", "")
+        if event == "call" and name.startswith("pdr_graph.") and frame.f_code.co_name != "<module>":
+            modules.add(name)
+
+    sys.setprofile(note)
+    try:
+        return call(), modules
+    finally:
+        sys.setprofile(None)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    write(simulate(Scenario.load("l_corridor")), folder)
+    return folder
+
+
+def test_modules_from_the_files_to_the_result(recording):
+    """Without a plan, whose reader is asked for among all formats."""
+    evidence, reading = passed(lambda: observe(read(recording)))
+    result, estimating = passed(lambda: estimate(evidence))
+    assert result.graph is not None
+    assert len(reading) <= TO_EVIDENCE, sorted(reading)
+    assert len(reading | estimating) <= TO_RESULT, sorted(reading | estimating)
+
+
+def test_modules_from_a_sample_to_a_pose(recording):
+    """The median of the events that bring a step."""
+    evidence = read(recording)
+    navigator, counts = navigator_of(Options(), evidence)(), []
+    for event in events_of(evidence.walk):
+        before = navigator.steps
+        _, modules = passed(lambda event=event: (navigator.push(event), navigator.pose))
+        if navigator.steps > before:
+            counts.append(len(modules))
+    assert len(counts) > 50
+    assert np.median(counts) <= TO_POSE
 
 
 if __name__ == "__main__":

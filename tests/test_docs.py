@@ -2,18 +2,19 @@
 
 import os
 import re
+import tomllib
 import unicodedata
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import commands
 import pages
 import pytest
+
+import pdr_graph
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
-FIRST = DOCS / "tutorials" / "first-walk.md"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCED = re.compile(r"^```.*?^```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -26,66 +27,69 @@ def name(page):
 
 @pytest.fixture(scope="module")
 def runs(request, tmp_path_factory):
-    """Of each tutorial that is tested its folder, and what went wrong in it; as many at once as there are cores.
-
-    The commands of the first one, as of README.md, are the installed program; those of the others are run by copies of
-    a process that has imported it.
-    """
+    """Of each tutorial that is tested its folder, and what went wrong in it; as many at once as there are cores."""
     tested = [item.callspec.params["page"] for item in request.session.items if "runs" in item.fixturenames]
     folders = {page: tmp_path_factory.mktemp(page.stem) for page in tested}
-    programs = commands.program(tmp_path_factory.mktemp("programs")).parent
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield {
-            page: (folder, pool.submit(pages.execute_apart, page, folder, None if page == FIRST else programs))
-            for page, folder in folders.items()
-        }
+        yield {page: (folder, pool.submit(pages.execute_apart, page, folder)) for page, folder in folders.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("page", TUTORIALS, ids=name)
 def test_a_tutorial_runs_as_printed_and_makes_its_pictures(runs, page):
     folder, wrong = runs[page]
     if wrong.result():
         pytest.fail(wrong.result(), pytrace=False)
-    for shown, made in pages.pictures(page):
+    for _, made in pages.pictures(page):
         assert (folder / made).stat().st_size > 10_000
-        assert (page.parent / shown).stat().st_size < LARGEST
 
 
-def test_a_page_that_says_otherwise_than_it_prints_is_found(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("```python\nprint('about', 2.0)\n```\n```text\nabout 3.0\n```\n")
-    with pytest.raises(AssertionError, match=r"line 1: says 'about 3.0'"):
-        pages.execute(page, tmp_path)
-    page.write_text("```sh\necho so; false; true\n```\n")
-    with pytest.raises(AssertionError, match="exit 1\nso"):
-        pages.execute(page, tmp_path)
+@pytest.mark.thorough
+def test_the_readme_examples_run_as_printed(tmp_path):
+    """In an empty folder: what they need they make. tests/test_factor_pages.py has a page that runs in no time."""
+    printed = pages.execute(ROOT / "README.md", tmp_path)
+    assert (tmp_path / "walk.png").stat().st_size > 20_000
+    [median] = re.findall(r"^median error (\d\.\d\d) m$", printed, re.MULTILINE)
+    assert 0.3 < float(median) < 1.5
+    assert "Pose(" in printed
+    verdicts = re.findall(r"^(?:Pose\(.*\) )?(ok|doubtful|failed)\b", printed, re.MULTILINE)
+    assert verdicts == ["ok"] * 3  # by the command, in Python and live
 
 
-@pytest.mark.parametrize(
-    ("stated", "line", "alike"),
-    [
-        ("CE  [m]   p50 0.82 …", "CE  [m]   p50 0.91  p75 1.022", True),
-        ("CE  [m]   p50 0.82 …", "CE  [m]   p50 1.21  p75 1.022", False),
-        ("2 of 11 fixes", "2 of 12 fixes", True),
-        ("2 of 11 fixes", "3 of 11 fixes", False),
-        ("no problems found", "problems found", False),
-    ],
-)
-def test_words_are_the_same_and_numbers_about_as_large(stated, line, alike):
-    assert pages.alike(stated, line) is alike
+def test_the_first_block_of_the_readme_installs_and_the_second_needs_nothing_else():
+    """Python versions are those of pyproject.toml; the commands after the installation use no file of the reader's."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    parts = re.split(r"```(?:console|sh)\n(.*?)```", readme, maxsplit=2, flags=re.DOTALL)
+    before, install, between, simulated = parts[:4]
+    assert "clone" in before
+    assert re.findall(r"3\.\d+", before) == re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
+    assert project["requires-python"] == ">=" + re.findall(r"3\.\d+", before)[0]
+    assert install.splitlines() == ["python3 -m venv .venv", ". .venv/bin/activate", "pip install ."]
+    assert "Simulate" in between
+    assert simulated.startswith("pdr-graph simulate")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_lead_to_files_and_headings(page):
+def test_pictures_of_tutorials_are_there_and_small():
+    sizes = {page.parent / shown: 0 for page in TUTORIALS for shown, _ in pages.pictures(page)}
+    assert len(sizes) > 5
+    assert {path for path in sizes if not 0 < path.stat().st_size < LARGEST} == set()
+
+
+def test_links_lead_to_files_and_headings():
     """Those of docs/ stay within it, since the site has nothing else."""
+    assert [wrong for page in PAGES for wrong in broken_links(page)] == []
+
+
+def broken_links(page):
+    """The links of a page that lead nowhere, or from docs/ to what is not on the site."""
     for link in LINK.findall(FENCED.sub("", page.read_text(encoding="utf-8"))):
-        if re.match(r"\w+:", link):
-            continue
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        assert target.exists(), f"{name(page)}: {link}"
-        assert page.parent == ROOT or target.is_relative_to(DOCS), f"{name(page)}: {link} is not on the site"
-        assert not anchor or anchor in anchors(target), f"{name(page)}: {link}"
+        on_the_site = page.parent == ROOT or target.is_relative_to(DOCS)
+        found = target.exists() and (not anchor or anchor in anchors(target))
+        if not re.match(r"\w+:", link) and not (found and on_the_site):
+            yield f"{name(page)}: {link}"
 
 
 def test_every_page_is_in_the_navigation():
@@ -94,8 +98,6 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_the_api_page_has_the_public_names():
-    import pdr_graph
-
     said = re.findall(r"^::: pdr_graph\.(\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(said) == sorted(set(pdr_graph.__all__))
 

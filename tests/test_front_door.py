@@ -1,4 +1,4 @@
-"""The command line on other people's files: every recorder's export to a picture, and what was missing in it."""
+"""The command line on other people's files: every recorder's export to a report, and what was missing in it."""
 
 import json
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import recorders
 from commands import run
-from mutations import geolife, gpx
-from test_cli import ARCADE
+from mutations import gpx
+from plans import ARCADE
 
 from pdr_graph import read_trajectory
+from pdr_graph.io.loading import READERS
+
+PHONES = ("sensor_logger", "phyphox", "get_sensor_data", "gnss_logger")  # whose exports have the walk's sensors
 
 
 @pytest.fixture(scope="module")
@@ -17,42 +20,53 @@ def felt():
     return recorders.sample()
 
 
-def files(felt, recorder):
-    return {
-        "sensor_logger": lambda: recorders.sensor_logger(felt, "ios"),
-        "phyphox": lambda: recorders.phyphox(felt),
-        "get_sensor_data": lambda: {"log.txt": recorders.get_sensor_data(felt)},
-        "gnss_logger": lambda: {"gnss_log.txt": recorders.gnss_logger(felt)},
-    }[recorder]()
+def exported(recorder, folder, felt):
+    """The walk in the files of one recorder, with a space in the name; in a zip where it comes from a phone."""
+    name, write_files = recorders.EXPORTS[recorder]
+    path, content = folder / name.replace("walk", "walk 1"), write_files(felt)
+    if isinstance(content, dict) and recorder in PHONES:
+        return recorders.in_zip(path.with_suffix(".zip"), content, top="walk 1/")
+    if isinstance(content, dict):
+        return recorders.in_folder(path, content)
+    path.write_text(content)
+    return path
 
 
 def smoothed(path, out, *options):
-    code, _, errors = run("smooth", path, "--out", out, *options)
+    code, _, errors = run("smooth", path, "--no-report", "--out", out, *options)
     return code, errors, json.loads((out / "summary.json").read_text())
 
 
-@pytest.mark.parametrize("recorder", ["sensor_logger", "phyphox", "get_sensor_data", "gnss_logger"])
-def test_an_export_becomes_a_picture(tmp_path, felt, recorder):
-    """A zip as it comes from the phone, its own positions in it, and nothing else."""
-    path = recorders.in_zip(tmp_path / "walk.zip", files(felt, recorder), top="walk 1/")
-    code, errors, summary = smoothed(path, tmp_path / "out")
-    assert (code, errors) == (0, [])
-    assert summary["steps"] == pytest.approx(29, abs=3)
-    assert summary["distance"] == pytest.approx(21.0, rel=0.2)
-    assert len(summary["fixes"]) == len(felt.fix_time)
-    assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000
+@pytest.mark.parametrize("command", ["smooth", pytest.param("replay", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in READERS])
+def test_one_command_makes_a_report_of_every_recorders_file(tmp_path, felt, recorder, command):
+    """Without options: the last line of the output is the report, in the current folder."""
+    code, printed, errors = run(command, exported(recorder, tmp_path, felt), cwd=tmp_path)
+    assert code == (3 if recorder == "oxford_steps" else 0), printed
+    name = "walk 1-smoothed" if command == "smooth" else "walk 1-replayed"
+    assert printed.splitlines()[-1] == f"-> {name}/report.html"
+    assert all((tmp_path / name / page).stat().st_size > 10_000 for page in ("report.html", "figure.png"))
+    assert code == 0 or "pdr-graph: finished without " in errors[0]
+    if recorder in PHONES:
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        assert summary["steps"] == pytest.approx(29, abs=3)
+        assert summary["distance"] == pytest.approx(21.0, rel=0.2)
+        assert len(summary["fixes"]) == len(felt.fix_time)
 
 
-def test_the_summary_speaks_in_the_recorders_clock(tmp_path, felt):
-    path = recorders.in_zip(tmp_path / "walk.zip", recorders.sensor_logger(felt))
-    _, _, summary = smoothed(path, tmp_path / "out")
-    assert [fix["time"] for fix in summary["fixes"]] == pytest.approx(recorders.UNIX + felt.fix_time, abs=1e-3)
+def test_the_summary_has_the_recorders_clock(tmp_path, felt):
+    """The receiver's latency is taken back, if it is known."""
+    path = exported("sensor_logger", tmp_path, felt)
+    for latency in (0, 2):
+        _, _, summary = smoothed(path, tmp_path / str(latency), "--gnss-latency", latency)
+        expected = recorders.UNIX + felt.fix_time - latency
+        assert [fix["time"] for fix in summary["fixes"]] == pytest.approx(expected, abs=1e-3)
     assert summary["calibration"][0]["start"] == pytest.approx(recorders.UNIX, abs=0.1)
 
 
 def test_dead_reckoning_is_turned_and_scaled_by_nothing(tmp_path, felt):
     """``--method pdr``: the first fix says where it starts; the other fixes are not used, so its direction is open."""
-    path = recorders.in_zip(tmp_path / "walk.zip", recorders.phyphox(felt))
+    path = exported("phyphox", tmp_path, felt)
     code, _, summary = smoothed(path, tmp_path / "out", "--method", "pdr")
     assert code == 3
     assert [reason["source"] for reason in summary["verdict"]["reasons"]] == ["route"]
@@ -63,12 +77,13 @@ def test_dead_reckoning_is_turned_and_scaled_by_nothing(tmp_path, felt):
     assert [fix["weight"] > 0 for fix in summary["fixes"]] == [True, *[False] * (len(felt.fix_time) - 1)]
 
 
-@pytest.mark.parametrize(("name", "text"), [("track.gpx", gpx()), ("day.plt", geolife())])
-def test_positions_alone_are_joined_and_a_note_says_so(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    code, errors, summary = smoothed(tmp_path / name, tmp_path / "out")
-    assert (code, errors, summary["missing"]) == (3, [], []), "3: these positions are too far apart to be walked"
-    assert any(note.startswith("positions alone: ") for note in summary["warnings"])
+@pytest.mark.parametrize(("text", "code"), [(gpx(), 3), (recorders.gpx(recorders.sample()), 0)])
+def test_positions_alone_are_joined_and_a_note_says_so(tmp_path, text, code):
+    """3: the first are too far apart to be walked."""
+    (tmp_path / "track.gpx").write_text(text)
+    found, errors, summary = smoothed(tmp_path / "track.gpx", tmp_path / "out")
+    assert (found, errors, summary["missing"]) == (code, [], [])
+    assert any(note.startswith("positions alone: the recording has no acc") for note in summary["warnings"])
     assert (tmp_path / "out" / "trajectory.geojson").exists()
 
 
@@ -80,20 +95,20 @@ def test_a_phone_without_a_gyroscope_finishes_without_turns(tmp_path, felt):
     assert summary["missing"] == ["turns: there is no gyroscope"]
 
 
-def test_the_receivers_latency_is_taken_back(tmp_path, felt):
-    """Positions that arrive 2 s late are 2 s of walk behind, unless the setting says so."""
-    late = recorders.phyphox(felt)
-    header, *rows = late["Location.csv"].splitlines()
-    delayed = (row.split(",", 1) for row in rows)
-    late["Location.csv"] = "\n".join([header, *(f"{float(t) + 2.0:.9E},{rest}" for t, rest in delayed)]) + "\n"
-    path = recorders.in_zip(tmp_path / "walk.zip", late)
-    times = {}
-    for latency in (0, 2):
-        code, _, summary = smoothed(path, tmp_path / str(latency), "--gnss-latency", latency)
-        assert code == 0
-        times[latency] = [fix["time"] for fix in summary["fixes"]]
-    assert np.subtract(times[0], times[2]) == pytest.approx(2.0, abs=1e-6)
-    assert times[2] == pytest.approx(felt.fix_time, abs=1e-6)
+def test_a_lifelog_is_shown_without_options(tmp_path, felt):
+    """The timeline on the terminal, and a folder named after the store with the report."""
+    walk = exported("phyphox", tmp_path, felt)
+    assert run("lifelog", "add", "days.db", walk, "--begins", "2024-05-01T09:00", cwd=tmp_path).code == 0
+    assert run("lifelog", "build", "days.db", cwd=tmp_path).code == 0
+    code, printed, _ = run("lifelog", "show", "days.db", cwd=tmp_path)
+    assert code == 0
+    assert "walking" in printed
+    assert printed.endswith("-> days-shown/overview.html\n")
+    files = {file.name for file in (tmp_path / "days-shown").iterdir()}
+    assert {"overview.html", "overview.png", "report.html", "day.png", "timeline.csv"} <= files
+
+
+# Plans
 
 
 def box(west, south, east, north):
@@ -107,29 +122,20 @@ def feature(kind, name, shape, **more):
     return {"type": "Feature", "properties": {"kind": kind, "name": name, **more}, "geometry": shape}
 
 
-@pytest.fixture
-def tower(tmp_path):
+def test_of_several_floors_the_fixes_name_one_or_the_user_does(tmp_path, felt):
     """The arcade on two floors, the second without its northern half."""
     plan = json.loads(ARCADE.read_text())
     both = [f | {"properties": f["properties"] | {"floor": ["1", "2"]}} for f in plan["features"]]
-    path = tmp_path / "tower.geojson"
-    path.write_text(json.dumps(plan | {"features": [*both, feature("wall", "", box(0, 22, 60, 33), floor="2")]}))
-    return path
-
-
-def test_of_several_floors_the_fixes_name_one_or_the_user_does(tmp_path, tower, felt):
-    recording = recorders.in_zip(tmp_path / "walk.zip", recorders.phyphox(felt))
-    fixes = tmp_path / "fixes.csv"
-    fixes.write_text("time,x,y,sigma,floor\n1,6.8,8,1,2\n10,16,8,1,2\n18,20.8,8,1,2\n")
-    given = ("--map", tower, "--fixes", fixes, "--no-recorded-fixes")
-    code, _, summary = smoothed(recording, tmp_path / "a", *given)
-    assert (code in (0, 3), summary["floor"]) == (True, "2")
-    code, _, summary = smoothed(recording, tmp_path / "b", *given, "--floor", "1")
-    assert (code in (0, 3), summary["floor"]) == (True, "1")
-    assert set(read_trajectory(tmp_path / "b" / "trajectory.csv").floor) == {"1"}
-    code, _, errors = run("smooth", recording, *given, "--floor", "9", "--out", tmp_path / "c")
-    assert code == 2
-    assert "the floors 1, 2" in errors[0]
+    tower = plan | {"features": [*both, feature("wall", "", box(0, 22, 60, 33), floor="2")]}
+    (tmp_path / "tower.geojson").write_text(json.dumps(tower))
+    recording = exported("phyphox", tmp_path, felt)
+    (tmp_path / "fixes.csv").write_text("time,x,y,sigma,floor\n1,6.8,8,1,2\n10,16,8,1,2\n18,20.8,8,1,2\n")
+    given = ("--map", tmp_path / "tower.geojson", "--fixes", tmp_path / "fixes.csv", "--no-recorded-fixes")
+    for floor, options in (("2", ()), ("1", ("--floor", "1"))):
+        code, _, summary = smoothed(recording, tmp_path / floor, *given, *options)
+        assert code in (0, 3)
+        assert summary["floor"] == floor
+        assert set(read_trajectory(tmp_path / floor / "trajectory.csv").floor) == {floor}
 
 
 def test_map_check_finds_what_would_mislead(tmp_path):
@@ -148,3 +154,10 @@ def test_map_check_finds_what_would_mislead(tmp_path):
     assert code == 3
     assert "1 cells that cannot be reached from the rest: room vault" in printed
     assert "1 links that go through a wall: shortcut" in printed
+
+
+def test_map_show_draws_a_plan(tmp_path):
+    code, printed, _ = run("map", "show", ARCADE, "--out", tmp_path / "plan.png")
+    assert code == 0
+    assert "m² walkable" in printed
+    assert (tmp_path / "plan.png").stat().st_size > 10_000

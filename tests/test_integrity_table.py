@@ -30,24 +30,29 @@ def estimate_with(covariance, error):
     return SimpleNamespace(trajectory=track, probability=1.0, reports={}, fixes=(), contradictions=()), truth
 
 
+@pytest.fixture
+def score(script, monkeypatch):
+    """A function of a covariance and an error ``(2,)`` [m]."""
+    monkeypatch.setattr(script.scores, "verdict", lambda estimate: SimpleNamespace(state="ok"))
+    return lambda *given: script.scores.score(*estimate_with(*given))
+
+
 @pytest.mark.parametrize(("sigmas", "radius"), [((1, 1), 2.4477), ((1, 1e-4), 1.9600), ((1, 0.5), None)])
-def test_the_stated_radius_holds_95_percent_of_a_gaussian(script, monkeypatch, sigmas, radius):
+def test_the_stated_radius_holds_95_percent_of_a_gaussian(score, sigmas, radius):
     """The chi distribution of two degrees of freedom, the normal one, and a million draws of each ellipse."""
-    monkeypatch.setattr(script.scores, "verdict", lambda estimate: SimpleNamespace(state="ok"))
-    score = script.scores.score(*estimate_with(np.diag(np.square(sigmas)), [0.1, 0.0]))
-    assert radius is None or score.radius == pytest.approx(np.full(5, radius), abs=4e-3)
+    stated = score(np.diag(np.square(sigmas)), [0.1, 0.0]).radius
+    assert radius is None or stated == pytest.approx(np.full(5, radius), abs=4e-3)
     drawn = np.random.default_rng(0).normal(0, sigmas, (1_000_000, 2))
-    assert (np.hypot(*drawn.T) < score.radius[0]).mean() == pytest.approx(0.95, abs=2e-3)
+    assert (np.hypot(*drawn.T) < stated[0]).mean() == pytest.approx(0.95, abs=2e-3)
 
 
-def test_a_walk_is_broken_beyond_three_radii(script, monkeypatch):
+def test_a_walk_is_broken_beyond_three_radii(score):
     """2.4477 m hold 95 % of a sigma of 1 m: 7.3 m off is within three of them, 7.4 m is not."""
-    monkeypatch.setattr(script.scores, "verdict", lambda estimate: SimpleNamespace(state="ok"))
-    near, far = (script.scores.score(*estimate_with(np.eye(2), [off, 0.0])) for off in (7.3, 7.4))
+    nearer, near, far = (score(np.eye(2), [off, 0.0]) for off in (5.0, 7.3, 7.4))
     assert not near.broken
     assert far.broken
     assert far.harmless(near)
-    assert not far.harmless(script.scores.score(*estimate_with(np.eye(2), [5.0, 0.0])))
+    assert not far.harmless(nearer)
 
 
 def test_a_lying_receiver_is_seen_in_the_table(script):

@@ -24,38 +24,21 @@ def script(monkeypatch):
 
 def run_of(script, place, walked):
     """A run whose poses, one a second, are at ``place (n, 2)`` after ``walked (n,)`` metres."""
+    nothing = {"display": None, "tail": None, "cpu": 0.001, "wall": 0.002, "fixes": 0, "headings": 0, "chunks": 0}
     asks = [
-        script.Ask(
-            time=float(n),
-            pose=Pose(float(n), *xy, 0.0, "", np.eye(3)),
-            anchored=True,
-            display=None,
-            walked=walked[n],
-            tail=None,
-            cpu=0.001,
-            wall=0.002,
-            fixes=0,
-            headings=0,
-            chunks=0,
-        )
-        for n, xy in enumerate(np.asarray(place).tolist())
+        script.Ask(time=t, pose=Pose(t, *xy, 0.0, "", np.eye(3)), anchored=True, walked=walked[n], **nothing)
+        for n, (t, xy) in enumerate(zip(np.arange(float(len(place))).tolist(), np.asarray(place).tolist(), strict=True))
     ]
     return script.Run(asks, script.trajectory_of([ask.pose for ask in asks]), [], [], [])
 
 
-def straight(count=10):
-    """Places ``(count, 2)`` a metre apart, and how far they have been walked. [m]"""
-    x = np.arange(float(count))
-    return np.stack([x, np.zeros(count)], 1), x
-
-
 def test_a_pose_that_moves_3_m_beyond_its_steps_has_jumped_3_m(script):
     """Steps of a metre are no jump; a metre back after a step of one is one of none either."""
-    place, walked = straight()
+    walked = np.arange(10.0)
+    place = np.stack([walked, np.zeros(10)], 1)
     assert script.jumps(run_of(script, place, walked)) == pytest.approx(np.zeros(10))
     place[5:] += [3.0, 0.0]
-    size = script.jumps(run_of(script, place, walked))
-    assert size == pytest.approx(np.where(np.arange(10) == 5, 3.0, 0.0))
+    assert script.jumps(run_of(script, place, walked)) == pytest.approx(np.where(np.arange(10) == 5, 3.0, 0.0))
 
 
 def test_the_largest_jump_of_each_minute_counts(script):
@@ -77,12 +60,10 @@ def test_a_place_beyond_the_walkable_area_is_outside(script):
 
 def test_the_jitter_of_a_constant_pose_is_zero(script):
     """And that of one that moves by 0.6 m half-way is 0.3 m, half of it."""
-    place = np.zeros((70, 2))
-    asks = run_of(script, place, np.zeros(70)).asks
-    assert script.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.0])
-    place[40:] += [0.6, 0.0]
-    asks = run_of(script, place, np.zeros(70)).asks
-    assert script.jitter(asks, [(5.0, 70.0)]) == pytest.approx([0.3])
+    for moved in (0.0, 0.6):
+        place = np.where(np.arange(70)[:, None] < 40, 0.0, [moved, 0.0])
+        asks = run_of(script, place, np.zeros(70)).asks
+        assert script.jitter(asks, [(5.0, 70.0)]) == pytest.approx([moved / 2])
 
 
 def test_a_minute_in_which_the_truth_does_not_move_is_a_stand(script):
@@ -108,20 +89,13 @@ def test_times_to_the_place_and_the_direction_need_two_in_a_row(script):
 
 def test_poses_without_a_place_are_not_scored(script):
     """The navigator's first steps, before any fix, are about (0, 0)."""
-    nav = script.LoggingNavigator()
-    steps = walk_of_steps(script)
-    for n, step in enumerate(steps):
+    nav, walk = script.LoggingNavigator(), script.simulated_walk("outdoors", 1)
+    given = script.Given(walk.steps, Fixes.none(), walk.headings)
+    for n, step in enumerate([step for step in script.events(given) if hasattr(step, "length")][:10]):
         nav.push(step)
         assert not script.ask_of(nav, float(n), nav.pose, np.zeros(2)).anchored
     nav.push(Fixes(np.array([1.0]), np.array([[5.0, 5.0]]), np.array([1.0])))
     assert script.ask_of(nav, 10.0, nav.pose, np.zeros(2)).anchored
-
-
-def walk_of_steps(script):
-    """Ten steps, one by one."""
-    walk = script.simulated_walk("outdoors", 1)
-    given = script.Given(walk.steps, Fixes.none(), walk.headings)
-    return [step for step in script.events(given) if hasattr(step, "length")][:10]
 
 
 def test_the_filter_knows_a_heading_only_when_the_front_end_has_given_it(script):
@@ -138,6 +112,7 @@ def test_the_filter_knows_a_heading_only_when_the_front_end_has_given_it(script)
     assert np.abs(run.filtered(time) - unaware.filtered(time)).max() > 0.01
 
 
+@pytest.mark.thorough
 def test_a_row_of_the_table_has_its_cells(script):
     """One walk of each kind of estimate, from the steps."""
     group = script.Group("simulated", "outdoors", ())

@@ -8,13 +8,12 @@ import tarfile
 import tomllib
 import zipfile
 from importlib.metadata import packages_distributions
-from pathlib import Path
 
 import pytest
+from source import FILES, ROOT, tree_of
 
 import pdr_graph
 
-ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
@@ -48,15 +47,8 @@ def test_the_sdist_builds_the_same_wheel(built, tmp_path):
         sdist.extractall(tmp_path, **safely)
     (source,) = tmp_path.iterdir()
     assert source.name == f"pdr_graph-{pdr_graph.__version__}"
-    for name in (
-        "tests/conftest.py",
-        "tests/test_api.py",
-        "docs/accuracy.md",
-        "scripts/demo",
-        "LICENSE",
-        "CITATION.cff",
-    ):
-        assert (source / name).exists(), name
+    needed = ("tests/conftest.py", "tests/test_api.py", "docs/accuracy.md", "scripts/demo", "LICENSE", "CITATION.cff")
+    assert [name for name in needed if not (source / name).exists()] == []
     assert not list(source.rglob("*.pyc"))
     assert build(source, tmp_path / "dist")[1].read_bytes() == built[1].read_bytes()
 
@@ -72,22 +64,18 @@ def test_what_is_imported_is_a_dependency():
         words = (word for line in requirements for word in re.findall(r"[\w-]+", line.split(">")[0]))
         return {word.lower().replace("_", "-") for word in words}  # dask[distributed] brings both
 
-    core = named(PROJECT["dependencies"])
-    extra = named(
-        r
-        for extra in ("attitude", "fast", "fit", "fleet", "gait", "geo", "plans", "serve", "serve-mqtt")
-        for r in PROJECT["optional-dependencies"][extra]
-    )
+    core, extras = named(PROJECT["dependencies"]), PROJECT["optional-dependencies"]
+    users = ("attitude", "fast", "fit", "fleet", "gait", "geo", "plans", "serve", "serve-mqtt")
+    extra = named(line for name in users for line in extras[name])
     distributions = packages_distributions()
-    for file in (ROOT / "pdr_graph").rglob("*.py"):
-        tree = ast.parse(file.read_text())
-        at_once = {id(node) for node in tree.body}
-        for node in ast.walk(tree):
+    for file in FILES:
+        at_once = {id(node) for node in tree_of(file).body}
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.Import):
                 modules = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 modules = [node.module or ""]
-            elif isinstance(node, ast.Call) and ast.unparse(node.func) == "files":
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "files":
                 modules = [ast.literal_eval(node.args[0])]  # what lies in a package
             else:
                 continue

@@ -22,12 +22,11 @@ def test_sigmas_are_those_along_and_across_the_direction():
     heading = np.linspace(-3.0, 3.0, 13)
     expected = np.tile([3.0, 1.0], (13, 1))
     np.testing.assert_allclose(along_and_across(covariances(heading), heading), expected, atol=1e-9)  # arithmetic
-
-
-def test_a_covariance_with_heading_gives_the_same_levels():
-    heading, full = np.array([0.7]), np.eye(3)[None].copy()
-    full[:, :2, :2] = covariances(heading)
-    np.testing.assert_array_equal(protection_level(full, heading), protection_level(full[:, :2, :2], heading))
+    with_heading = np.tile(np.eye(3), (13, 1, 1))
+    with_heading[:, :2, :2] = covariances(heading)
+    np.testing.assert_array_equal(
+        along_and_across(with_heading, heading), along_and_across(covariances(heading), heading)
+    )
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.95, 0.999])
@@ -66,7 +65,7 @@ def test_a_live_pose_has_its_own_levels():
     assert across == pytest.approx(student.ppf(0.9995, FREEDOM))
 
 
-def test_a_walk_states_its_median_and_worst_levels():
+def test_a_walk_with_a_position_states_its_median_and_worst_levels():
     steps = square_walk()
     estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), 10)))
     levels = protection_of(estimate)
@@ -74,7 +73,4 @@ def test_a_walk_states_its_median_and_worst_levels():
     assert all(0 < value["median"] <= value["worst"] for value in levels.values())
     ratio = student.ppf(0.9995, FREEDOM) / student.ppf(0.975, FREEDOM)
     assert levels["along_999"]["worst"] / levels["along_95"]["worst"] == pytest.approx(ratio, rel=0.02)  # two decimals
-
-
-def test_a_walk_without_a_position_states_no_level():
     assert protection_of(smooth(WalkGraph(square_walk()))) is None

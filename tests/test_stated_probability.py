@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-import simulated
-from test_cli import ARCADE, ROUTE
+from plans import ARCADE
+from simulated import ROUTE
 
 from pdr_graph.apps.replay import replay_recording
 from pdr_graph.apps.report.output_files import smooth_recording
@@ -26,29 +26,23 @@ def estimate(path, fixes=((0.0, 0.0),), probability=0.95):
     return Estimate(track, track, None, {"fixes": reports}, 1, 0.0, converged=True, probability=probability)
 
 
-def test_without_a_position_nothing_is_stated():
-    assert np.isnan(stated_probability(estimate(ROUTE, fixes=()), None))
-    assert np.isnan(stated_probability(estimate(ROUTE, fixes=()), PLAN))
+UNKNOWN = pytest.approx(np.nan, nan_ok=True)
+THROUGH_WALLS = np.stack([np.linspace(-20, 60, 100), np.linspace(-20, 50, 100)], axis=1)
 
 
-def test_a_route_between_walls_keeps_its_probability():
-    assert stated_probability(estimate(ROUTE, fixes=ROUTE[:1]), PLAN) == 0.95
-    assert stated_probability(estimate(ROUTE, fixes=ROUTE[:1]), None) == 0.95
-
-
-def test_a_route_through_many_walls_has_a_probability_near_zero():
-    through = np.stack([np.linspace(-20, 60, 100), np.linspace(-20, 50, 100)], axis=1)
-    assert PLAN.crosses_wall(through, ("",) * 100).sum() > 10
-    assert stated_probability(estimate(through, fixes=through[50:51]), PLAN) < 0.001
-
-
-def test_a_route_with_no_fix_near_the_plan_has_probability_zero():
-    assert stated_probability(estimate(ROUTE, fixes=[(9000.0, 0.0)]), PLAN) == 0.0
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+@pytest.mark.parametrize(
+    ("path", "fixes", "plan", "expected"),
+    [
+        pytest.param(ROUTE, (), None, UNKNOWN, id="no position"),
+        pytest.param(ROUTE, (), PLAN, UNKNOWN, id="no position on the plan"),
+        pytest.param(ROUTE, ROUTE[:1], None, 0.95, id="a route without a plan keeps its probability"),
+        pytest.param(ROUTE, ROUTE[:1], PLAN, 0.95, id="and one between walls"),
+        pytest.param(THROUGH_WALLS, THROUGH_WALLS[50:51], PLAN, pytest.approx(0, abs=1e-3), id="through many walls"),
+        pytest.param(ROUTE, [(9000.0, 0.0)], PLAN, 0.0, id="no fix near the plan"),
+    ],
+)
+def test_a_probability_is_that_of_a_route_that_the_plan_allows(path, fixes, plan, expected):
+    assert stated_probability(estimate(path, fixes), plan) == expected
 
 
 def test_only_certainty_is_said_to_be_certain():
@@ -56,9 +50,9 @@ def test_only_certainty_is_said_to_be_certain():
     assert stated == ["0 %", "less than 1 %", "43 %", "99 %", "more than 99 %", "100 %"]
 
 
-@pytest.mark.parametrize("write", [smooth_recording, replay_recording])
-def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, folder, tmp_path):
-    write(folder / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
+@pytest.mark.parametrize("write", [smooth_recording, pytest.param(replay_recording, marks=pytest.mark.thorough)])
+def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, long_walk, tmp_path):
+    write(long_walk / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["probability"] > 0.9
     assert any("sought on the whole plan" in warning for warning in summary["warnings"])
@@ -67,8 +61,8 @@ def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, folder, 
 
 
 @pytest.mark.parametrize("method", ["graph", "pdr"])
-def test_only_a_method_that_compares_routes_states_a_probability(method, folder, tmp_path):
-    options = Options(plan=ARCADE, fixes=folder / "fixes.csv", method=method)
-    smooth_recording(folder / "walk.txt", tmp_path, options)
+def test_only_a_method_that_compares_routes_states_a_probability(method, long_walk, tmp_path):
+    options = Options(plan=ARCADE, fixes=long_walk / "fixes.csv", method=method)
+    smooth_recording(long_walk / "walk.txt", tmp_path, options)
     probability = json.loads((tmp_path / "summary.json").read_text())["probability"]
     assert (probability is None) == (method == "pdr")

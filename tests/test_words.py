@@ -1,11 +1,10 @@
-"""Retired words stay out of names, docstrings, messages, report texts and pages (docs/glossary.md has the terms)."""
+"""Retired words stay out of names, docstrings, messages, web pages and docs (terms to use: docs/glossary.md)."""
 
 import ast
 import re
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = ROOT / "pdr_graph"
+from source import FILES, PACKAGE, ROOT, text_of, tree_of
+
 # Retired phrase, as a regular expression: the term to write instead
 PHRASES = {
     r"\b[Bb]eware\b": "warnings",
@@ -30,68 +29,25 @@ PHRASES = {
     r"\bis said of\b|\bis not said\b|\bwhoever\b": "subject, verb, object",
     r"\bbegins? anew\b|\bmade anew\b|\blose their (?:grip|hold)\b": "restart; rebuild; lose weight",
 }
-# Retired names of modules, classes, functions, parameters and fields: the term to use instead
-NAMES = {
-    "said": "stated, reported",
-    "told": "measurements, known",
-    "ailments": "issues",
-    "settled": "finalized",
-    "believe": "longest_consistent_chain",
-    "believed": "prior, expected",
-    "judged": "reclassify",
-    "slipping": "geman_mcclure_weight",
-    "gripping": "huber_weight",
-    "laid": "aligned, start",
-    "lay": "initialize_from_batch",
-    "admit": "build_recording",
-    "verbs": "exit_codes",
-    "take_in": "ingest",
-    "put_back": "clock_resets",
-    "from_where": "segment_start",
-    "giving": "export",
-    "hiding": "privacy",
-    "blurring": "privacy",
-    "grouping": "sessions",
-    "joining": "sessions",
-    "within_reach": "consistent_chains",
-    "other_ends": "alternative_endings",
-    "treads": "stairs",
-    "reholds": "grip changes",
-    "bundles": "path_modes",
-    "thickest": "dominant_modes",
-    "Cloud": "ParticleFilter",
-    "Bank": "GaussianMixture",
-    "Tree": "TransactionalISAM",
-    "Laid": "BatchSolution",
-    "Placed": "Georeferenced",
-    "Past": "FinalizedTrajectory",
-    "Seen": "KeyframeMeasurements",
-    "Ground": "FloorSequence",
-    "Form": "PositionFormat",
-    "take_part": "run_trial",
-    "wild": "outlier",
-}
-# Files that still have such words; this list may only become shorter
-PENDING_PHRASES: set[str] = set()
-PENDING_NAMES: set[str] = set()
+# Retired names of modules, classes, functions, parameters and fields
+NAMES = {"said", "told", "ailments", "settled", "believe", "believed", "judged", "slipping", "gripping", "laid", "lay"}
+NAMES |= {"admit", "verbs", "take_in", "put_back", "from_where", "giving", "hiding", "blurring", "grouping", "joining"}
+NAMES |= {"within_reach", "other_ends", "treads", "reholds", "bundles", "thickest", "Cloud", "Bank", "Tree", "Laid"}
+NAMES |= {"Placed", "Past", "Seen", "Ground", "Form", "take_part", "wild"}
 
-MODULES = sorted(PACKAGE.rglob("*.py"))
 TEXTS = [
-    *(path for path in sorted((PACKAGE / "report").rglob("*")) if path.suffix in {".html", ".js", ".css"}),
+    *sorted(path for kind in ("html", "js", "css") for path in PACKAGE.glob(f"apps/*/web/*.{kind}")),
     *sorted((ROOT / "docs").rglob("*.md")),
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
 ]
 
 
-def name(path):
-    return path.relative_to(ROOT).as_posix()
-
-
-def retired_phrases(text):
-    """Each retired phrase of a text, with the term to write instead."""
-    joined = re.sub(r"\s+", " ", text)
-    return {f"{found[0]!r}: write {term}" for retired, term in PHRASES.items() if (found := re.search(retired, joined))}
+def retired_phrases(*texts):
+    """Each retired phrase of some texts, with the term to write instead."""
+    lines = "\n".join(re.sub(r"\s+", " ", text) for text in texts)
+    found = {term: re.search(retired, lines, re.MULTILINE) for retired, term in PHRASES.items()}
+    return {f"{match[0]!r}: write {term}" for term, match in found.items() if match}
 
 
 def strings(tree):
@@ -101,10 +57,10 @@ def strings(tree):
             yield node.value
 
 
-def identifiers(path, tree):
+def identifiers(path):
     """The names that others see: module, classes, functions, parameters, fields and attributes."""
     yield path.stem
-    for node in ast.walk(tree):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             yield node.name.lstrip("_")
         elif isinstance(node, ast.arg):
@@ -116,55 +72,32 @@ def identifiers(path, tree):
 
 
 def phrases_of(path):
-    text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
-        return retired_phrases(text)
-    comments = re.findall(r"(?<!\S)# (.*)", text)
-    return retired_phrases(" ".join(comments)).union(*map(retired_phrases, strings(ast.parse(text))))
-
-
-def names_of(path):
-    found = set(identifiers(path, ast.parse(path.read_text(encoding="utf-8"))))
-    return {f"{one!r}: use {NAMES[one]}" for one in found & NAMES.keys()}
+        return retired_phrases(text_of(path))
+    comments = re.findall(r"(?<!\S)# (.*)", text_of(path))
+    return retired_phrases(" ".join(comments), *strings(tree_of(path)))
 
 
 def needed_in_errors(path):
     """Lines where an error's text says "needed": the word is "expected"."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        raised = node.exc if isinstance(node, ast.Raise) else None
-        if raised is not None and any("needed" in text for text in strings(raised)):
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Raise) and any("needed" in text for text in strings(node)):
             yield node.lineno
 
 
-def offences(paths, search, pending=frozenset()):
-    """What a search finds, by file, in the files that are not in a list of pending ones."""
-    return {name(path): found for path in paths if name(path) not in pending and (found := list(search(path)))}
+def offences(paths, search):
+    return {path.relative_to(ROOT).as_posix(): found for path in paths if (found := list(search(path)))}
 
 
-def test_no_retired_phrases():
-    assert offences([*MODULES, *TEXTS], phrases_of, PENDING_PHRASES) == {}
+def test_no_retired_phrase_no_retired_name_and_errors_say_what_was_expected():
+    assert offences([*FILES, *TEXTS], phrases_of) == {}
+    assert offences(FILES, lambda path: NAMES.intersection(identifiers(path))) == {}
+    assert offences(FILES, needed_in_errors) == {}
 
 
-def test_no_retired_names():
-    assert offences(MODULES, names_of, PENDING_NAMES) == {}
-
-
-def test_errors_say_what_was_expected():
-    assert offences(MODULES, needed_in_errors) == {}
-
-
-def test_pending_lists_name_only_files_that_need_it():
-    """A file that was reworded leaves the list."""
-    named = {name(path): path for path in [*MODULES, *TEXTS]}
-    assert {one for one in PENDING_PHRASES if one not in named or not phrases_of(named[one])} == set()
-    assert {one for one in PENDING_NAMES if one not in named or not names_of(named[one])} == set()
-
-
-def test_the_check_finds_what_it_is_for(tmp_path):
+def test_the_search_finds_what_it_is_for(tmp_path):
     module = tmp_path / "told.py"
-    module.write_text(
-        'def settled(said):\n    """A wild fix,\n    counted for nothing."""\n    raise InputError("1 m needed")\n'
-    )
-    assert len(phrases_of(module)) == 2
-    assert len(names_of(module)) == 3
+    module.write_text('def settled(said):\n    """A wild\n    fix."""\n    raise InputError("1 m needed")\n')
+    assert phrases_of(module) == {"'wild fix': write outlier; rejected as an outlier"}
+    assert NAMES.intersection(identifiers(module)) == {"told", "settled", "said"}
     assert list(needed_in_errors(module)) == [4]
