@@ -13,7 +13,7 @@ from walks import steps_of
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.stays import LONGEST_PAUSE, follow_positions, segments_of
 from pdr_graph.gait.step_chunks import append_steps as then
-from pdr_graph.gait.step_chunks import gap
+from pdr_graph.gait.step_chunks import gap, shifted
 from pdr_graph.geometry import dead_reckon, length_along
 from pdr_graph.types import Fixes, Steps
 
@@ -24,6 +24,10 @@ def time_of(segments, kind, begin=-np.inf, end=np.inf):
 
 def distance(segments, *kinds):
     return sum(s.distance for s in segments if s.kind in kinds)
+
+
+def kinds(segments):
+    return [s.kind for s in segments]
 
 
 def covers(segments, start, end):
@@ -48,15 +52,6 @@ def test_the_length_of_a_walk_is_right(noise, every):
     _, segments = follow_positions(seen(place, NOISE[noise], every))
     assert time_of(segments, WALKING) > 0.98 * 3600
     assert distance(segments, WALKING) == pytest.approx(length_along(place)[-1], rel=0.05)
-
-
-@pytest.mark.parametrize("noise", NOISE)
-def test_standing_has_no_distance(noise):
-    track = seen(np.zeros((7200, 2)), NOISE[noise])
-    assert length_along(track.position)[-1] > 3000  # invented by the raw track
-    way, (only,) = follow_positions(track)
-    assert (only.kind, only.start, only.end, only.distance) == (STANDING, 0.0, 7199.0, 0.0)
-    assert np.hypot(*way.position.T).max() < 3 * SIGMA
 
 
 @pytest.mark.parametrize(("sigma", "lasts"), [(20.0, 90.0), (60.0, 60.0), (60.0, 120.0)])
@@ -169,19 +164,21 @@ def paused(count, pause):
     return then(one, late)
 
 
-def kinds(segments):
-    return [s.kind for s in segments]
-
-
-def test_consecutive_steps_are_walking_and_pauses_are_standing():
-    steps = paused(40, 20.0)
-    track = dead_reckon(steps)
-    segments = segments_of(steps, track, np.empty((0, 2)))
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        (paused(40, 20.0), [WALKING, STANDING, WALKING]),
+        (paused(40, LONGEST_PAUSE - 1), [WALKING]),
+        (replace(paused(3, 20.0), start=-10.0, end=paused(3, 20.0).end + 10.0), [STANDING]),
+        (Steps(0.0, 60.0, *np.empty((7, 0))), [STANDING]),
+    ],
+    ids=["a pause is standing", "a short one is not", "shuffling is standing", "no step is standing"],
+)
+def test_steps_are_walking(steps, expected):
+    segments = segments_of(steps, dead_reckon(steps), np.empty((0, 2)))
     covers(segments, steps.start, steps.end)
-    assert kinds(segments) == [WALKING, STANDING, WALKING]
-    assert segments[1].end - segments[1].start == pytest.approx(20.4)
-    assert distance(segments, WALKING) == pytest.approx(80 * 0.7)
-    assert kinds(segments_of(paused(40, LONGEST_PAUSE - 1), track, np.empty((0, 2)))) == [WALKING]
+    assert kinds(segments) == expected
+    assert distance(segments, WALKING) == pytest.approx(0.7 * len(steps) * (WALKING in expected))
 
 
 def test_a_segment_is_as_long_as_its_trajectory():
@@ -192,26 +189,12 @@ def test_a_segment_is_as_long_as_its_trajectory():
     assert distance(segments_of(steps, track, np.empty((0, 2))), WALKING) == pytest.approx(1.1 * 80 * 0.7)
 
 
-def test_shuffling_is_standing():
-    steps = paused(3, 20.0)
-    steps = replace(steps, start=-10.0, end=steps.end + 10.0)
-    assert kinds(segments_of(steps, dead_reckon(steps), np.empty((0, 2)))) == [STANDING]
-
-
 def test_gaps_and_rides_are_segments_of_their_own():
     walk = steps_of(np.full(40, 0.7), np.zeros(40))
-    lost = then(walk, gap(walk.end, walk.end + 100.0))
-    late = replace(walk, start=lost.end, end=lost.end + walk.end, time=walk.time + lost.end)
-    steps = then(lost, late)
-    track = dead_reckon(steps)
-    segments = segments_of(steps, track, np.empty((0, 2)))
+    steps = then(then(walk, gap(walk.end, walk.end + 100.0)), shifted(walk, walk.end + 100.0))
+    segments = segments_of(steps, dead_reckon(steps), np.empty((0, 2)))
     covers(segments, steps.start, steps.end)
     assert kinds(segments) == [WALKING, GAP, WALKING]
-    assert (segments[1].start, segments[1].end) == pytest.approx((walk.end, lost.end))
+    assert (segments[1].start, segments[1].end) == pytest.approx((walk.end, walk.end + 100.0))
     ridden = np.array([[walk.end, walk.end + 100.0]])
-    assert kinds(segments_of(steps, track, ridden)) == [WALKING, VEHICLE, WALKING]
-
-
-def test_a_recording_without_steps_is_standing():
-    none = Steps(0.0, 60.0, *np.empty((7, 0)))
-    assert kinds(segments_of(none, dead_reckon(none), np.empty((0, 2)))) == [STANDING]
+    assert kinds(segments_of(steps, dead_reckon(steps), ridden)) == [WALKING, VEHICLE, WALKING]

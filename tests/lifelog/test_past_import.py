@@ -29,7 +29,7 @@ from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
 from pdr_graph.apps.lifelog.past import past_rows
 from pdr_graph.apps.lifelog.past.past_days import cut_past
-from pdr_graph.apps.lifelog.past.past_rows import DaySpill, day_of, merged_positions
+from pdr_graph.apps.lifelog.past.past_rows import DaySpill, day_of
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.io.loading import load
 from pdr_graph.io.past_day import GOOGLE_PATH, POSITION, from_text, to_text
@@ -169,6 +169,7 @@ def test_a_file_that_is_no_timeline_costs_one_line_and_no_store(tmp_path):
         '{"locations": []}'.encode("utf-16"): "UTF-16",
         "": "an empty file",
         '{"a": 1}': "expected a timeline",
+        "17": "expected a timeline",
     }
     for text, reason in contents.items():
         file.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -272,18 +273,6 @@ def test_rows_beyond_the_memory_wait_on_disk(tmp_path, monkeypatch):
         assert all((day_of(spill.rows(day)) == day).all() for day in spill.days())
     assert np.array_equal(np.sort(got["time"]), np.sort(table["time"]))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_merging_twice_is_merging_once():
-    rng = np.random.default_rng(1)
-    table = np.zeros(2000, POSITION)
-    table["time"], table["accuracy"] = rng.integers(0, 3_000_000, 2000), rng.choice([500, 11_300, 90_000], 2000)
-    table["source"] = rng.choice([0, 3, GOOGLE_PATH], 2000)
-    table["accuracy"][table["source"] == GOOGLE_PATH] = 11_300
-    once = merged_positions(table)
-    assert np.array_equal(merged_positions(once), once)
-    half = merged_positions(table[:1000])
-    assert np.array_equal(merged_positions(np.concatenate([table[1000:], half])), once)
 
 
 def test_the_command_says_what_is_new_and_what_was_there(tmp_path):

@@ -8,8 +8,7 @@ from streets import NOISE, SIGMA, USUAL, seen, streets
 from walks import steps_of
 
 from pdr_graph import smooth
-from pdr_graph.apps.lifelog.day import VEHICLE
-from pdr_graph.apps.lifelog.stays import detect_rides, segments_of, without_rides
+from pdr_graph.apps.lifelog.stays import detect_rides, without_rides
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.types import Fixes, Steps
@@ -30,18 +29,9 @@ def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
     time = np.union1d(foot, bumped) + 1.0
     length = np.where(np.isin(time - 1, bumped), 0.6, np.hypot(*np.diff(place, axis=0).T)[(time - 1).astype(int)])
     course = heading[(time - 1).astype(int)]
-    n = len(time)
-    steps = Steps(
-        start=0.0,
-        end=float(len(place) - 1),
-        time=time,
-        duration=np.full(n, 0.9),
-        length=np.maximum(length, 0.1),
-        turn=np.diff(course, prepend=0.0),
-        pause_turn=np.zeros(n),
-        sigma_length=np.full(n, 0.1),
-        sigma_turn=np.full(n, 0.02),
-    )
+    length = np.maximum(length, 0.1)
+    steps = steps_of(length, np.diff(course, prepend=0.0), sigma_length=0.1)
+    steps = replace(steps, time=time, duration=np.full(len(time), 0.9), end=float(len(place) - 1))
     return steps, seen(place, noise, every, seed), (620.0, float(last[0] - 20)), place
 
 
@@ -69,10 +59,12 @@ def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
 def test_a_ride_underground_is_detected():
     """There is no fix in its ten minutes."""
     steps, fixes, (begin, end), _ = walk_and_ride([("bus", 600)])
+    steps = replace(steps, time=steps.time - 0.05)  # fixes are at whole seconds
     heard = fixes[(fixes.time < begin - 5) | (fixes.time > end + 5)]
     ((found, left),) = detect_rides(steps, heard)
     assert found == pytest.approx(begin, abs=45)
     assert left == pytest.approx(end, abs=45)
+    assert found in steps.time, "it begins at the last step before it: a bus starts slowly"
 
 
 def test_a_ride_without_any_step_is_detected():
@@ -108,17 +100,6 @@ def test_a_gap_in_the_recording_is_no_ride():
     assert not len(detect_rides(slept, fixes))
 
 
-def test_a_ride_is_one_row_with_a_wide_sigma():
-    steps, _, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
-    ridden = without_rides(steps, np.array([[begin, end]]))
-    ((row,),) = np.nonzero(ridden.is_gap)
-    assert (ridden.time[row], ridden.duration[row]) == (end, end - begin)
-    assert ridden.sigma_length[row] > 9.0 * 400 / 2  # a bus is within two sigmas
-    assert ((ridden.time[:row] <= begin) & (ridden.length[:row] > 0)).all()
-    assert (ridden.time[row + 1 :] - ridden.duration[row + 1 :] >= end).all()
-    assert without_rides(steps, np.empty((0, 2))) is steps
-
-
 def test_a_ride_does_not_bend_the_walk():
     """Both walks are within the receiver's error if the ride is detected; the control is not."""
     steps, fixes, (begin, end), place = walk_and_ride([("bus", 400)], bumps=0.3, every=5)
@@ -131,20 +112,3 @@ def test_a_ride_does_not_bend_the_walk():
     found = detect_rides(steps, fixes)
     assert np.percentile(off(without_rides(steps, found)), 90) < 2.5 * SIGMA
     assert np.percentile(off(steps), 90) > 5 * SIGMA
-
-
-def test_a_ride_begins_at_the_last_step_before_it():
-    """A short wait at the stop is part of the ride, since a bus starts slowly."""
-    steps, fixes, _, _ = walk_and_ride([("bus", 400)])
-    steps = replace(steps, time=steps.time - 0.05)  # fixes are at whole seconds
-    ((found, _),) = detect_rides(steps, fixes)
-    assert found in steps.time
-
-
-def test_segments_of_a_ride_are_one_vehicle():
-    steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
-    found = detect_rides(steps, fixes)
-    steps = without_rides(steps, found)
-    segments = segments_of(steps, dead_reckon(steps), found)
-    (ride,) = [segment for segment in segments if segment.kind == VEHICLE]
-    assert (ride.start, ride.end) == pytest.approx((begin, end), abs=75)

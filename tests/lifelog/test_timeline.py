@@ -54,30 +54,49 @@ def test_a_timeline_covers_all_time_once_with_the_whole_distance(legs, edges, sl
     assert sum(e.end - e.start for e in kept) >= sum(s.end - s.start for s in made.stays) - 1e-6
 
 
-def test_a_stay_replaces_the_standing_around_it():
-    """Also if it begins some seconds after the standing, which is then part of the walk."""
-    made = outing([(WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(112, 400)])
-    assert kinds_and_durations(day(made)) == [(WALKING, 112), (STAY, 288), (WALKING, 100)]
-
-
-def test_short_standing_beside_a_stay_belongs_to_the_stay():
-    made = outing([(STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(2, 300)])
-    assert kinds_and_durations(day(made)) == [(STAY, 300), (WALKING, 100)]
-
-
-def test_short_standing_is_part_of_the_walk_and_long_standing_is_not():
-    made = outing([(WALKING, 100.0, EAST), (STANDING, 59.0, EAST), (WALKING, 100.0, EAST), (STANDING, 61.0, EAST)])
-    assert kinds_and_durations(day(made)) == [(WALKING, 259), (STANDING, 61)]
-    made = outing([(VEHICLE, 100.0, EAST), (STANDING, 59.0, EAST), (VEHICLE, 100.0, EAST)])
-    assert kinds_and_durations(day(made)) == [(VEHICLE, 259)]
-    made = outing([(GAP, 100.0, EAST), (STANDING, 30.0, EAST), (GAP, 100.0, EAST)])
-    assert kinds_and_durations(day(made)) == [(GAP, 100), (STANDING, 30), (GAP, 100)]  # no way to be part of
-
-
-def test_a_slow_pass_divides_a_walk_and_its_distance():
-    made = outing([(WALKING, 200.0, EAST)], stays=[stay(80, 100, passing=True)])
-    assert kinds_and_durations(day(made)) == [(WALKING, 80), (PASSING, 20), (WALKING, 100)]
-    assert [e.distance for e in timeline(day(made))] == pytest.approx([80 * 1.25, 20 * 1.25, 100 * 1.25])
+@pytest.mark.parametrize(
+    ("legs", "stays", "entries"),
+    [
+        pytest.param(
+            [(WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (WALKING, 100.0, EAST)],
+            [stay(112, 400)],
+            [(WALKING, 112), (STAY, 288), (WALKING, 100)],
+            id="a stay replaces the standing around it; what comes before its begin is part of the walk",
+        ),
+        pytest.param(
+            [(STANDING, 300.0, EAST), (WALKING, 100.0, EAST)],
+            [stay(2, 300)],
+            [(STAY, 300), (WALKING, 100)],
+            id="short standing beside a stay belongs to the stay",
+        ),
+        pytest.param(
+            [(WALKING, 100.0, EAST), (STANDING, 59.0, EAST), (WALKING, 100.0, EAST), (STANDING, 61.0, EAST)],
+            [],
+            [(WALKING, 259), (STANDING, 61)],
+            id="short standing is part of the walk and long standing is not",
+        ),
+        pytest.param(
+            [(VEHICLE, 100.0, EAST), (STANDING, 59.0, EAST), (VEHICLE, 100.0, EAST)],
+            [],
+            [(VEHICLE, 259)],
+            id="short standing is part of a ride",
+        ),
+        pytest.param(
+            [(GAP, 100.0, EAST), (STANDING, 30.0, EAST), (GAP, 100.0, EAST)],
+            [],
+            [(GAP, 100), (STANDING, 30), (GAP, 100)],
+            id="short standing between gaps is part of nothing",
+        ),
+        pytest.param(
+            [(WALKING, 200.0, EAST)],
+            [stay(80, 100, passing=True)],
+            [(WALKING, 80), (PASSING, 20), (WALKING, 100)],
+            id="a slow pass divides a walk",
+        ),
+    ],
+)
+def test_entries_of_an_outing(legs, stays, entries):
+    assert kinds_and_durations(day(outing(legs, stays=stays))) == entries
 
 
 def test_gaps_between_outings_are_entries_in_any_order_of_outings():
