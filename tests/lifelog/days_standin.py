@@ -137,3 +137,23 @@ def dying_of(name, recording, options):
     if recording.name == name:
         os._exit(11)
     return observe(recording, options)
+
+
+def scheduler(port):
+    """Run a scheduler of Dask on a port of this machine, the whole of a process."""
+    from distributed.cli.dask_scheduler import main
+
+    _hush()
+    main(["--port", port, "--host", "127.0.0.1", "--no-dashboard"])
+
+
+def worker(address):
+    """Run the worker of a scheduler, which nothing restarts, the whole of a process."""
+    from distributed.cli.dask_worker import main
+
+    _hush()
+    main([address, "--no-dashboard", "--no-nanny", "--nthreads", "1"])
+
+
+def _hush():
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

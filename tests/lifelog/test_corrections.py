@@ -12,7 +12,7 @@ from hypothesis import strategies as some
 from made_tracks import HOUR, OFFICE, at, clock, place
 from observations import NOON, observation, walk
 from streets import USUAL, seen, streets
-from test_rides import walk_and_ride
+from test_activities import walk_and_ride
 from typer.testing import CliRunner
 from walks import drawn_from_the_model, steps_of
 
@@ -78,53 +78,30 @@ def corrected(one, *corrections):
     return outing
 
 
-def scratch(store):
-    """Delete all that was made of the recordings, and build again."""
-    with Store(store) as log:
-        log.delete_days(list(log.days()))
-        for entry in log.entries():
-            log.put(replace(entry, observation="", epoch=None, duration=None, steps=None))
-        folder = log.folder
-    shutil.rmtree(folder)
-    return build(store)
-
-
 # The estimate
-
-
-def test_a_stated_place_enters_the_estimate(tmp_path):
-    store = made.lifelog(tmp_path)
-    before = stored(store)[1].outings[0]
-    lines = revision.state_place(store, clock(10), place(*OVER_THERE))
-    [outing] = stored(store)[1].outings
-    stay = longest(outing)
-    there = outing.frame.from_lonlat(made.lonlat(*OVER_THERE)[None])[0]
-    assert np.hypot(*(stay.position - there)) < 5.0
-    assert 12.0 < horizontal_sigma(stay.covariance) < 25.0, "one statement of ± 15 m, however long the stay"
-    time = before.trajectory.time
-    far = np.abs(time - (at(10.5) - before.epoch)) > 2.5 * HOUR / 2 + 1200
-    moved = before.trajectory.position - interpolate(time, outing.trajectory.time, outing.trajectory.position)
-    assert np.hypot(*moved[far].T).max() < 5.0, "the rest of the day is as it was"
-    assert any("rebuilt" in line for line in lines)
-    assert row_at(store, 10).corrected
-    assert metres(row_at(store, 10), OVER_THERE) < 5.0
 
 
 @pytest.mark.parametrize(
     ("off", "radius", "sigma", "noted"),
-    [(10.0, 15.0, (12.0, 25.0), []), (60.0, 50.0, (40.0, 70.0), []), (3000.0, 15.0, (12.0, 25.0), ["3.0 km away"])],
+    [(10.0, 15.0, (12.0, 25.0), ""), (60.0, 50.0, (40.0, 70.0), ""), (3000.0, 15.0, (12.0, 25.0), "3.0 km away")],
 )
 def test_a_stated_place_is_believed_within_its_radius_and_noted_if_far_from_the_positions(
     tmp_path, off, radius, sigma, noted
 ):
-    store = made.lifelog(tmp_path)
-    revision.state_place(store, clock(10), place(OFFICE[0] + off, OFFICE[1]), radius=radius)
+    """One statement, however long the stay; the rest of the day is as it was."""
+    store, where = made.lifelog(tmp_path), (OFFICE[0], OFFICE[1] + off)
+    before = stored(store)[1].outings[0].trajectory
+    lines = revision.state_place(store, clock(10), place(*where), radius=radius)
     [outing] = stored(store)[1].outings
-    assert metres(row_at(store, 10), (OFFICE[0] + off, OFFICE[1])) < 30.0
+    assert np.hypot(*(longest(outing).position - outing.frame.from_lonlat(made.lonlat(*where)[None])[0])) < 30.0
+    assert metres(row_at(store, 10), where) < 30.0
     assert sigma[0] < horizontal_sigma(longest(outing).covariance) < sigma[1]
-    found = [note for note in outing.notes if "corrected" in note and "away" in note]
-    assert len(found) == len(noted)
-    assert all(text in note for text, note in zip(noted, found, strict=True))
+    assert [noted in note for note in outing.notes if "corrected" in note and "away" in note] == [True] * bool(noted)
+    elsewhere = (before.time < 3600 - 1200) | (before.time > 4 * HOUR + 1800)
+    moved = before.position - interpolate(before.time, outing.trajectory.time, outing.trajectory.position)
+    assert np.hypot(*moved[elsewhere].T).max() < 5.0
+    assert any("rebuilt" in line for line in lines)
+    assert row_at(store, 10).corrected
 
 
 def test_a_stated_activity_enters_the_estimate(tmp_path):
@@ -206,28 +183,25 @@ def every_kind(store):
     revision.name_place(store, place(*OFFICE), "office")
 
 
-def test_a_rebuild_from_scratch_gives_the_same_day_to_the_byte(tmp_path):
+def test_a_rebuild_from_scratch_gives_the_same_day_to_the_byte_and_undoing_all_the_first_one(tmp_path):
     store = made.lifelog(tmp_path)
+    first, first_rows = stored(store)[0], rows_of(store)
     every_kind(store)
     before, rows = stored(store)[0], rows_of(store)
+    assert before != first
     assert build(store).built == 0, "what the corrections rebuilt is what a build makes"
     with Store(store) as log:
         left = [len(list((log.folder / name).iterdir())) for name in (cache.DAYS, cache.OBSERVATIONS)]
-    assert left == [0, 1], "no stray files"
-    assert scratch(store).built == 1
-    assert stored(store)[0] == before
-    assert repr(rows_of(store)) == repr(rows)
-
-
-def test_undoing_all_gives_the_first_day_back(tmp_path):
-    store = made.lifelog(tmp_path)
-    before, rows = stored(store)[0], rows_of(store)
-    every_kind(store)
-    assert stored(store)[0] != before
+        assert left == [0, 1], "no stray files"
+        log.delete_days(list(log.days()))
+        for entry in log.entries():
+            log.put(replace(entry, observation="", epoch=None, duration=None, steps=None))
+    shutil.rmtree(log.folder)
+    assert build(store).built == 1
+    assert (stored(store)[0], repr(rows_of(store))) == (before, repr(rows))
     for number in (3, 1, 6, 2, 5, 4):
         revision.undo(store, number)
-    assert stored(store)[0] == before
-    assert repr(rows_of(store)) == repr(rows)
+    assert (stored(store)[0], repr(rows_of(store))) == (first, repr(first_rows))
     assert revision.listing(store) == ["no corrections"]
 
 
@@ -239,6 +213,8 @@ def test_only_the_day_of_a_correction_is_rebuilt(tmp_path):
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
     assert build(store).built == 0
     assert sum("rebuilt" in line for line in lines) == 1
+    assert estimate_together(store) == 3
+    assert [stored(store, f"2024-05-0{n}")[0] for n in (1, 2, 3)] == after, "an estimate of all days keeps it"
 
 
 def test_labels_rebuild_nothing(tmp_path):
@@ -250,14 +226,6 @@ def test_labels_rebuild_nothing(tmp_path):
     assert stored(store)[0] == before
     assert not any("rebuilt" in line for line in lines)
     assert row_at(store, 11).place == "office"
-
-
-def test_an_estimate_of_all_days_together_keeps_corrections(tmp_path):
-    store = made.lifelog(tmp_path)
-    revision.state_place(store, clock(10), place(*OVER_THERE))
-    before = stored(store)[0]
-    assert estimate_together(store) == 1
-    assert stored(store)[0] == before
 
 
 def test_corrections_of_one_person_do_not_touch_another(tmp_path):
@@ -287,20 +255,14 @@ def correction(kind, start, end, number=1, **value):
     return Correction(number, "me", 0.0, kind, start, end, value)
 
 
-def test_merged_entries_are_one_stay_at_their_mean_by_time():
+def test_entries_are_merged_divided_and_filled():
     first, *rest = apply_to_entries(ENTRIES, [correction(MERGE, 0.0, 500.0)])
     assert (first.kind, first.start, first.end, first.corrected) == (STAY, 0.0, 500.0, True)
-    assert first.latitude == pytest.approx(48.1 + 0.001 * 300 / 400)
+    assert first.latitude == pytest.approx(48.1 + 0.001 * 300 / 400), "the mean by time"
     assert rest == ENTRIES[3:]
-
-
-def test_a_split_divides_an_entry_and_its_distance():
     *_, first, second = apply_to_entries(ENTRIES, [correction(SPLIT, 700.0, 700.0)])
     assert (first.end, second.start) == (700.0, 700.0)
     assert (first.distance, second.distance) == (pytest.approx(1000.0), pytest.approx(2000.0))
-
-
-def test_a_stated_place_fills_a_silence():
     value = {"latitude": 48.2, "longitude": 11.6, "radius": 15.0, "name": "the lake"}
     [_, _, _, lake, _] = apply_to_entries(ENTRIES, [correction(AT, 500.0, 600.0, **value)])
     assert (lake.kind, lake.place, lake.latitude, lake.sigma) == (STAY, "the lake", 48.2, 15.0)
@@ -310,12 +272,9 @@ def test_a_later_correction_overrules_an_earlier_one():
     bus, car = correction(MODE, 600.0, 900.0, 1, mode="bus"), correction(MODE, 600.0, 900.0, 2, mode="car")
     assert apply_to_entries(ENTRIES, [bus, car])[-1].mode == "car"
     assert apply_to_entries(ENTRIES, [bus, correction(NOT_ME, 0.0, 900.0, 2)])[-1].kind == GAP
-
-
-def test_the_names_of_places_come_in_the_order_stated():
     value = {"latitude": 48.1, "longitude": 11.5, "radius": 75.0}
-    made_names = [correction(PLACE_NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
-    assert place_names(made_names) == [(48.1, 11.5, 75.0, "a"), (48.1, 11.5, 75.0, "b")]
+    named = [correction(PLACE_NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
+    assert place_names(named) == [(48.1, 11.5, 75.0, "a"), (48.1, 11.5, 75.0, "b")], "in the order stated"
 
 
 KINDS_AND_VALUES = some.sampled_from([
@@ -330,7 +289,7 @@ KINDS_AND_VALUES = some.sampled_from([
 TIMES = some.integers(-100, 1000).map(float)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(some.lists(some.tuples(KINDS_AND_VALUES, TIMES, TIMES), max_size=6))
 def test_corrected_entries_still_cover_every_second_once(drawn):
     facts = []
@@ -364,7 +323,7 @@ def full_observation():
     )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(some.lists(some.tuples(some.floats(-5, 40), some.floats(0, 20)), min_size=1, max_size=3))
 def test_nothing_measured_in_a_masked_time_remains(drawn):
     one = full_observation()

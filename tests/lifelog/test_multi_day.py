@@ -23,8 +23,6 @@ from pdr_graph.apps.lifelog.multi_day import (
     encounters,
 )
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
-from pdr_graph.estimation.fingerprinting import _alike
-from pdr_graph.priors import SCANS
 from pdr_graph.types import Sightings
 
 PHONES = {"anna's": "anna", "ben's": "ben"}
@@ -165,13 +163,6 @@ def test_walks_of_the_same_time_are_in_one_block_up_to_a_limit():
     assert made == [{0.0}, {DAY}]
     crowd = [len(own_walks(block)) for block in blocks(history([500] * 200, [0] * 200))]
     assert (sum(crowd), max(crowd)) == (200, 2 * MAX_WALKS)
-
-
-@given(st.lists(st.tuples(st.integers(0, 3), st.floats(0, 300)), max_size=60))
-def test_closures_with_one_error_are_counted_pair_by_pair(rows):
-    pair, way = np.array([p for p, _ in rows], dtype=int), np.array([w for _, w in rows], dtype=float)
-    near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < SCANS.along)
-    assert _alike(pair, way).tolist() == near.sum(axis=1).tolist()
 
 
 def scanned(seed, steps=150):

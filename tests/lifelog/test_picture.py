@@ -7,9 +7,11 @@ import stat
 import threading
 import warnings
 from dataclasses import replace
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from browser import Page, chromium
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, overview_of, stay
@@ -18,13 +20,15 @@ from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog import maps
-from pdr_graph.apps.lifelog.day import ACTIVITIES, STANDING, VEHICLE, WALKING, rows_of
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.maps import ENLARGED_SHARE, MercatorFrame, check_template, panels, tiles
 from pdr_graph.apps.lifelog.picture import offset_text, picture
-from pdr_graph.apps.lifelog.report import page
+from pdr_graph.apps.lifelog.report import content, page
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.apps.report.page import page as report_page
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import length_along
@@ -308,3 +312,103 @@ def test_a_server_without_tiles_is_one_line_and_asked_three_times(month_log, ser
 def test_another_address_is_refused(template):
     with pytest.raises(InputError, match="expected a web address such as"):
         check_template(template)
+
+
+# The report of a day, in a browser without network
+
+ZONE = ZoneInfo("America/Santiago")
+ERRAND = [(WALKING, 300.0, 0.0), (STANDING, 600.0, 0.0), (WALKING, 300.0, 1.5)]
+LATE = MIDNIGHT + 15 * HOUR
+SHOP = "Kiosk <1> & Co"
+ARROW = 8.0  # [px] as of the walk's report, and the turn of the arrow
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+def made():
+    looked = stay(320.0, 880.0, (375.0, 0.0), facing=((SHOP, 0.8), ("Bank", 0.1)))
+    ride = outing([(VEHICLE, 600.0, 0.7), (GAP, 300.0, 0.7), *ERRAND], epoch=LATE, start=(400.0, 300.0))
+    return day(outing(ERRAND, stays=[looked]), ride)
+
+
+@pytest.fixture(scope="module")
+def report(browser, tmp_path_factory):
+    path = tmp_path_factory.mktemp("day") / "report.html"
+    path.write_bytes(report_page(content(overview_of(made()), ZONE, ["steps: none"], ["GNSS was poor"])))
+    return Page(browser, path)
+
+
+@pytest.mark.thorough
+def test_the_page_of_a_day_opens_without_an_error_or_a_request(report):
+    report.slide(MIDNIGHT + 9.1 * HOUR)
+    assert report.errors == []
+    assert report.asked_for[0] == []
+
+
+@pytest.mark.thorough
+def test_the_slider_moves_the_walker_along_the_day_by_the_clock_of_the_zone(report):
+    """To the rows of the outings: east at 1.25 m/s from (0, 0) at nine."""
+
+    def text(name):
+        return report.run(f"return document.getElementById('{name}').innerText")
+
+    ride = np.array([400.0, 300.0]) + 1000.0 * np.array([np.cos(0.7), np.sin(0.7)])
+    for time, there in ((MIDNIGHT + 9 * HOUR + 200.0, (250.0, 0.0)), (LATE + 100.0, ride)):
+        report.slide(time)
+        assert np.hypot(*np.subtract(report.walker, there)) * report.metre < ARROW
+    report.slide(MIDNIGHT + 12 * HOUR)
+    assert (report.walker, text("readout"), text("clock")) == (None, "no data", "12:00:00")
+    report.slide(LATE + 750.0)
+    assert report.walker is None, "a gap within an outing"
+    report.slide(MIDNIGHT + 9 * HOUR + 500.0)
+    assert f"{SHOP} 80%" in text("readout"), "a stay has its names and probabilities"
+    assert f"{SHOP} 80%" in text("tables")
+
+
+def test_the_page_has_no_file_names_hashes_or_paths():
+    """Like the files beside it."""
+    plan = outing([(WALKING, 20.0, 0.0)], plan="/home/anna/secret/mall.geojson", floor="1")
+    html = report_page(content(overview_of(day(plan, *made().outings)), ZONE, [], [])).decode()
+    written = html[html.index('type="application/json"') : html.index('<script id="library"')]
+    for secret in ("/home", "from home", "secret", "mall.geojson", "5f3b"):
+        assert secret not in written, secret
+
+
+def test_a_change_of_daylight_saving_time_is_in_the_offsets():
+    """In Santiago clocks went back an hour at midnight of 6 April 2025: 03:00 UTC is 23:00 for the second time."""
+    change = 1_743_908_400.0 + 4 * HOUR - HOUR * 4  # 2025-04-06T03:00Z
+    late = outing([(WALKING, 1800.0, 0.0)], epoch=change - 900.0)
+    offsets = content(overview_of(day(late)), ZONE, [], [])["offsets"]
+    assert [by for _, by in offsets] == [-3 * HOUR, -4 * HOUR]
+    assert offsets[1][0] == change
+
+
+def test_a_place_without_a_track_has_a_map_of_its_own():
+    """A stay that the person states, far from all recordings."""
+    shown = overview_of(made())
+    [own] = shown.diaries
+    there = TimelineEntry(STAY, LATE + 2 * HOUR, LATE + 3 * HOUR, latitude=-25.0, longitude=-71.0, sigma=15.0)
+    shown = replace(shown, diaries=(replace(own, visits=(*own.visits, there)),))
+    made_content = content(shown, ZONE, [], [])
+    on = [{number for number, _ in part["on"]} for part in made_content["marks"]]
+    assert {0} in on, "the map with the most time"
+    assert all(0 not in {number for number, _ in line["on"]} for line in made_content["tracks"])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "outings",
+    [
+        (),
+        (outing(ERRAND, frame=NOWHERE),),
+        (outing([(GAP, 900.0, 0.0)]),),
+        (outing(ERRAND, frame=HERE, plan="gone.geojson"),),
+    ],
+)
+def test_days_of_any_kind_have_a_page(browser, tmp_path, outings):
+    (tmp_path / "report.html").write_bytes(report_page(content(overview_of(day(*outings)), ZONE, [], [])))
+    assert Page(browser, tmp_path / "report.html").errors == []

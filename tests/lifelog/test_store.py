@@ -342,22 +342,3 @@ def test_a_file_without_room_on_the_disk_leaves_the_earlier_one(tmp_path):
     assert failed == [str(tmp_path / "day")]
     assert [file.name for file in tmp_path.iterdir()] == ["day"]
     assert (tmp_path / "day").read_bytes() == b"before"
-
-
-def test_an_entry_has_the_columns_of_its_table(tmp_path):
-    options = RecordingOptions(*map(Path, ("plan", "fixes", "beacons", "ranges", "walker")), "1", 1.5)
-    entry = Entry("c" * 64, "me", "path", options, "key", 2.5, 3.5, 4, "why")
-    with Store(tmp_path / "log", new=True) as log:
-        log.put(entry)
-        assert log.entries() == (entry,)
-    with closing(sqlite3.connect(tmp_path / "log")) as database:
-        database.row_factory = sqlite3.Row
-        [row] = database.execute("SELECT * FROM recording").fetchall()
-    expected = vars(options) | {name: str(path) for name, path in options.files.items()}
-    assert dict(row) == {name: value for name, value in vars(entry).items() if name != "options"} | expected
-
-
-def test_the_folder_has_the_name_of_the_store(tmp_path):
-    with Store(tmp_path / "my.days.db", new=True) as log:
-        assert log.folder == Path(tmp_path / "my.days.db.d")
-        assert not log.folder.exists()
