@@ -253,7 +253,7 @@ def test_tables_have_the_rows_of_the_overview(month):
     )
     every = [row for row in read["hours.csv"] if row["weekday"] == EVERY_DAY]
     assert len(every) == len(month.places)
-    assert every[0]["departure_50"] == "07:50"
+    assert every[0]["departure_50"] == "07:51"
 
 
 # The timeline
