@@ -41,7 +41,7 @@ class GpsDay:
 
     def write(self, path):
         """Write as a GeoLife file."""
-        return geolife(path, self.time, self.lonlat)
+        return geolife(path, self.time, self.lonlat.round(6))
 
 
 def gps_day(seed, number=0):

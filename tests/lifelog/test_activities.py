@@ -1,4 +1,4 @@
-"""Activities of a day: from positions alone, and from steps."""
+"""Activities of a day, from positions alone and from steps, and rides within a walk."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Recordings are added once, whatever their names and folders; a file that is none costs one line."""
+"""Recordings are added once and days built, by function and by command; a file that is none costs one line."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Overviews of a day, week, month, year, place and person: numbers, lists, tables and JSON, on a month made by hand."""
+"""Overviews of a day, week, month, year, place and person, and the timeline of a day: numbers, lists, tables, JSON."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""A day from its observations."""
+"""A day from its observations, with ranges to anchors among them."""
 
 import shutil
 from dataclasses import replace

@@ -176,6 +176,7 @@ def built(log, data, **options):
         return {name: sorted(database.execute(f"SELECT * FROM {name}").fetchall(), key=repr) for name in names}
 
 
+@pytest.mark.thorough
 def test_real_days_are_the_same_whoever_builds_them(data, tmp_path):
     assert built(tmp_path / "here.db", data) == built(tmp_path / "workers.db", data, workers=2)
 
