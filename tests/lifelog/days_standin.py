@@ -7,16 +7,16 @@ import signal
 import time as clock
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
+from functools import partial
 
 import numpy as np
+from made_tracks import geolife
 
 from pdr_graph.apps.lifelog import workers
 from pdr_graph.apps.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
 from pdr_graph.apps.lifelog.day import Day as OneDay
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.gait.walker import Profile
-from pdr_graph.io.geolife import EPOCH_1899
 from pdr_graph.types import DAY_LENGTH, Trajectory
 
 FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
@@ -28,16 +28,8 @@ PLACE = 52.5, 13.4  # latitude and longitude of all recordings [deg]
 
 def recording(path, day=0.0, points=4, seed=0):
     """Write a GeoLife file of a few points, ten seconds apart, `day` days after FIRST."""
-    random = np.random.default_rng(seed)
-    rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
-    for n in range(points):
-        seconds = FIRST + day * DAY_LENGTH + 10 * n
-        lat, lon = np.array(PLACE) + random.normal(0, 1e-4, 2)
-        time = f"{(seconds - EPOCH_1899) / DAY_LENGTH:.10f},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}"
-        rows.append(f"{lat:.6f},{lon:.6f},0,492,{time}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(rows) + "\n")
-    return path
+    time = FIRST + day * DAY_LENGTH + 10.0 * np.arange(points)
+    return geolife(path, time, np.array(PLACE[::-1]) + np.random.default_rng(seed).normal(0, 1e-4, (points, 2)))
 
 
 def recordings(folder, people=3, days=5):
@@ -84,19 +76,13 @@ def reconstruct(person, date, observations, profile):
 
 def failing_on(*dates):
     """`reconstruct` that fails on some dates."""
-    return Failing(dates)
+    return partial(_failing, dates)
 
 
-class Failing:
-    """A class, since workers need to pickle it."""
-
-    def __init__(self, dates):
-        self.dates = dates
-
-    def __call__(self, person, date, observations, profile):
-        if date in self.dates:
-            raise ZeroDivisionError(f"no day\nlike {date}")
-        return reconstruct(person, date, observations, profile)
+def _failing(dates, person, date, observations, profile):
+    if date in dates:
+        raise ZeroDivisionError(f"no day\nlike {date}")
+    return reconstruct(person, date, observations, profile)
 
 
 def dying_or_hanging(person, date, observations, profile):
@@ -112,42 +98,19 @@ def dying_or_hanging(person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def freezing(folder):
-    """`reconstruct` that stops its process on one day of one person, as a disk that does not answer would."""
-    return Freezing(str(folder))
+def freezing(file, person, date, observations, profile):
+    """`reconstruct` that makes a file and stops its process on a day, as a disk that does not answer would."""
+    if (person, date) == ("person1", "2024-05-02"):
+        file.touch()
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return reconstruct(person, date, observations, profile)
 
 
-class Freezing:
-    """A class, since workers need to pickle it."""
-
-    def __init__(self, folder):
-        self.file = Path(folder) / "frozen"
-
-    def __call__(self, person, date, observations, profile):
-        if (person, date) == ("person1", "2024-05-02"):
-            self.file.touch()
-            os.kill(os.getpid(), signal.SIGSTOP)
-        return reconstruct(person, date, observations, profile)
-
-    def frozen(self):
-        return self.file.exists()
-
-
-def counting(folder):
+def counting(folder, person, date, observations, profile):
     """`reconstruct` that appends a line to a file per day."""
-    return Counting(str(folder))
-
-
-class Counting:
-    """A class, since workers need to pickle it."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def __call__(self, person, date, observations, profile):
-        with (Path(self.folder) / f"{person} {date}").open("a") as file:
-            file.write("made\n")
-        return reconstruct(person, date, observations, profile)
+    with (folder / f"{person} {date}").open("a") as file:
+        file.write("made\n")
+    return reconstruct(person, date, observations, profile)
 
 
 def slow(person, date, observations, profile):
@@ -156,29 +119,11 @@ def slow(person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def waiting(folder, after):
-    """`reconstruct` that waits after so many days, until `end` is called."""
-    (Path(folder) / "made").mkdir()
-    return Waiting(str(folder), after)
-
-
-class Waiting(Counting):
-    """A class, since workers need to pickle it."""
-
-    def __init__(self, folder, after):
-        super().__init__(Path(folder) / "made")
-        self.after, self.file = after, Path(folder) / "over"
-
-    def __call__(self, person, date, observations, profile):
-        while len(os.listdir(self.folder)) >= self.after and not self.over():
-            clock.sleep(0.02)
-        return super().__call__(person, date, observations, profile)
-
-    def end(self):
-        self.file.touch()
-
-    def over(self):
-        return self.file.exists()
+def waiting(folder, after, end, *day):
+    """`reconstruct` that counts in a folder and waits after so many days, until the file `end` is there."""
+    while len(os.listdir(folder)) >= after and not end.exists():
+        clock.sleep(0.02)
+    return counting(folder, *day)
 
 
 def filling(person, date, observations, profile):
@@ -187,18 +132,28 @@ def filling(person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def dying_of(name):
+def dying_of(name, recording, options):
     """`observe` that ends the process on one recording."""
-    return DyingOf(name)
+    if recording.name == name:
+        os._exit(11)
+    return observe(recording, options)
 
 
-class DyingOf:
-    """A class, since workers need to pickle it."""
+def scheduler(port):
+    """Run a scheduler of Dask on a port of this machine, the whole of a process."""
+    from distributed.cli.dask_scheduler import main
 
-    def __init__(self, name):
-        self.name = name
+    _hush()
+    main(["--port", port, "--host", "127.0.0.1", "--no-dashboard"])
 
-    def __call__(self, recording, options):
-        if recording.name == self.name:
-            os._exit(11)
-        return observe(recording, options)
+
+def worker(address):
+    """Run the worker of a scheduler, which nothing restarts, the whole of a process."""
+    from distributed.cli.dask_worker import main
+
+    _hush()
+    main([address, "--no-dashboard", "--no-nanny", "--nthreads", "1"])
+
+
+def _hush():
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
+from made_tracks import geolife
 
 HOME = 52.5, 13.4  # latitude and longitude of the middle of the town [deg]
 METRES = np.array([111_319.5 * np.cos(np.radians(HOME[0])), 111_319.5])  # east and north per degree
@@ -40,20 +41,7 @@ class GpsDay:
 
     def write(self, path):
         """Write as a GeoLife file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        rows = [
-            "Geolife trajectory",
-            "WGS 84",
-            "Altitude is in Feet",
-            "Reserved 3",
-            "0,2,255,My Track,0,0,2,8421376",
-            "0",
-        ]
-        for time, (lon, lat) in zip(self.time, self.lonlat, strict=True):
-            clock = datetime.fromtimestamp(time, UTC)
-            rows.append(f"{lat:.6f},{lon:.6f},0,100,{time / DAY + 25569:.10f},{clock:%Y-%m-%d,%H:%M:%S}")
-        path.write_text("\r\n".join(rows) + "\r\n")
-        return path
+        return geolife(path, self.time, self.lonlat.round(6))
 
 
 def gps_day(seed, number=0):

@@ -18,12 +18,12 @@ PERIOD = 1.0  # [s] between rows
 HERE = enu(-35.0, -71.0)  # both below zero, as no time or distance is
 
 
-def walk_along(legs, start=(0.0, 0.0), floor="", sigma=1.0):
+def walk_along(legs, start=(0.0, 0.0), floor="", sigma=1.0, period=PERIOD):
     """A trajectory and its segments along straight ``(kind, seconds, heading [rad])`` legs, at each kind's pace."""
     time, place, heading, segments = [0.0], [np.array(start, dtype=float)], [legs[0][2]], []
     for kind, seconds, towards in legs:
         begin, origin, step = time[-1], place[-1], PACE[kind] * np.array([np.cos(towards), np.sin(towards)])
-        since = np.array([seconds]) if kind == GAP else np.arange(PERIOD, seconds + PERIOD / 2, PERIOD)
+        since = np.array([seconds]) if kind == GAP else np.r_[np.arange(period, seconds - period / 2, period), seconds]
         time += (begin + since).tolist()
         place += list(origin + since[:, None] * step)
         heading += [towards] * len(since)

@@ -4,20 +4,18 @@ Ada lives in Berlin, works five kilometres away and shops on Tuesdays and Friday
 she has another home and office. Nothing is recorded on two days, nor for two hours of some afternoons, nor at night.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
+import made_days
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, Day, Outing, Segment, Stay, rows_of
+from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, Day, rows_of
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.frames import enu
-from pdr_graph.types import Trajectory
 
 PERIOD = 20.0  # [s] between rows
-SPEED = {WALKING: 1.3, VEHICLE: 9.0}  # [m/s]
-STEP = 0.7  # [m]
 FIRST, DAYS, FLIGHT = date(2024, 5, 1), 30, date(2024, 5, 20)
 WITHOUT_DATA = (date(2024, 5, 11), date(2024, 5, 27))
 BERLIN = enu(52.52, 13.40), ZoneInfo("Europe/Berlin"), "Office"
@@ -35,51 +33,34 @@ class Diarist:
     frame: object
     start: float
     at: np.ndarray
-    time: list = field(default_factory=lambda: [0.0])
-    place: list = field(default_factory=list)
-    segments: list = field(default_factory=list)
+    legs: list = field(default_factory=list)
     stays: list = field(default_factory=list)
 
     def __post_init__(self):
-        self.place.append(self.at)
+        self.now, self.first = self.start, tuple(self.at)
 
     def go(self, kind, to):
         """Walk or ride to a position ``(2,)`` [m]."""
-        far = float(np.hypot(*(to - self.at)))
-        share = np.linspace(0, 1, max(int(far / SPEED[kind] / PERIOD), 1) + 1)[1:]
-        begin, origin = self.time[-1], self.at
-        self.time += (begin + share * far / SPEED[kind]).tolist()
-        self.place += list(origin + share[:, None] * (to - origin))
-        self.segments.append(Segment(kind, begin, self.time[-1], far))
+        off = to - self.at
+        self._spend(kind, float(np.hypot(*off)) / made_days.PACE[kind], np.arctan2(*off[::-1]))
         self.at = to
 
     def stay(self, until, name=""):
         """Stay until a Unix time [s]."""
-        begin, end = self.time[-1], until - self.start
-        if end <= begin:
-            return
-        self.time += [*np.arange(begin + PERIOD, end, PERIOD).tolist(), end]
-        self.place += [self.at] * (len(self.time) - len(self.place))
-        facing = ((name, 0.9),) if name else ()
-        self.segments.append(Segment(STANDING, begin, end, 0.0))
-        self.stays.append(Stay(begin, end, False, self.at, 16.0 * np.eye(2), np.nan, "", facing))
+        if until > self.now:
+            span, facing = (self.now - self.start, until - self.start), [(name, 0.9)] if name else []
+            self.stays.append(made_days.stay(*span, self.at, facing, sigma=4.0))
+            self._spend(STANDING, until - self.now, 0.0)
+
+    def _spend(self, kind, seconds, heading):
+        self.legs.append((kind, seconds, heading))
+        self.now += seconds
 
     def outing(self):
         """Everything so far as an outing."""
-        n = len(self.time)
-        covariance = np.tile(np.diag([16.0, 16.0, 0.1]), (n, 1, 1))
-        track = Trajectory(np.array(self.time), np.array(self.place), np.zeros(n), ("",) * n, covariance)
-        walked = sum(s.distance for s in self.segments if s.kind == WALKING)
-        about = {"recordings": (f"{self.start:.0f}",), "source": "/home/ada/phone.csv", "epoch": self.start}
-        return Outing(
-            **about,
-            frame=self.frame,
-            plan="",
-            trajectory=track,
-            segments=tuple(self.segments),
-            stays=tuple(self.stays),
-            steps=round(walked / STEP),
-        )
+        where = {"start": self.first, "sigma": 4.0, "period": PERIOD}
+        made = made_days.outing(self.legs, self.start, self.frame, self.stays, **where)
+        return replace(made, recordings=(f"{self.start:.0f}",))
 
 
 def made_month(person="Ada", seed=0, days=DAYS):
@@ -116,12 +97,12 @@ def _day(person, on, random):
         _commute(ada, OFFICE, HOME, back=True)
         if on.weekday() in (1, 4):
             ada.go(WALKING, SHOP)
-            ada.stay(ada.start + ada.time[-1] + 1500.0, "Supermarket")
+            ada.stay(ada.now + 1500.0, "Supermarket")
         ada.go(WALKING, HOME)
     else:
         ada.stay(clock(10.0, 0.5))
         ada.go(WALKING, PARK)
-        ada.stay(ada.start + ada.time[-1] + 3600.0)
+        ada.stay(ada.now + 3600.0)
         ada.go(WALKING, HOME)
     ada.stay(clock(23.0))
     return Day(person, on.isoformat(), (*outings, ada.outing()))

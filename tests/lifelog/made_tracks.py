@@ -48,15 +48,20 @@ def positions(day=0, seed=0):
     return MORNING - 8 * HOUR + day * DAY_LENGTH + time, where
 
 
-def write(path, time, where):
-    """Write positions [m] at Unix times [s] as a GeoLife file."""
+def geolife(path, time, lonlat):
+    """Write positions [deg] at Unix times [s] as a GeoLife file."""
     rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
-    for seconds, (lon, lat) in zip(time, FRAME.to_lonlat(where), strict=True):
+    for seconds, (lon, lat) in zip(time, lonlat, strict=True):
         days = f"{(seconds - EPOCH_1899) / DAY_LENGTH:.10f}"
         rows.append(f"{lat:.7f},{lon:.7f},0,492,{days},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(rows) + "\n")
     return path
+
+
+def write(path, time, where):
+    """Write positions [m from home] at Unix times [s]."""
+    return geolife(path, time, FRAME.to_lonlat(where))
 
 
 def lifelog(folder, days=1, person="me", **options):

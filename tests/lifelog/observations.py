@@ -10,6 +10,7 @@ from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.observation import Ends, Observation
 from pdr_graph.apps.lifelog.reconstruct import as_outings, reconstruct_outings
 from pdr_graph.frames import Frame, enu
+from pdr_graph.geometry import interpolate, rotation
 from pdr_graph.types import Fixes, Headings, Steps
 
 HERE = enu(48.1, 11.6)
@@ -36,10 +37,15 @@ def walk(n: int = 60, seed: int = 0, epoch: float = NOON, **other):
     return observation(steps, fixes, epoch, **other), truth
 
 
-def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float = 0.0, field: bool = True):
+def median_error(track, truth):
+    """Median distance of a trajectory from the truth [m]."""
+    return np.median(np.hypot(*(interpolate(truth.time, track.time, track.position) - truth.position).T))
+
+
+def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float = 0.0):
     """A walk drawn from the model that was recorded in two pieces, ``gap`` seconds apart, with the truth of both.
 
-    turned: on the spot meanwhile [rad]; stood: if not, they went 1.4 m/s straight on; field: whether it is known.
+    turned: on the spot meanwhile [rad]; stood: if not, they went 1.4 m/s straight on.
     """
     first, after = n // 2, n - n // 2
     one_steps, one_fixes, one_truth = drawn_from_the_model(first, seed)
@@ -47,13 +53,8 @@ def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float 
     pose = one_truth.position[-1], one_truth.heading[-1]
     way = np.zeros(2) if stood else 1.4 * gap * np.array([np.cos(pose[1]), np.sin(pose[1])])
     two_fixes, two_truth = moved_to(two_fixes, two_truth, pose[0] + way, pose[1] + turned)
-    ends = [None, None]
-    if field:
-        north = np.array([20.0, 15.0])
-        ends = [Ends(np.array([north, north]), np.full(2, -40.0))] * 2
-        c, s = np.cos(-turned), np.sin(-turned)
-        seen = np.array([[c, -s], [s, c]]) @ north
-        ends[1] = Ends(np.array([seen, seen]), np.full(2, -40.0))
+    field = np.array([20.0, 15.0]), rotation(-turned) @ [20.0, 15.0]
+    ends = [Ends(np.array([seen, seen]), np.full(2, -40.0)) for seen in field]
     one = observation(one_steps, one_fixes, ends=ends[0])
     two = observation(two_steps, two_fixes, NOON + one.duration + gap, ends=ends[1])
     return (one, one_truth), (two, two_truth)
@@ -62,9 +63,7 @@ def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float 
 def moved_to(fixes, truth, place, heading):
     """The fixes and the truth of a walk, moved to begin at a position and heading."""
     turn = heading - truth.heading[0]
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.array([[c, s], [-s, c]])
-    centre = truth.position[0]
+    R, centre = rotation(turn).T, truth.position[0]
     return (
         replace(fixes, position=(fixes.position - centre) @ R + place),
         replace(truth, position=(truth.position - centre) @ R + place, heading=truth.heading + turn),

@@ -1,4 +1,4 @@
-"""Activities of a day: from positions alone, and from steps."""
+"""Activities of a day, from positions alone and from steps, and rides within a walk."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from streets import DAY, NOISE, PACE, SIGMA, USUAL, gauss_markov, logged, seen, streets
 from walks import steps_of
 
+from pdr_graph import smooth
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.apps.lifelog.stays import LONGEST_PAUSE, follow_positions, segments_of
+from pdr_graph.apps.lifelog.stays import LONGEST_PAUSE, detect_rides, follow_positions, segments_of, without_rides
+from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.step_chunks import append_steps as then
-from pdr_graph.gait.step_chunks import gap
+from pdr_graph.gait.step_chunks import gap, shifted
 from pdr_graph.geometry import dead_reckon, length_along
 from pdr_graph.types import Fixes, Steps
 
@@ -24,6 +26,10 @@ def time_of(segments, kind, begin=-np.inf, end=np.inf):
 
 def distance(segments, *kinds):
     return sum(s.distance for s in segments if s.kind in kinds)
+
+
+def kinds(segments):
+    return [s.kind for s in segments]
 
 
 def covers(segments, start, end):
@@ -48,15 +54,6 @@ def test_the_length_of_a_walk_is_right(noise, every):
     _, segments = follow_positions(seen(place, NOISE[noise], every))
     assert time_of(segments, WALKING) > 0.98 * 3600
     assert distance(segments, WALKING) == pytest.approx(length_along(place)[-1], rel=0.05)
-
-
-@pytest.mark.parametrize("noise", NOISE)
-def test_standing_has_no_distance(noise):
-    track = seen(np.zeros((7200, 2)), NOISE[noise])
-    assert length_along(track.position)[-1] > 3000  # invented by the raw track
-    way, (only,) = follow_positions(track)
-    assert (only.kind, only.start, only.end, only.distance) == (STANDING, 0.0, 7199.0, 0.0)
-    assert np.hypot(*way.position.T).max() < 3 * SIGMA
 
 
 @pytest.mark.parametrize(("sigma", "lasts"), [(20.0, 90.0), (60.0, 60.0), (60.0, 120.0)])
@@ -148,17 +145,6 @@ def test_segments_cover_the_whole_recording(spans, seed):
             assert time_of(segments, GAP, a, b) == pytest.approx(b - a)
 
 
-def test_segments_do_not_depend_on_the_orientation_of_the_frame():
-    place, _ = streets(DAY[:4])
-    track = seen(place, every=5)
-    turned = np.array([[0.0, -1.0], [1.0, 0.0]])
-    moved = replace(track, position=track.position @ turned.T + [4e5, 5e6])
-    (one, segments), (other, same) = follow_positions(track), follow_positions(moved)
-    assert other.position == pytest.approx(one.position @ turned.T + [4e5, 5e6], abs=1e-4)  # a double has 1e-9 of it
-    assert [s.kind for s in same] == [s.kind for s in segments]
-    assert distance(same, WALKING, VEHICLE) == pytest.approx(distance(segments, WALKING, VEHICLE), abs=1e-3)
-
-
 # --- walks with steps
 
 
@@ -169,19 +155,21 @@ def paused(count, pause):
     return then(one, late)
 
 
-def kinds(segments):
-    return [s.kind for s in segments]
-
-
-def test_consecutive_steps_are_walking_and_pauses_are_standing():
-    steps = paused(40, 20.0)
-    track = dead_reckon(steps)
-    segments = segments_of(steps, track, np.empty((0, 2)))
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        (paused(40, 20.0), [WALKING, STANDING, WALKING]),
+        (paused(40, LONGEST_PAUSE - 1), [WALKING]),
+        (replace(paused(3, 20.0), start=-10.0, end=paused(3, 20.0).end + 10.0), [STANDING]),
+        (Steps(0.0, 60.0, *np.empty((7, 0))), [STANDING]),
+    ],
+    ids=["a pause is standing", "a short one is not", "shuffling is standing", "no step is standing"],
+)
+def test_steps_are_walking(steps, expected):
+    segments = segments_of(steps, dead_reckon(steps), np.empty((0, 2)))
     covers(segments, steps.start, steps.end)
-    assert kinds(segments) == [WALKING, STANDING, WALKING]
-    assert segments[1].end - segments[1].start == pytest.approx(20.4)
-    assert distance(segments, WALKING) == pytest.approx(80 * 0.7)
-    assert kinds(segments_of(paused(40, LONGEST_PAUSE - 1), track, np.empty((0, 2)))) == [WALKING]
+    assert kinds(segments) == expected
+    assert distance(segments, WALKING) == pytest.approx(0.7 * len(steps) * (WALKING in expected))
 
 
 def test_a_segment_is_as_long_as_its_trajectory():
@@ -192,26 +180,111 @@ def test_a_segment_is_as_long_as_its_trajectory():
     assert distance(segments_of(steps, track, np.empty((0, 2))), WALKING) == pytest.approx(1.1 * 80 * 0.7)
 
 
-def test_shuffling_is_standing():
-    steps = paused(3, 20.0)
-    steps = replace(steps, start=-10.0, end=steps.end + 10.0)
-    assert kinds(segments_of(steps, dead_reckon(steps), np.empty((0, 2)))) == [STANDING]
-
-
 def test_gaps_and_rides_are_segments_of_their_own():
     walk = steps_of(np.full(40, 0.7), np.zeros(40))
-    lost = then(walk, gap(walk.end, walk.end + 100.0))
-    late = replace(walk, start=lost.end, end=lost.end + walk.end, time=walk.time + lost.end)
-    steps = then(lost, late)
-    track = dead_reckon(steps)
-    segments = segments_of(steps, track, np.empty((0, 2)))
+    steps = then(then(walk, gap(walk.end, walk.end + 100.0)), shifted(walk, walk.end + 100.0))
+    segments = segments_of(steps, dead_reckon(steps), np.empty((0, 2)))
     covers(segments, steps.start, steps.end)
     assert kinds(segments) == [WALKING, GAP, WALKING]
-    assert (segments[1].start, segments[1].end) == pytest.approx((walk.end, lost.end))
+    assert (segments[1].start, segments[1].end) == pytest.approx((walk.end, walk.end + 100.0))
     ridden = np.array([[walk.end, walk.end + 100.0]])
-    assert kinds(segments_of(steps, track, ridden)) == [WALKING, VEHICLE, WALKING]
+    assert kinds(segments_of(steps, dead_reckon(steps), ridden)) == [WALKING, VEHICLE, WALKING]
 
 
-def test_a_recording_without_steps_is_standing():
-    none = Steps(0.0, 60.0, *np.empty((7, 0)))
-    assert kinds(segments_of(none, dead_reckon(none), np.empty((0, 2)))) == [STANDING]
+# Rides within a walk with steps, detected by the positions beside them
+
+
+def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
+    """A walk, a ride (or another motion) and a walk: steps, fixes, time of the ride [s], truth per second.
+
+    bumps: spurious steps per second of the ride.
+    """
+    place, done = streets([("walk", 600), ("stand", 20), *ride, ("stand", 20), ("walk", 600)], seed)
+    foot = np.flatnonzero(done == "walk")
+    last = foot[-600:]
+    heading = np.unwrap(np.arctan2(*np.diff(place, axis=0).T[::-1]))
+    random = np.random.default_rng(seed)
+    middle = np.arange(620, last[0] - 20)
+    bumped = middle[random.random(len(middle)) < bumps]
+    time = np.union1d(foot, bumped) + 1.0
+    length = np.where(np.isin(time - 1, bumped), 0.6, np.hypot(*np.diff(place, axis=0).T)[(time - 1).astype(int)])
+    course = heading[(time - 1).astype(int)]
+    length = np.maximum(length, 0.1)
+    steps = steps_of(length, np.diff(course, prepend=0.0), sigma_length=0.1)
+    steps = replace(steps, time=time, duration=np.full(len(time), 0.9), end=float(len(place) - 1))
+    return steps, seen(place, noise, every, seed), (620.0, float(last[0] - 20)), place
+
+
+@pytest.mark.parametrize("bumps", [0.0, 1.0])
+@pytest.mark.parametrize("every", [1, 5, 20])
+def test_a_ride_is_detected_on_any_road(bumps, every):
+    for seed in range(3):
+        steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps, seed, every)
+        ((found, left),) = detect_rides(steps, fixes)
+        # boarding and leaving are slow, and a fix may be 20 s from either; a bus may wait for a minute at its last stop
+        assert found == pytest.approx(begin, abs=45)
+        assert left == pytest.approx(end, abs=75)
+
+
+def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
+    """Three minutes of standing at a stop are part of it; 130 m on foot to the next bus are not."""
+    stop, change = [("bus", 300), ("stand", 180), ("bus", 300)], [("bus", 300), ("walk", 100), ("bus", 300)]
+    for seed in range(3):
+        steps, fixes, _, _ = walk_and_ride(stop, seed=seed)
+        assert len(detect_rides(steps, fixes)) == 1
+        steps, fixes, _, _ = walk_and_ride(change, seed=seed)
+        assert len(detect_rides(steps, fixes)) == 2
+
+
+def test_a_ride_underground_is_detected():
+    """There is no fix in its ten minutes."""
+    steps, fixes, (begin, end), _ = walk_and_ride([("bus", 600)])
+    steps = replace(steps, time=steps.time - 0.05)  # fixes are at whole seconds
+    heard = fixes[(fixes.time < begin - 5) | (fixes.time > end + 5)]
+    ((found, left),) = detect_rides(steps, heard)
+    assert found == pytest.approx(begin, abs=45)
+    assert left == pytest.approx(end, abs=45)
+    assert found in steps.time, "it begins at the last step before it: a bus starts slowly"
+
+
+def test_a_ride_without_any_step_is_detected():
+    still = Steps(0.0, 600.0, *np.empty((7, 0)))
+    place, _ = streets([("bus", 600)])
+    found = detect_rides(still, seen(place))
+    assert found == pytest.approx(np.array([[0.0, 600.0]]), abs=75)
+    assert len(without_rides(still, found)) == 1
+    assert not len(detect_rides(still, Fixes.none()))
+
+
+@pytest.mark.parametrize("noise", NOISE)
+def test_a_walk_has_no_ride(noise):
+    """Nor if indoors the positions are 40 m off for minutes."""
+    for seed in range(3):
+        steps, fixes, _, _ = walk_and_ride([("walk", 0)], 0.0, seed, noise=NOISE[noise])
+        jumps = 40.0 * ((fixes.time // 150) % 2)[:, None] * [0.6, 0.8]
+        assert not len(detect_rides(steps, fixes))
+        assert not len(detect_rides(steps, replace(fixes, position=fixes.position + jumps)))
+
+
+def test_a_gap_in_the_recording_is_no_ride():
+    """The walker goes 500 m while the phone records nothing."""
+    steps = steps_of(np.full(1200, 0.7), np.zeros(1200))
+    track = dead_reckon(steps)
+    slept = without_rides(steps, np.array([[200.0, 500.0]]))
+    rows = np.r_[:360, 920:1200:2]
+    fixes = Fixes(track.time[rows], track.position[rows], np.full(len(rows), 3.0), ("",) * len(rows))
+    assert not len(detect_rides(slept, fixes))
+
+
+def test_a_ride_does_not_bend_the_walk():
+    """Both walks are within the receiver's error if the ride is detected; the control is not."""
+    steps, fixes, (begin, end), place = walk_and_ride([("bus", 400)], bumps=0.3, every=5)
+
+    def off(steps):
+        track = smooth(WalkGraph(steps, fixes)).trajectory
+        walks = (track.time < begin - 30) | (track.time > end + 60)
+        return np.hypot(*(track.position - place[np.minimum(track.time, len(place) - 1).astype(int)])[walks].T)
+
+    found = detect_rides(steps, fixes)
+    assert np.percentile(off(without_rides(steps, found)), 90) < 2.5 * SIGMA
+    assert np.percentile(off(steps), 90) > 5 * SIGMA

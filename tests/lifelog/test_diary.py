@@ -48,17 +48,10 @@ def diary_of(folder, *outings, zone="", facts=(), person="Anna"):
 def halts(legs, epoch, **where):
     """An outing whose stands are stays, as of a day of positions."""
     made = outing(legs, epoch=epoch, **where)
+    place = [made.trajectory.position[np.searchsorted(made.trajectory.time, s.start)] for s in made.segments]
     stays = [
-        Stay(
-            s.start,
-            s.end,
-            False,
-            made.trajectory.position[np.searchsorted(made.trajectory.time, s.start)],
-            4 * np.eye(2),
-            np.nan,
-            "",
-        )
-        for s in made.segments
+        Stay(s.start, s.end, False, at, 4 * np.eye(2), np.nan, "")
+        for s, at in zip(made.segments, place, strict=True)
         if s.kind == STANDING
     ]
     return outing(legs, epoch=epoch, stays=stays, **where)
@@ -68,46 +61,28 @@ def kinds(day):
     return [entry.kind for entry in day.entries]
 
 
-def test_a_place_with_silences_is_one_row(tmp_path):
-    """An afternoon at home, of which the phone heard every other quarter of an hour."""
-    legs = [
-        (WALKING, 600, EAST),
-        *[(STANDING, 420, EAST), (GAP, 20, EAST), (GAP, 400, WEST)] * 6,
-        (WALKING, 600, NORTH),
-    ]
-    still = [(kind, seconds, towards) for kind, seconds, towards in legs if (kind, seconds) != (GAP, 20)]
-    made = halts([(k, s, t) if k != GAP else (STANDING, s, t) for k, s, t in still], at("2024-05-01T13:00"))
-    [day] = diary_of(tmp_path, made).days
-    assert kinds(day) == [WALKING, STAY, WALKING]
-
-
-def silent(pieces, epoch, apart=(0.0, 0.0)):
-    """Outings that each stand for some seconds, with silences between; apart: from one to the next [m]."""
-    begin, found = epoch, []
-    for number, (stood, silence) in enumerate(pieces):
-        start = (number * apart[0], number * apart[1])
-        found.append(halts([(STANDING, stood, EAST)], begin, start=start, frame=BERLIN))
-        begin += stood + silence
-    return found
-
-
-def test_recordings_at_one_place_with_hours_between_are_one_stay_and_say_what_was_not_observed(tmp_path):
-    [day] = diary_of(tmp_path, *silent([(HOUR, 3 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"))).days
-    [stay] = day.entries
-    assert (stay.kind, stay.end - stay.start, stay.place_number) == (STAY, 5 * HOUR, 1)
-    assert stay.observed == pytest.approx(0.4, abs=0.01)
-    assert [part.kind for part in stay.parts] == [STAY, GAP, STAY]
-
-
-def test_a_silence_after_which_the_person_is_elsewhere_is_no_stay(tmp_path):
-    [day] = diary_of(tmp_path, *silent([(HOUR, 3 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"), (0.0, 800.0))).days
-    assert kinds(day) == [STAY, GAP, STAY]
-    assert [entry.place_number for entry in day.entries] == [1, -1, 2]
-
-
-def test_a_silence_longer_than_a_night_is_no_stay(tmp_path):
-    days = diary_of(tmp_path, *silent([(HOUR, 40 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"))).days
-    assert [kinds(day) for day in days] == [[STAY, GAP], [GAP], [GAP, STAY]]
+@pytest.mark.parametrize(
+    ("silence", "apart", "rows"),
+    [
+        pytest.param(3 * HOUR, 0.0, [[STAY]], id="at one place: one stay"),
+        pytest.param(3 * HOUR, 800.0, [[STAY, GAP, STAY]], id="elsewhere: no stay"),
+        pytest.param(40 * HOUR, 0.0, [[STAY, GAP], [GAP], [GAP, STAY]], id="longer than a night: no stay"),
+    ],
+)
+def test_two_recordings_of_an_hour_with_a_silence_between(tmp_path, silence, apart, rows):
+    """One stay says which share of it was observed."""
+    first = at("2024-05-01T08:00")
+    one = halts([(STANDING, HOUR, EAST)], first, frame=BERLIN)
+    other = halts([(STANDING, HOUR, EAST)], first + HOUR + silence, start=(0.0, apart), frame=BERLIN)
+    days = diary_of(tmp_path, one, other).days
+    assert [kinds(day) for day in days] == rows
+    if rows == [[STAY]]:
+        [stay] = days[0].entries
+        assert (stay.end - stay.start, stay.place_number) == (5 * HOUR, 1)
+        assert stay.observed == pytest.approx(0.4, abs=0.01)
+        assert [part.kind for part in stay.parts] == [STAY, GAP, STAY]
+    if apart:
+        assert [entry.place_number for entry in days[0].entries] == [1, -1, 2]
 
 
 def test_who_comes_back_has_two_visits_of_one_place(tmp_path):
@@ -145,12 +120,8 @@ def test_days_are_those_of_where_the_person_was(tmp_path):
     found = diary_of(tmp_path, halts(legs, home, frame=BERLIN), halts(legs, away, frame=NEW_YORK))
     stays = [(day.date, e.offset, e.end_offset) for day in found.days for e in day.entries if e.kind == STAY]
     assert stays == [("2024-05-01", 7200.0, 7200.0), ("2024-05-02", -14400.0, -14400.0)]
-
-
-def test_a_chosen_zone_holds_everywhere(tmp_path):
-    made = halts([(STANDING, 1800, EAST)], at("2024-05-02T19:30-04:00"), frame=NEW_YORK)
-    [day] = diary_of(tmp_path, made, zone="Europe/Berlin").days
-    assert (day.date, day.entries[0].offset) == ("2024-05-03", 7200.0)
+    chosen = diary_of(tmp_path / "chosen", halts(legs, away, frame=NEW_YORK), zone="Europe/Berlin").days
+    assert [(day.date, day.entries[0].offset) for day in chosen] == [("2024-05-03", 7200.0)]
 
 
 @pytest.mark.parametrize(("date", "hours"), [("2024-03-31", 23), ("2024-10-27", 25), ("2024-06-01", 24)])
@@ -215,6 +186,9 @@ def test_each_moment_is_in_one_row(tmp_path_factory, legs, hour, north):
     assert all(one.end == other.start for one, other in pairwise(rows))
     assert [day.date for day in days] == sorted({day.date for day in days})
     for day in days:
+        sums = day.totals
+        assert sums.walking + sums.riding + sums.staying + sums.unknown == pytest.approx(day.end - day.start)
+        assert 0 <= sums.observed <= day.end - day.start
         assert all(day.start <= row.start < row.end <= day.end for row in day.entries)
     for row in rows:
         assert 0 <= row.observed <= 1 + 1e-9

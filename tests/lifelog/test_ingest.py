@@ -1,13 +1,20 @@
-"""Recordings are added once, whatever their names and folders; a file that is none costs one line."""
+"""Recordings are added once and days built, by function and by command; a file that is none costs one line."""
 
+import os
 import shutil
+import sqlite3
+import subprocess
+import sys
 import zipfile
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
+import commands
 import days_standin as standin
 import pytest
 import recorders
+from plans import MAPS
 
 from pdr_graph import InputError
 from pdr_graph.apps.lifelog.ingest import AddResult, add, find_recordings, time_of
@@ -36,16 +43,11 @@ def test_a_recording_is_added_once(tmp_path):
     assert add(log, [other, walk, other]) == AddResult(existing=2), "a path that is given twice is one"
     [entry] = entries(log).values()
     assert entry == Entry(entry.hash, "me", str(walk))
-    standin.recording(walk, seed=1)
-    assert add(log, [walk]) == AddResult(added=1), "another content is another recording"
-
-
-def test_a_moved_recording_gets_its_new_path_when_added_again(tmp_path):
-    log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
-    add(log, [walk], person="Ada")
     moved = walk.rename(tmp_path / "moved.plt")
     assert add(log, [moved]) == AddResult(existing=1)
-    assert entries(log)["moved.plt"].person == "Ada", "an option that is not given stays"
+    assert list(entries(log)) == ["moved.plt"]
+    standin.recording(walk, seed=1)
+    assert add(log, [walk]) == AddResult(added=1), "another content is another recording"
 
 
 def test_options_replace_earlier_ones(tmp_path):
@@ -54,7 +56,7 @@ def test_options_replace_earlier_ones(tmp_path):
     toml.write_text("height = 1.6\n")
     assert add(log, [walk], person="Ada") == AddResult(added=1)
     assert add(log, [walk], RecordingOptions(walker=toml, floor="2")) == AddResult(existing=1, changed=1)
-    assert add(log, [walk], RecordingOptions(walker=toml)) == AddResult(existing=1)
+    assert add(log, [walk], RecordingOptions(walker=toml)) == AddResult(existing=1), "what is not given stays"
     assert add(log, [walk], RecordingOptions(begins=1.7e9), person="Grace") == AddResult(existing=1, changed=1)
     [entry] = entries(log).values()
     assert entry == Entry(entry.hash, "Grace", str(walk), RecordingOptions(walker=toml, floor="2", begins=1.7e9))
@@ -91,28 +93,21 @@ def test_a_folder_with_one_recording_is_one_recording(tmp_path):
     assert add(log, [copied.parent]) == AddResult(existing=1), "its content is what a reader sees in it"
 
 
-def test_a_start_time_needs_a_single_recording(tmp_path):
-    for n in range(2):
-        standin.recording(tmp_path / "days" / f"{n}.plt", n)
-    with pytest.raises(InputError, match="--begins: found 2 recordings, expected a single recording"):
-        add(tmp_path / "log", [tmp_path / "days"], RecordingOptions(begins=1.7e9))
-
-
 def test_unreadable_files_do_not_stop_the_others(tmp_path):
     good, torn = standin.recording(tmp_path / "good.plt"), tmp_path / "torn.zip"
     torn.write_bytes(b"PK\x03\x04 and no more")
-    other, empty = tmp_path / "letter.txt", tmp_path / "empty"
+    other, empty, odd = tmp_path / "letter.txt", tmp_path / "empty", tmp_path / "walk\udcff.plt"
     other.write_text("Dear Ada")
     empty.mkdir()
-    result = add(tmp_path / "log", [torn, good, other, empty, tmp_path / "none"])
+    shutil.copy(good, odd)
+    result = add(tmp_path / "log", [torn, good, other, empty, odd, tmp_path / "none"])
     assert result.added == 1
-    message = sorted(line.partition(": ")[2].partition(",")[0] for line in result.refused)
-    assert message == [
+    assert {line.partition(": ")[2].partition(",")[0] for line in result.refused} > {
         "found 0 files",
         "found a damaged zip (File is not a zip file)",
         "found a text that begins with 'Dear Ada'",
         "found no such file",
-    ]
+    }
     assert all(line.isprintable() for line in result.refused)
 
 
@@ -135,28 +130,26 @@ def test_a_recording_without_steps_and_positions_is_refused(tmp_path):
     assert add(log, [folder], RecordingOptions(begins=1.7e9, fixes=fixes)).added == 1
 
 
+ARCADE = MAPS / "arcade.geojson"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"person": " "}, "--person: found ' ', expected a name"),
-        ({"plan": "none.geojson"}, "found no such file"),
-        ({"walker": "none.toml"}, "expected a TOML file"),
+        ({"plan": Path("none.geojson")}, "found no such file"),
+        ({"walker": Path("none.toml")}, "expected a TOML file"),
+        ({"begins": 1.7e9}, "--begins: found 2 recordings, expected a single recording"),
+        ({"plan": ARCADE, "floor": "attic"}, "found the floors 1, expected a floor 'attic'"),
     ],
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
 )
 def test_an_unusable_option_is_refused(tmp_path, options, message):
-    walk = standin.recording(tmp_path / "walk.plt")
-    person = options.get("person")
-    files = {name: tmp_path / value for name, value in options.items() if name != "person"}
+    standin.recordings(tmp_path / "days", 1, 2)
+    given = RecordingOptions(**{name: value for name, value in options.items() if name != "person"})
     with pytest.raises(InputError, match=message):
-        add(tmp_path / "log", [walk], RecordingOptions(**files), person=person)
+        add(tmp_path / "log", [tmp_path / "days"], given, person=options.get("person"))
     assert not (tmp_path / "log").exists(), "nothing is made of it"
-
-
-def test_a_floor_must_be_on_the_plan(tmp_path, pytestconfig):
-    walk, plan = standin.recording(tmp_path / "walk.plt"), pytestconfig.rootpath / "maps" / "arcade.geojson"
-    with pytest.raises(InputError, match="found the floors 1, expected a floor 'attic'"):
-        add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="attic"))
-    add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="1"))
 
 
 def test_a_copy_replaces_the_original(tmp_path):
@@ -179,14 +172,112 @@ def test_a_copy_replaces_the_original(tmp_path):
     )
 
 
-def test_an_unprintable_file_name_is_refused(tmp_path):
-    walk = standin.recording(tmp_path / "walk.plt")
-    odd = walk.rename(tmp_path / "walk\udcff.plt")
-    assert [line.isprintable() for line in add(tmp_path / "log", [odd]).refused] == [True]
-
-
 def test_times_without_an_offset_are_utc():
     assert time_of("2024-05-01T09:30:00") == datetime(2024, 5, 1, 9, 30, tzinfo=UTC).timestamp()
     assert time_of("2024-05-01T09:30:00+02:00") == datetime(2024, 5, 1, 7, 30, tzinfo=UTC).timestamp()
     with pytest.raises(InputError, match=r"--begins: found yesterday, expected a time such as"):
         time_of("yesterday")
+
+
+# The commands: exit codes, messages and progress
+
+
+def run(*arguments):
+    """Run a command of the lifelog; returns its exit code, output and error lines."""
+    return commands.run("lifelog", *arguments)
+
+
+def test_days_are_added_and_built(tmp_path):
+    log = tmp_path / "days.db"
+    for n in range(3):
+        standin.recording(tmp_path / "walks" / f"{n}.plt", n, points=40)
+    assert run("add", log, tmp_path / "walks", "--person", "Ada") == (0, f"3 added -> {log}\n", [])
+    again = f"0 added, 3 there already, 0 of them with other options now -> {log}\n"
+    assert run("add", log, tmp_path / "walks", tmp_path / "walks") == (0, again, [])
+    assert run("build", log, "--zone", "Asia/Tokyo") == (0, f"3 days built, 0 up to date, 0 failed -> {log}\n", [])
+    assert run("build", log) == (0, f"0 days built, 3 up to date, 0 failed -> {log}\n", [])
+    with closing(sqlite3.connect(log)) as database:
+        dates = database.execute("SELECT person, date FROM outing ORDER BY date").fetchall()
+    assert dates == [("Ada", f"2024-05-0{n}") for n in (2, 3, 4)]
+    assert log.stat().st_mode & 0o077 == 0
+
+
+def test_an_unreadable_or_missing_recording_is_one_line_and_exit_3(tmp_path):
+    log, bad = tmp_path / "days.db", tmp_path / "bad.txt"
+    good = [standin.recording(tmp_path / f"{n}.plt", n) for n in range(2)]
+    bad.write_text("Dear Ada")
+    code, message, [line] = run("add", log, bad, *good)
+    assert (code, message) == (3, f"2 added -> {log}\n")
+    assert line.startswith(f"pdr-graph: {bad}: found a text that begins with 'Dear Ada', expected a recording")
+    good[0].unlink()
+    code, message, [line] = run("build", log)
+    assert (code, message) == (3, f"1 day built, 0 up to date, 0 failed -> {log}\n")
+    expected = "found no such file, expected the recording: add it again from its present place"
+    assert line == f"pdr-graph: {good[0]}: {expected}"
+    code, _, errors = run("add", log, bad, good[0])
+    assert (code, len(errors)) == (2, 2), "none is readable"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("build", "none.db"), "none.db: found no such file, expected a lifelog: create it with pdr-graph lifelog add"),
+        (("build", "other"), "other: found another kind of file, expected a lifelog, or a name that is not taken"),
+        (("add", "other", "walk.plt"), "other: found another kind of file, expected a lifelog"),
+        (("add", "/proc/days.db", "walk.plt"), "/proc/days.db: No such file or directory"),
+        (
+            ("add", "days.db", "walk.plt", "--begins", "soon"),
+            "--begins: found soon, expected a time such as 2024-05-01T",
+        ),
+        (("build", "days.db", "--zone", "Mars"), "--zone: found 'Mars', expected a time zone, as Europe/Berlin"),
+        (("build", "days.db", "--workers", "2", "--scheduler", "tcp://a:1"), "--scheduler: found --workers 2 too"),
+    ],
+)
+def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other").write_text("time,x,y\n")
+    add(tmp_path / "days.db", [standin.recording(tmp_path / "walk.plt")])
+    code, out, errors = run(*arguments)
+    assert (code, out, len(errors)) == (2, "", 1)
+    assert message in errors[0]
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    log = tmp_path / "days.db"
+    add(log, [standin.recording(tmp_path / "walk.plt", points=2000)])
+    limited = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
+from pdr_graph.apps.cli import main
+import sys
+sys.argv = ["pdr-graph", "lifelog", "build", {str(log)!r}]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", limited], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    [line] = done.stderr.strip().splitlines()
+    assert line.startswith(f"pdr-graph: {log}")
+    assert "File too large" in line
+    assert run("build", log) == (0, f"1 day built, 0 up to date, 0 failed -> {log}\n", [])
+
+
+def test_begins_is_the_start_of_a_recording_without_a_clock(tmp_path):
+    log, walk = tmp_path / "days.db", phyphox(tmp_path / "walk")
+    code, _, [line] = run("add", log, walk)
+    assert code == 2
+    assert "found no date, expected a start time" in line
+    assert run("add", log, walk, "--begins", "2024-05-01T23:30:00-01:00")[0] == 0
+    with closing(sqlite3.connect(log)) as database:
+        [(begins,)] = database.execute("SELECT begins FROM recording")
+    assert begins == datetime(2024, 5, 2, 0, 30, tzinfo=UTC).timestamp()
+
+
+def test_a_progress_bar_is_shown_on_a_terminal_only(tmp_path):
+    log, walk = tmp_path / "days.db", standin.recording(tmp_path / "walk.plt")
+    main, terminal = os.openpty()
+    adding = [sys.executable, "-c", "from pdr_graph.apps.cli import main; main()", "lifelog", "add", log, walk]
+    done = subprocess.run(adding, stderr=terminal, stdout=subprocess.PIPE, timeout=60)
+    os.close(terminal)
+    assert done.stdout.decode() == f"1 added -> {log}\n"
+    assert "1/1" in os.read(main, 100_000).decode()
+    os.close(main)

@@ -1,37 +1,40 @@
-"""Overviews of a day, week, month, year, place and person: numbers, lists, tables and JSON, on a month made by hand."""
+"""Overviews of a day, week, month, year, place and person, and the timeline of a day: numbers, lists, tables, JSON."""
 
 import csv
 import io
 import json
 from dataclasses import replace
-from datetime import date
+from datetime import date, datetime
 from itertools import pairwise
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_month import made_month, made_store
+from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, overview_of, stay
 from rich.cells import cell_len
 from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app
-from pdr_graph.apps.lifelog.day import GAP, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.local_time import period_of
-from pdr_graph.apps.lifelog.overview import LIST_ROWS, day_list, distance_text, fitted, row_texts, tables
+from pdr_graph.apps.lifelog.overview import LIST_ROWS, as_text, day_list, distance_text, row_texts, tables
 from pdr_graph.apps.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
 from pdr_graph.apps.lifelog.show import Choice, show
-from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.apps.lifelog.timeline import (
+    PASSING,
+    STAY,
+    TIMELINE_HEADER,
+    TimelineEntry,
+    duration_text,
+    timeline,
+    timeline_csv,
+)
 from pdr_graph.errors import InputError
 
 DAY = 86_400.0
 HOUR = 3600.0
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    """A lifelog of Ada and Ben: May 2024 in Berlin, from the 21st on in Tokyo."""
-    return made_store(tmp_path_factory.mktemp("month") / "days.db", "Ada", "Ben")
 
 
 def shown(log, *persons, place="", **period):
@@ -39,24 +42,8 @@ def shown(log, *persons, place="", **period):
 
 
 @pytest.fixture(scope="module")
-def month(log):
-    return shown(log, "Ada", month="2024-05").overview
-
-
-def test_every_second_of_a_day_counts_once(month):
-    for day in month.days:
-        sums = day.totals
-        assert sums.walking + sums.riding + sums.staying + sums.unknown == pytest.approx(day.end - day.start)
-        assert 0 <= sums.observed <= day.end - day.start
-
-
-def test_distances_and_rides_of_a_month_are_those_of_its_days(month):
-    outings = [outing for day in made_month() for outing in day.outings]
-    for kind, sums in (
-        (WALKING, sum(day.totals.walked for day in month.days)),
-        (VEHICLE, sum(day.totals.ridden for day in month.days)),
-    ):
-        assert sums == pytest.approx(sum(s.distance for o in outings for s in o.segments if s.kind == kind), rel=1e-3)
+def month(month_log):
+    return shown(month_log, "Ada", month="2024-05").overview
 
 
 def test_a_night_at_home_is_one_visit(month):
@@ -89,12 +76,6 @@ def test_an_arrival_after_a_time_without_data_is_unknown():
     [visit] = joined_visits([walk, direct, replace(walk, start=7200.0, end=9000.0)])
     assert visit.arrived
     assert visit.left
-
-
-def test_quartiles_of_hours_about_midnight_are_about_midnight():
-    low, middle, high = clock_quartiles(np.array([23.0, 23.5, 0.0, 0.5, 1.0]))
-    assert (low, middle % 24, high) == pytest.approx((23.5, 0.0, 0.5))
-    assert np.isnan(clock_quartiles(np.array([7.0]))).all()
 
 
 @given(st.lists(st.floats(0, 24), min_size=2, max_size=20), st.floats(0, 24))
@@ -145,35 +126,22 @@ def test_short_stops_of_a_walk_are_counted():
     assert (walk.start, walk.end) == (0.0, 1870.0)
 
 
-def test_a_distance_has_the_usual_precision():
-    assert [distance_text(d) for d in (0, 640.4, 999.6, 6240, 15_000, 123_456, 1_250_000)] == [
-        "0 m",
-        "640 m",
-        "1.0 km",
-        "6.2 km",
-        "15.0 km",
-        "123 km",
-        "1,250 km",
-    ]
+def test_distances_and_durations_have_the_usual_units_and_precision():
+    distances = [distance_text(d) for d in (0, 640.4, 999.6, 6240, 15_000, 123_456, 1_250_000)]
+    assert distances == ["0 m", "640 m", "1.0 km", "6.2 km", "15.0 km", "123 km", "1,250 km"]
+    durations = [duration_text(s) for s in (0, 99, 99.6, 5940, 7500)]
+    assert durations == ["0 s", "99 s", "2 min", "99 min", "2 h 05 min"]
 
 
 @pytest.mark.parametrize(
     "period", [{"day": "2024-05-21"}, {"week": "2024-W20"}, {"month": "2024-05"}, {"year": "2024"}, {}]
 )
 @pytest.mark.parametrize("persons", [("Ada",), ("Ada", "Ben")])
-def test_every_line_has_at_most_100_columns(log, period, persons):
-    text = shown(log, *persons, **period).text
+def test_every_line_has_at_most_100_columns(month_log, period, persons):
+    text = shown(month_log, *persons, **period).text
+    assert ("1 day without data" in text) == (period == {"month": "2024-05"})  # the 31st
     assert max(cell_len(line) for line in text.splitlines()) <= 100
     assert all(person in text for person in persons)
-
-
-def test_a_long_name_of_wide_letters_is_cut_to_its_columns():
-    assert cell_len(fitted("東京オフィス" * 10, 25)) <= 25
-    assert fitted("Office", 25) == "Office"
-
-
-def test_a_day_without_data_in_the_period_is_named(log):
-    assert "1 day without data" in shown(log, "Ada", month="2024-05").text  # the 31st
 
 
 @pytest.mark.parametrize(
@@ -207,13 +175,13 @@ def test_another_text_is_refused_with_an_example(options, complaint):
         period_of(**options)
 
 
-def test_a_place_is_chosen_by_number_and_shows_its_visits_alone(log, month):
+def test_a_place_is_chosen_by_number_and_shows_its_visits_alone(month_log, month):
     home = month.places[0][1].number
-    own = shown(log, "Ada", place=str(home)).overview
+    own = shown(month_log, "Ada", place=str(home)).overview
     assert {visit.place_number for _, visit in own.visits} == {home}
     assert [place.number for _, place in own.places] == [home]
     with pytest.raises(InputError, match="a place that was visited: place 1, place 2"):
-        shown(log, "Ada", place="Mars")
+        shown(month_log, "Ada", place="Mars")
 
 
 @pytest.mark.parametrize(
@@ -224,21 +192,21 @@ def test_a_place_is_chosen_by_number_and_shows_its_visits_alone(log, month):
         ({"year": "2023"}, "--year: found '2023', expected a recorded day"),
     ],
 )
-def test_a_choice_without_data_is_refused(log, choice, complaint):
+def test_a_choice_without_data_is_refused(month_log, choice, complaint):
     with pytest.raises(InputError, match=complaint):
-        shown(log, *choice.pop("persons", ()), **choice)
+        shown(month_log, *choice.pop("persons", ()), **choice)
 
 
-def test_the_default_is_the_last_day_and_all_days_of_a_person(log):
-    assert shown(log).overview.period.name == "2024-05-30"
-    assert shown(log).overview.persons == ("Ada", "Ben")
-    everything = shown(log, "Ben").overview
+def test_the_default_is_the_last_day_and_all_days_of_a_person(month_log):
+    assert shown(month_log).overview.period.name == "2024-05-30"
+    assert shown(month_log).overview.persons == ("Ada", "Ben")
+    everything = shown(month_log, "Ben").overview
     assert (everything.period.first, everything.period.last) == (date(2024, 5, 1), date(2024, 5, 30))
 
 
-def test_home_is_guessed_for_those_who_ask_alone(log, month):
+def test_home_is_guessed_for_those_who_ask_alone(month_log, month):
     assert not any(place.name for _, place in month.places)
-    guessed = show(log, Choice(("Ada",), period_of(month="2024-05"), guess_home=True), write=False).overview
+    guessed = show(month_log, Choice(("Ada",), period_of(month="2024-05"), guess_home=True), write=False).overview
     assert guessed.places[0][1].name == "home?"
     assert guessed.places[0][1].number == month.places[0][1].number
     assert not any(place.name for _, place in guessed.places[1:])
@@ -258,8 +226,9 @@ KEYS = {
 }
 
 
-def test_json_is_one_object_alone_with_the_documented_keys(log, tmp_path):
-    result = run("show", log, "--week", "2024-W20", "--person", "Ada", "--json")
+def test_json_is_one_object_alone_with_the_documented_keys(month_log):
+    before = sorted(month_log.parent.iterdir())
+    result = run("show", month_log, "--week", "2024-W20", "--person", "Ada", "--json")
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert list(document) == KEYS[""].split()
@@ -273,7 +242,7 @@ def test_json_is_one_object_alone_with_the_documented_keys(log, tmp_path):
     kinds = {entry["kind"] for day in document["days"] for entry in day["entries"]}
     assert kinds == {"stay", "walking", "vehicle"}
     assert document["days"][0]["entries"][0]["start"].endswith("+02:00")
-    assert not list(log.parent.glob("days-2024*")), "no files without --out"
+    assert sorted(month_log.parent.iterdir()) == before, "no files without --out"
 
 
 def test_tables_have_the_rows_of_the_overview(month):
@@ -284,11 +253,141 @@ def test_tables_have_the_rows_of_the_overview(month):
     )
     every = [row for row in read["hours.csv"] if row["weekday"] == EVERY_DAY]
     assert len(every) == len(month.places)
-    assert every[0]["departure_50"] == "07:50"
+    assert every[0]["departure_50"] == "07:51"
 
 
-def test_days_follow_the_person_into_another_time_zone(month):
-    by_date = {day.date: day for day in month.days}
-    assert [by_date[on].offset / HOUR for on in ("2024-05-02", "2024-05-22")] == [2, 9]
-    _, work, *_ = (entry for entry in by_date["2024-05-22"].entries if entry.kind == STAY)
-    assert 7.5 <= (work.start + work.offset) % DAY / HOUR <= 8.5, "by the clock of Tokyo"
+# The timeline
+
+ZONE = ZoneInfo("America/Santiago")
+NINE = MIDNIGHT + 9 * 3600
+EAST, NORTH = 0.0, np.pi / 2
+
+
+def kinds_and_durations(made):
+    """Kinds and durations of entries."""
+    return [(e.kind, round(e.end - e.start)) for e in timeline(made)]
+
+
+def rows(made):
+    """The rows of the table, by column."""
+    return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
+
+
+legs = st.lists(st.tuples(st.sampled_from(ACTIVITIES), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
+
+
+@given(legs=legs, edges=st.lists(st.integers(0, 500), max_size=6, unique=True), slow=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_a_timeline_covers_all_time_once_with_the_whole_distance(legs, edges, slow):
+    """Wherever the stays are: entries are contiguous, and their distances sum to those of the segments."""
+    made = outing([(kind, float(seconds), heading) for kind, seconds, heading in legs])
+    end = made.segments[-1].end
+    pairs = zip(sorted(edges)[::2], sorted(edges)[1::2], strict=False)
+    made = replace(made, stays=tuple(stay(a * end / 500, b * end / 500, passing=slow) for a, b in pairs))
+    entries = timeline(day(made))
+    assert entries[0].start == made.epoch
+    assert entries[-1].end == made.epoch + end
+    assert all(one.end == other.start for one, other in pairwise(entries))
+    assert all(e.end > e.start for e in entries)
+    way = sum(s.distance for s in made.segments)
+    assert sum(e.distance for e in entries) == pytest.approx(way, abs=1e-6)
+    kept = [e for e in entries if e.kind in (STAY, PASSING)]
+    assert sum(e.end - e.start for e in kept) >= sum(s.end - s.start for s in made.stays) - 1e-6
+
+
+WALK, RIDE, SILENCE = ((kind, 100.0, EAST) for kind in (WALKING, VEHICLE, GAP))
+SHORT, LONG, WAIT = ((STANDING, seconds, EAST) for seconds in (59.0, 61.0, 300.0))
+
+
+@pytest.mark.parametrize(
+    ("legs", "stays", "entries"),
+    [
+        ([WALK, WAIT, WALK], [stay(112, 400)], [(WALKING, 112), (STAY, 288), (WALKING, 100)]),
+        ([WAIT, WALK], [stay(2, 300)], [(STAY, 300), (WALKING, 100)]),
+        ([WALK, SHORT, WALK, LONG], [], [(WALKING, 259), (STANDING, 61)]),
+        ([RIDE, SHORT, RIDE], [], [(VEHICLE, 259)]),
+        ([SILENCE, SHORT, SILENCE], [], [(GAP, 100), (STANDING, 59), (GAP, 100)]),
+        ([(WALKING, 200.0, EAST)], [stay(80, 100, passing=True)], [(WALKING, 80), (PASSING, 20), (WALKING, 100)]),
+    ],
+    ids=[
+        "a stay replaces the standing around it, of which the begin is part of the walk",
+        "short standing beside a stay belongs to the stay",
+        "short standing is part of the walk and long standing is not",
+        "short standing is part of a ride",
+        "short standing between gaps is part of nothing",
+        "a slow pass divides a walk",
+    ],
+)
+def test_entries_of_an_outing(legs, stays, entries):
+    assert kinds_and_durations(day(outing(legs, stays=stays))) == entries
+
+
+def test_gaps_between_outings_are_entries_in_any_order_of_outings():
+    morning = outing([(WALKING, 600.0, EAST)], epoch=NINE)
+    noon = outing([(WALKING, 300.0, EAST)], epoch=NINE + 3 * 3600)
+    assert kinds_and_durations(day(noon, morning)) == [(WALKING, 600), (GAP, 10200), (WALKING, 300)]
+    at_once = outing([(WALKING, 300.0, EAST)], epoch=NINE + 600.5)
+    assert kinds_and_durations(day(morning, at_once)) == [(WALKING, 600), (WALKING, 300)]
+
+
+def test_the_table_has_local_times_and_absolute_positions():
+    made = outing(
+        [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
+    )
+    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == TIMELINE_HEADER
+    [row] = rows(day(made))
+    assert row["start"] == "2024-05-01T09:00:00-04:00"
+    assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
+    assert (row["kind"], row["floor"], row["place"], row["others"]) == (STAY, "F1", "A, B", "C 0.250")
+    assert float(row["probability"]) == 0.7
+    place = np.array([[float(row["longitude"]), float(row["latitude"])]])
+    assert HERE.from_lonlat(place)[0] == pytest.approx((30, 40), abs=0.02)
+    assert (float(row["x"]), float(row["y"]), float(row["sigma"])) == (30, 40, 2)
+
+
+def test_unknown_values_are_empty():
+    made = outing([(WALKING, 100.0, EAST), (GAP, 100.0, EAST), (STANDING, 100.0, EAST)], frame=NOWHERE)
+    walking, gap, standing = rows(day(made))
+    assert gap["distance"] == gap["x"] == ""
+    assert walking["distance"] == "125.0"
+    assert walking["place"] == walking["probability"] == walking["x"] == ""
+    assert standing["latitude"] == ""
+    assert (float(standing["x"]), float(standing["sigma"])) == (225, 1)
+
+
+def test_the_floors_of_a_walk_are_in_order():
+    made = outing([(WALKING, 100.0, EAST)])
+    floor = tuple("1" if t < 40 else "" if t < 60 else "2" for t in made.trajectory.time)
+    made = replace(made, trajectory=replace(made.trajectory, floor=floor))
+    assert rows(day(made))[0]["floor"] == "1 > 2"
+
+
+def test_totals_are_those_of_segments_and_expected_times_at_places():
+    stays = [stay(0, 600, facing=[("A", 0.8), ("B", 0.1)]), stay(700, 1000, facing=[("B", 0.6)])]
+    walk = [(STANDING, 600.0, EAST), (WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (GAP, 50.0, EAST)]
+    [made] = overview_of(day(outing([*walk, (VEHICLE, 200.0, EAST)], stays=stays))).days
+    sums = made.totals
+    assert (sums.walked, sums.walking) == (125, 100)
+    assert (sums.ridden, sums.riding) == (200 * PACE[VEHICLE], 200)
+    assert (sums.staying, sums.unknown) == (900, 86_400 - 1200), "no data is the rest of the day"
+    assert dict(sums.places) == pytest.approx({"A": 0.8 * 600, "B": 0.1 * 600 + 0.6 * 300})
+    assert [name for name, _ in sums.places] == ["A", "B"]
+
+
+def test_control_characters_in_names_do_not_reach_the_terminal():
+    """Names come from plans of any origin."""
+    made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
+    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)), ZONE)
+    assert "\x1b" not in text
+    assert "\t" not in text
+    assert len(rows(day(made))) == 1
+
+
+def test_the_text_agrees_with_the_table():
+    stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
+    made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
+    text = as_text(overview_of(made))
+    assert "09:02  09:12  10 min  stay" in text
+    assert "Bakery 80% (Bank 15%)" in text
+    assert "no data" in text
+    assert "walked 150 m in 2 min" in text
