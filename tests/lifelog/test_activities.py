@@ -194,17 +194,17 @@ def test_gaps_and_rides_are_segments_of_their_own():
 # Rides within a walk with steps, detected by the positions beside them
 
 
-def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
+def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL, walks=600):
     """A walk, a ride (or another motion) and a walk: steps, fixes, time of the ride [s], truth per second.
 
-    bumps: spurious steps per second of the ride.
+    bumps: spurious steps per second of the ride; walks: their duration [s].
     """
-    place, done = streets([("walk", 600), ("stand", 20), *ride, ("stand", 20), ("walk", 600)], seed)
+    place, done = streets([("walk", walks), ("stand", 20), *ride, ("stand", 20), ("walk", walks)], seed)
     foot = np.flatnonzero(done == "walk")
-    last = foot[-600:]
+    last = foot[-walks:]
     heading = np.unwrap(np.arctan2(*np.diff(place, axis=0).T[::-1]))
     random = np.random.default_rng(seed)
-    middle = np.arange(620, last[0] - 20)
+    middle = np.arange(walks + 20, last[0] - 20)
     bumped = middle[random.random(len(middle)) < bumps]
     time = np.union1d(foot, bumped) + 1.0
     length = np.where(np.isin(time - 1, bumped), 0.6, np.hypot(*np.diff(place, axis=0).T)[(time - 1).astype(int)])
@@ -212,7 +212,7 @@ def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
     length = np.maximum(length, 0.1)
     steps = steps_of(length, np.diff(course, prepend=0.0), sigma_length=0.1)
     steps = replace(steps, time=time, duration=np.full(len(time), 0.9), end=float(len(place) - 1))
-    return steps, seen(place, noise, every, seed), (620.0, float(last[0] - 20)), place
+    return steps, seen(place, noise, every, seed), (walks + 20.0, float(last[0] - 20)), place
 
 
 @pytest.mark.parametrize("bumps", [0.0, 1.0])

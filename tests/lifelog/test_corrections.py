@@ -117,7 +117,7 @@ def test_a_stated_activity_enters_the_estimate(tmp_path):
 
 
 def test_a_stated_ride_and_a_stated_walk_change_the_rides_of_a_walk_with_steps():
-    steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
+    steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0, walks=200)
     one = observation(steps, fixes)
 
     def ridden(*corrections):

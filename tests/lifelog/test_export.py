@@ -284,6 +284,7 @@ def trackintel():
     return pytest.importorskip("trackintel", reason="the extra test")
 
 
+@pytest.mark.thorough
 def test_trackintel_takes_the_tables_as_they_are(exported, trackintel):
     """Its classes check columns, types, time zones and geometries; its readers, the names."""
     trackintel.Positionfixes(exported["positionfixes"])
@@ -296,6 +297,7 @@ def test_trackintel_takes_the_tables_as_they_are(exported, trackintel):
     trackintel.io.read_locations_gpd(exported["locations"], center="center")
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::Warning")  # of pandas 4, in trackintel
 def test_trackintel_finds_the_tracked_share_that_we_find(exported, trackintel, month_log):
     import pandas
@@ -310,6 +312,7 @@ def test_trackintel_finds_the_tracked_share_that_we_find(exported, trackintel, m
             assert share == pytest.approx(spent / (rows[-1].end - rows[0].start), abs=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::Warning")  # of pandas 4, in movingpandas, and on its local times
 def test_movingpandas_finds_the_lengths_that_we_find(exported):
     """Geodesic lengths of the tracks in degrees, against our lengths in metres."""

@@ -255,7 +255,7 @@ def guesses(hide, secrets, days):
     return np.array(found).T
 
 
-@pytest.mark.parametrize("days", [2, 6])
+@pytest.mark.parametrize("days", [2, pytest.param(6, marks=pytest.mark.thorough)])
 def test_the_ends_of_tracks_reveal_no_more_than_the_hidden_area(days):
     """On average 2/3 r from home, or √π r / √n by n ends of walks that lead as often anywhere; less 4 standard errors.
 

@@ -42,12 +42,13 @@ def cluster():
         yield local.scheduler_address
 
 
-@pytest.fixture(params=["processes", "cluster"])
+@pytest.fixture(params=["processes", pytest.param("cluster", marks=pytest.mark.thorough)])
 def elsewhere(request):
     """The options of a build in other processes."""
     return {"workers": 2} if request.param == "processes" else {"scheduler": request.getfixturevalue("cluster")}
 
 
+@pytest.mark.parametrize("elsewhere", ["processes", "cluster"], indirect=True)
 def test_the_number_and_kind_of_workers_make_no_difference(tmp_path, elsewhere):
     """Also if a day fails in a worker, or a recording is missing."""
     found = []
