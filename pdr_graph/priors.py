@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 JUDGEMENT = "judgement"
 SEARCHED = "set on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the densest"
+PROFILES = "set on simulated walks of three to twelve fixes with profiles 20 and 35 % off; a right one costs nothing"
 VERDICT_SEEDS = "set on simulated walks with honest and with lying sources (scripts/reproduce integrity)"
 
 
@@ -636,6 +637,9 @@ class PricePriors(Table):
         1.0, "nats", "a list is displaced as a whole: as a receiver that is as far off throughout"
     )
     wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
+    another_walker: float = number(
+        0.4, "nats", "a profile is of another walker, or was learnt from wrong positions: 2 in 5", PROFILES
+    )
     wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10")
     compass_off: float = number(
         -float(np.log(0.0115)),

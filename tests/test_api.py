@@ -38,7 +38,7 @@ Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=)
-Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=)
+Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
 Samples(sensor, time, values)

@@ -69,7 +69,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     routes[1:] = sorted(routes[1:], key=lambda route: -route[0])
 
     # Calibration, reports, warnings
-    calibration = calibration_of(graph, best.state.c, of_c)
+    calibration = calibration_of(best.graph, best.state.c, of_c)
     reports = {
         measurement.name: reports_of_kind
         for measurement in best.graph.measurements

@@ -353,4 +353,4 @@ class LiveOutput:
             return None
         covariance = self.graph.calibration_covariance()
         path = window.path
-        return Calibration(path.begin, path.c, covariance, prior_sigma(self.graph.prior, np.array(segments)))
+        return Calibration(path.begin, path.c, covariance, prior_sigma(self.graph.prior_in_force, np.array(segments)))
