@@ -706,7 +706,7 @@ class FixReport:
     """Residual and weight of one fix, and the reason for the weight.
 
     residual: distance from the smoothed position [m]; weight: share of its stated information that was used, 0–1;
-    x, y, sigma: of the fix [m].
+    x, y, sigma: of the fix [m]; source: its receiver, as in `Fixes`.
     """
 
     time: float
@@ -716,6 +716,7 @@ class FixReport:
     residual: float
     weight: float
     reason: str
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -747,7 +748,8 @@ class Estimate(OneLineRepr):
     routes that also explain the measurements, NaN if it is unknown; routes: probability and path of each route, this
     one first, empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`;
-    placed: the place of a live walk was certain before the first report.
+    placed: the place of a live walk was certain before the first report; assumed: the errors of sources by which this
+    walk is explained, as "kind: error".
     graph: the `WalkGraph` that was smoothed, with all decisions about its measurements, at its optimum; None of other
     methods, and where the estimate was copied or pickled.
     """
@@ -764,6 +766,7 @@ class Estimate(OneLineRepr):
     contradictions: tuple[Contradiction, ...] = ()
     routes: tuple[tuple[float, Trajectory], ...] = ()
     placed: bool = False
+    assumed: tuple[str, ...] = ()
     graph: Any = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ Building(floors)
 Calibration(start, value, covariance, prior_sigma)
 Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
-contradictions=, routes=, placed=, graph=)
+contradictions=, routes=, placed=, assumed=, graph=)
 Event
 FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, prior=, \
 curvature=, native=)

@@ -15,7 +15,7 @@ import pdr_graph as pdr
 from pdr_graph.apps.cli import app, learn_radio_map
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.estimation.verdict import stride_determined, teaches_profile
+from pdr_graph.estimation.verdict import independent_positions, stride_determined, teaches_profile
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import DOUBTFUL, FAILED, Contradiction, Headings, Verdict
 
@@ -190,6 +190,19 @@ def test_two_fixes_determine_a_stride_if_they_are_far_apart():
     assert stride_determined(pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[[0, 60]], far, 1.0))))
 
 
+def test_correlated_fixes_of_one_receiver_count_once_and_teach_no_profile():
+    """Fixes within a minute and 84 m: of the user 21 positions, of a receiver fewer than three."""
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    fixes = fixes_at(track.time[::6], track.position[::6], 1.0)
+    of_user = pdr.smooth(pdr.WalkGraph(steps, fixes))
+    assert (independent_positions(of_user), teaches_profile(of_user)) == ({"fixes": 21.0}, True)
+    of_receiver = pdr.smooth(pdr.WalkGraph(steps, replace(fixes, source=("GNSS",) * len(fixes))))
+    assert 1.0 < independent_positions(of_receiver)["GNSS"] < 3.0
+    assert not teaches_profile(of_receiver)
+    assert not teaches_profile(replace(of_user, assumed=("calibration: another walker",)))
+
+
 def test_a_stride_of_no_usual_walker_is_doubtful_until_three_fixes_confirm_it():
     steps = square_walk(side=30)
     track = dead_reckon(steps)
@@ -248,7 +261,9 @@ def test_stdout_summary_and_exit_code_say_the_same(walk, tmp_path, verb):
 
 def test_a_walk_that_is_not_ok_leaves_no_profile_and_teaches_no_radio_map(walk, tmp_path):
     _, summary = smoothed(walk, tmp_path / "good", "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv")
-    assert tomllib.loads((tmp_path / "good" / "walker.toml").read_text())["calibration"]
+    written = (tmp_path / "good" / "walker.toml").read_text()
+    assert tomllib.loads(written)["calibration"]
+    assert written.startswith(f"# learnt from {walk.name}: 7 independent positions (fixes 7);")
     assert summary["verdict"]["state"] == "ok"
     first, *rows = (walk / "fixes.csv").read_text().splitlines()
     moved = [",".join([t, str(float(x) + 20), *rest]) for t, x, *rest in (row.split(",") for row in rows[:1])]

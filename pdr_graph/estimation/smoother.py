@@ -89,6 +89,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
             *contradictions(optima, share),
         ),
         routes=tuple(routes),
+        assumed=tuple(claim.label for claim in best.assumed),
         graph=best.graph.smoothed(best.state),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)

@@ -5,15 +5,16 @@ It is the same offline and live.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from pdr_graph.errors import count, percent
+from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, unusual_stride, used_fixes
-from pdr_graph.priors import PATHS, RANGES, REPORTS, VERDICTS
+from pdr_graph.priors import PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
@@ -141,36 +142,73 @@ def _convergence(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
-    """True if measured positions determine the stride scale R_s at the end of the walk, not the plan alone.
+    """True if independent positions determine the stride scale R_s at the end of the walk, not the plan alone.
 
-    These are ``fewest`` accepted fixes or more, two of them so far apart that their sigmas alone halve the variance of
-    an unknown walker's R_s; or as many beacons or anchors.
+    These are ``fewest`` or more, see `independent_positions`; and two fixes or beacons so far apart that their sigmas
+    alone halve the variance of an unknown walker's R_s, or as many anchors.
     """
     calibration, half = estimate.calibration, np.sqrt(0.5) * Prior().sigma[0]
     if calibration is None or calibration.sigma[-1, 0] > half:
         return False
-    accepted = [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
-    if len(accepted) >= fewest and _stride_sigma(accepted) <= half:
+    number = independent_positions(estimate)
+    if sum(number.values()) < fewest:
+        return False
+    beacons = [(beacon.x, beacon.y, VERDICTS.near_beacon) for beacon in estimate.beacons if not beacon.misplaced]
+    places = [*((fix.x, fix.y, fix.sigma) for fix in _accepted(estimate)), *beacons]
+    if len(places) > 1 and _stride_sigma(np.array(places)) <= half:
         return True
-    return len(set(_transmitters(estimate))) >= max(fewest, RANGES.fewest)
+    anchors = sum(number.values()) - sum(number.get(kind, 0.0) for kind in ("beacons", *_receivers(estimate)))
+    return anchors >= max(fewest, RANGES.fewest)
+
+
+def independent_positions(estimate: Estimate) -> dict[str, float]:
+    """Effective number of accepted positions with errors of their own: of the user, each receiver, beacons, anchors.
+
+    Fixes of one receiver whose errors are correlated, by the time and the distance between them, count as one.
+    """
+    accepted, track, number = _accepted(estimate), estimate.trajectory, dict[str, float]()
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(track.position, axis=0).T)))
+    for source in dict.fromkeys(fix.source for fix in accepted):
+        time = np.sort([fix.time for fix in accepted if fix.source == source])
+        drifted = time / RECEIVERS.standing + np.interp(time, track.time, walked) / RECEIVERS.along
+        first, after = alike(drifted) if source else (np.zeros(len(time)), np.ones(len(time)))
+        number[source or "fixes"] = float(np.sum(1.0 / (after - first)))
+    for kind in locating_kinds():
+        if names := set(_transmitters(estimate, kind)):
+            number[kind] = float(len(names))
+    return number
 
 
 def teaches_profile(estimate: Estimate) -> bool:
-    """True if the walker's profile may be learnt from this estimate: it is "ok", and determines the stride scale."""
-    return stride_determined(estimate) and verdict(estimate).ok
+    """True if the walker's profile may be learnt from this estimate.
+
+    It is "ok", no error of a source explains it, and three or more independent positions determine the stride scale.
+    """
+    return not estimate.assumed and stride_determined(estimate, PATHS.fewest_fixes) and verdict(estimate).ok
 
 
-def _stride_sigma(fixes: Sequence[FixReport]) -> float:
-    """Sigma of the stride scale by the two of these fixes that determine it best, from their distance alone."""
-    some = [fixes[n] for n in np.unique(np.linspace(0, len(fixes) - 1, FIXES_COMPARED).astype(int)).tolist()]
-    x, y, sigma = np.array([(fix.x, fix.y, fix.sigma) for fix in some]).T
+def _accepted(estimate: Estimate) -> list[FixReport]:
+    return [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
+
+
+def _receivers(estimate: Estimate) -> set[str]:
+    """Names under which fixes are counted."""
+    return {fix.source or "fixes" for fix in _accepted(estimate)}
+
+
+def _stride_sigma(places: Array) -> float:
+    """Sigma of the stride scale by the two positions that determine it best, from their distance alone.
+
+    places: ``(n, 3)`` x, y and sigma [m].
+    """
+    x, y, sigma = places[np.unique(np.linspace(0, len(places) - 1, FIXES_COMPARED).astype(int))].T
     apart = np.hypot(x - x[:, None], y - y[:, None])
     return float(np.min(np.hypot(sigma, sigma[:, None]) / np.maximum(apart, 1e-9)))
 
 
-def _transmitters(estimate: Estimate) -> Iterator[str]:
+def _transmitters(estimate: Estimate, *kinds: str) -> Iterator[str]:
     """Names of the beacons and anchors that measured positions; of measurements without one, that of their kind."""
-    for kind in locating_kinds():
+    for kind in kinds or locating_kinds():
         for report in estimate.reports.get(kind, ()):
             if not getattr(report, "misplaced", False):
                 yield str(getattr(report, "anchor", "") or getattr(report, "label", "") or kind)

@@ -34,6 +34,11 @@ class Hypothesis:
     estimate: tuple[float, ...] = field(default=(), compare=False)
 
     @property
+    def label(self) -> str:
+        """The claim for programs."""
+        return ": ".join(self.kind)
+
+    @property
     def wording(self) -> Wording:
         """What the hypothesis says, for the user."""
         return WORDINGS[self.kind[0]](self)

@@ -332,7 +332,8 @@ class FixFactor(Measurement):
             else:
                 reason = fix_reason(float(sigmas[n]), float(weight[n]), bool(self.outlier[n]), origin)
             time, sigma = float(self.fixes.time[n]), float(self.fixes.sigma[n])
-            reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
+            source = self.fixes.source[n] if self.fixes.source else ""
+            reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason, source))
         return tuple(reports)
 
 
