@@ -998,6 +998,9 @@ class VerdictPriors(Table):
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
     seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
+    strides: tuple[float, float] = number(
+        (0.72, 1.6), "ratio", "of strides to those by height and pace, beyond which no position confirms them"
+    )
     near_beacon: float = number(5.0, "m", "sigma of a position by a beacon, which may teach a stride")
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
 

@@ -671,15 +671,22 @@ class Calibration(OneLineRepr):
     written as a gyro drift: true length = R_s × length, true turn = R_d × turn + b × Δt.
 
     start: ``(s,)`` start of each segment [s]; value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
-    covariance: ``(s, 3, 3)``; prior_sigma: ``(s, 3)`` prior standard deviations.
+    covariance: ``(s, 3, 3)``; prior_sigma: ``(s, 3)`` prior standard deviations; usual: R_s of a usual walker, 1 unless
+    a profile has corrected the steps.
     """
 
     start: Array
     value: Array
     covariance: Array
     prior_sigma: Array
+    usual: float = 1.0
 
     names: ClassVar[tuple[str, ...]] = ("R_s", "R_d", "b")
+
+    @property
+    def stride(self) -> float:
+        """Mean R_s of the walk as a share of that of a usual walker; above 0."""
+        return max(float(self.value[:, 0].mean()) / self.usual, 1e-9)
 
     @property
     def sigma(self) -> Array:

@@ -213,6 +213,36 @@ def test_a_stride_of_no_usual_walker_is_doubtful_until_three_fixes_confirm_it():
         assert any("stride scale R_s is 1." in line for line in estimate.warnings)
 
 
+def test_strides_too_short_for_any_walker_are_doubtful_whatever_confirms_them():
+    """A plan drawn at two thirds of its scale: all fixes agree."""
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    estimate = pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[::6], 0.66 * track.position[::6], 0.5)))
+    [reason] = pdr.verdict(estimate).reasons
+    assert reason.source == "stride"
+    assert "in 120 steps, 0.46 m each: 66 % of what walkers" in reason.text
+
+
+def test_a_receiver_whose_fixes_lie_away_from_the_walk_is_named():
+    steps, fixes, truth = drawn_from_the_model(200, 3)
+    time = np.arange(20.0, steps.end - 20, 30.0)
+    place = interpolate(time, truth.time, truth.position) + np.array([0.0, 40.0])
+    away = replace(fixes_at(time, place, 4.0), source=("watch",) * len(time))
+    judged = pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, pdr.Fixes.concatenate([fixes, away]))))
+    assert any("fixes of watch lie more than" in reason.text and " m (" in reason.text for reason in judged.reasons)
+
+
+def test_one_rejected_fix_has_a_line_and_a_route_without_others_has_no_probability():
+    def moved(fixes):
+        position = fixes.position.copy()
+        position[4] += 60.0
+        return replace(fixes, position=position)
+
+    estimate = estimated(1, moved)
+    assert any(line.startswith("1 fix rejected, weight 0: at ") and "8" in line for line in estimate.warnings)
+    assert np.isnan(estimate.probability)
+
+
 def test_a_route_at_twice_the_scale_calibrates_nobody():
     """The line is followed, but half of the fixes on it contradict the steps."""
     steps = square_walk(side=30)

@@ -57,11 +57,11 @@ def prior_of(profile: Profile | None) -> Prior:
     to_corrected = np.diag([1 / stride, 1 / turn, 1.0])
     to_corrected[2, 1] = -profile.E_straight * profile.speed / turn
     mean = tuple((to_corrected @ Prior().mean).tolist())
-    another = _with_covariance(to_corrected @ Prior().covariance @ to_corrected.T, mean=mean)
+    another = _with_covariance(to_corrected @ Prior().covariance @ to_corrected.T, mean=mean, usual=mean[0])
     usual = Prior()
     to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
     covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(WALKER.between_walks))
-    known = _with_covariance(covariance, another=another)
+    known = _with_covariance(covariance, another=another, usual=another.usual)
     return replace(known, sigma=tuple(np.minimum(known.sigma, usual.sigma).tolist()))
 
 

@@ -138,7 +138,7 @@ def _parted(
         start = segment_start - by
         rows = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
         prior = prior_sigma(graph.prior, np.arange(len(rows)))
-        calibration = Calibration(start[rows], c[rows], of_c[rows], prior)
+        calibration = Calibration(start[rows], c[rows], of_c[rows], prior, graph.prior.usual)
         reached = {"iterations": optimum.iterations, "cost": optimum.cost, "converged": optimum.converged}
         yield replace(
             estimate, trajectory=track, calibration=calibration, reports={**estimate.reports, "fixes": fixes}, **reached

@@ -13,7 +13,7 @@ from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, unusual_stride, used_fixes
+from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
 from pdr_graph.priors import PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
@@ -73,16 +73,19 @@ def _other_source(estimate: Estimate) -> str:
 
 
 def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
-    """Fixes whose median distance from the walk is larger than their sigmas allow."""
-    used = _evidence(estimate)
-    sigmas = np.array([fix.residual / fix.sigma for fix in used])
-    independent = len({int(fix.time // VERDICTS.alike) for fix in used})
-    if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
-        other = _other_source(estimate)
-        lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
-        text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
-        check = f"the sigmas and clock of the fixes, and the {other}"
-        yield Contradiction("fixes", other, median, "sigma", text, check)
+    """Sources whose fixes have a larger median distance from the walk than their sigmas allow."""
+    used, other = _evidence(estimate), _other_source(estimate)
+    sources = list(dict.fromkeys(fix.source for fix in used))
+    for source in sources:
+        own = [fix for fix in used if fix.source == source]
+        sigmas = np.array([fix.residual / fix.sigma for fix in own])
+        independent = len({int(fix.time // VERDICTS.alike) for fix in own})
+        if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
+            of = f" of {source}" * (source != "" and len(sources) > 1)
+            away = f"{np.median([fix.residual for fix in own]):.1f} m ({median:.1f} sigma) from the walk"
+            lie = f"the fix{of} lies" if len(own) == 1 else f"half of the fixes{of} lie more than"
+            check = f"the sigmas and clock of the fixes{of}, and the {other}"
+            yield Contradiction("fixes", other, median, "sigma", f"{lie} {away}, against the {other}", check)
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:
@@ -113,16 +116,25 @@ def _headings(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:
-    """A stride scale of no usual walker, by more than its sigma, that not even three fixes confirm."""
+    """Strides of no usual walker of that height at that pace, unless independent positions confirm them.
+
+    Strides that are too short or long for any walker are a doubt whatever confirms them: most sources share an error.
+    """
     calibration = estimate.calibration
-    unusual = None if calibration is None else unusual_stride(calibration)
-    if calibration is None or unusual is None:
+    if calibration is None:
         return
-    stated, value, beyond = unusual
-    if beyond > 1 and not stride_determined(estimate, PATHS.fewest_fixes):
-        sigmas = (value - 1) / float(calibration.prior_sigma[0, 0])
-        text, check = f"{stated}, and too few fixes confirm it", "the fixes, the start, and the floor plan"
-        yield Contradiction("stride", "fixes and plan", sigmas, "sigma", text, check)
+    (low, high), (least, most), stride = REPORTS.stride, VERDICTS.strides, calibration.stride
+    unusual = not low <= stride <= high and not low <= calibration.value[:, 0].mean() <= high
+    confirmed = not unusual or stride_determined(estimate, PATHS.fewest_fixes)
+    if confirmed and least <= stride <= most:
+        return
+    walked = float(np.hypot(*np.diff(estimate.trajectory.position, axis=0).T).sum())
+    steps = max(len(estimate.trajectory) - 2, 1)
+    text = f"{walked:.0f} m in {steps} steps, {walked / steps:.2f} m each: {percent(stride)} of what walkers of that "
+    text += "height take at that pace" + ", and too few independent positions confirm it" * (not confirmed)
+    check = "the height of the walker, their profile, the fixes, the start, and the scale of the floor plan"
+    sigmas = (stride - 1) / float(calibration.prior_sigma[0, 0])
+    yield Contradiction("stride", "fixes and plan", sigmas, "sigma", text, check)
 
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:

@@ -75,7 +75,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     by_walls = _measurements_by_walls(between[0])
     placing = [kind for kind in graph.measurements if kind.determines_position]
     single = placing == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
-    if single and between[0].surprise > best.surprise + DOUBTS.unlikely:
+    if single:
         between += _displaced(graph, best)
 
     # If the plan does not fit: in each direction if the other sources do not determine it

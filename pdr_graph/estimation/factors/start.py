@@ -37,6 +37,7 @@ class Prior:
     corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
         "turns" at intersections.
     another: prior of another walker, if the steps were corrected by a profile, which may be of somebody else.
+    usual: R_s of a usual walker; not 1 for steps that a profile has corrected.
     """
 
     mean: tuple[float, float, float] = field(default_factory=lambda: WALKER.mean)
@@ -47,6 +48,7 @@ class Prior:
     wall_sigma: float = field(default_factory=lambda: WALLS.sigma)
     corridors: tuple[Literal["directions", "turns"], ...] = ()
     another: Prior | None = None
+    usual: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise ValueError for a sigma that is not positive and finite, or an unknown factor of corridors."""
