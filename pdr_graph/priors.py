@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 JUDGEMENT = "judgement"
 SEARCHED = "set on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the densest"
+PROFILES = "set on simulated walks of three to twelve fixes with profiles 20 and 35 % off; a right one costs nothing"
 VERDICT_SEEDS = "set on simulated walks with honest and with lying sources (scripts/reproduce integrity)"
 
 
@@ -99,7 +100,7 @@ class CandidatePriors(Table):
     smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 2))
     level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 2))
     window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
-    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(0.5, 1))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 1))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(
@@ -186,7 +187,9 @@ class MotionPriors(Table):
     steps_per_keyframe: int = number(
         10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", still=(0.5, 2)
     )
-    steps_per_segment: int = number(100, "steps", "for which the calibration is constant", "design, section 3")
+    steps_per_segment: int = number(
+        100, "steps", "for which the calibration is constant", "design, section 3", still=(0.5, 2)
+    )
 
 
 # Directions
@@ -201,19 +204,26 @@ class ForwardPriors(Table):
         "rad",
         "phase by which forward leads vertical acceleration: 33–119° in 16 of 18 real walks",
         "fit: docs/results/heading.md",
+        still=(0.5, 2),
     )
-    band: float = number(0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it")
+    band: float = number(
+        0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", still=(0.5, 2)
+    )
     window_steps: int = number(16, "steps", "length of a window", still=(0.5, 2))
     least_windows: int = number(3, "windows", "least number of windows of walking", still=(0.5, 2))
     least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait")
     gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway")
     reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", still=(0.5, 2))
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
-    steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 2))
-    opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read")
-    early_steps: int = number(8, "steps", "length of a window live")
-    early_coherence: float = number(0.45, "share", "least coherence in such a window")
-    surely_facing_up: float = number(0.55, "share", "as ``facing_up`` where the gait does not confirm it")
+    steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 1))
+    opposed: float = number(
+        0.6, "rad", "angle of gait axis and y axis from which the phone is not read", still=(0.5, 2)
+    )
+    early_steps: int = number(8, "steps", "length of a window live", still=(0.5, 2))
+    early_coherence: float = number(0.45, "share", "least coherence in such a window", still=(0.5, 2))
+    surely_facing_up: float = number(
+        0.55, "share", "as ``facing_up`` where the gait does not confirm it", still=(0.5, 2)
+    )
     overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis")
     early_sigma: float = number(
         0.4,
@@ -221,7 +231,9 @@ class ForwardPriors(Table):
         "sigma of the gait axis of one early window: errors of 4 to 20° (median)",
         "simulated and real walks",
     )
-    confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it")
+    confirmed_sigma: float = number(
+        0.25, "rad", "sigma of the y axis if one such window agrees with it", still=(0.5, 2)
+    )
     unconfirmed: float = number(
         0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.5, 2)
     )
@@ -300,9 +312,11 @@ class RestPriors(Table):
     drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature")
     longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two")
     bias_sigma: float = number(
-        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm"
+        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", still=(0.5, 2)
     )
-    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes")
+    bias_forgetting: float = number(
+        1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes", still=(0.5, 2)
+    )
 
     @property
     def vqf(self) -> dict[str, float]:
@@ -314,8 +328,8 @@ class RestPriors(Table):
 class MagnetometerPriors(Table):
     """Calibration of the magnetometer, and tests of the field."""
 
-    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait")
-    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field")
+    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait", still=(0.5, 2))
+    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field", still=(0.5, 2))
     fit_samples: int = number(600, "samples", "most of a calibration fit")
     fit_rounds: int = number(30, "iterations", "of a fit from any start")
     hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration")
@@ -343,7 +357,7 @@ class NorthPriors(Table):
         0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
     )
     huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
-    least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used")
+    least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -429,7 +443,7 @@ class WallPriors(Table):
         0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(1, 1)
     )
     sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 1))
-    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 2))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
     body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
     loose: float = number(
         3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(0.5, 2)
@@ -446,7 +460,7 @@ class RegionPriors(Table):
         0.15, "log-odds", "of a point in no region: shops are entered, plans end", still=(0.5, 2)
     )
     at_door: float = number(1.5, "m", "from a door within which it may be used")
-    wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors")
+    wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors", still=(0.5, 2))
     door_cost: float = number(1.0, "log-odds", "of changing region at a door")
     leave_cost: float = number(6.0, "log-odds", "of entering or leaving all regions")
 
@@ -522,18 +536,22 @@ class FixPriors(Table):
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
-    standing: float = number(120.0, "s", "correlation time of a receiver's errors")
-    along: float = number(30.0, "m", "distance walked over which they are correlated")
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(1, 1))
+    along: float = number(30.0, "m", "distance walked over which they are correlated", still=(1, 2))
     still: float = number(1.0, "m", "within which a frozen receiver stays")
     away: float = number(10.0, "m", "to which the steps must lead meanwhile")
-    white: float = number(0.3, "share", "of white noise in the stated sigma")
+    white: float = number(0.3, "share", "of white noise in the stated sigma", still=(0.5, 2))
     throughout: float = number(
-        0.5, "share", "of the stated sigma in what stays the same", "0.1, 0.5, 0.6 of three museum walks, IPIN 2023"
+        0.5,
+        "share",
+        "of the stated sigma in what stays the same",
+        "0.1, 0.5, 0.6 of three museum walks, IPIN 2023",
+        still=(0.5, 2),
     )
-    node: float = number(5.0, "s", "between nodes of the offset")
-    lag: float = number(1.0, "s", "sigma of the lag")
-    lag_change: float = number(0.02, "s/√s", "random walk of the lag")
-    lately: float = number(2.0, "s", "over which the velocity is averaged")
+    node: float = number(5.0, "s", "between nodes of the offset", still=(0.5, 2))
+    lag: float = number(1.0, "s", "sigma of the lag", still=(1, 1))
+    lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
+    lately: float = number(2.0, "s", "over which the velocity is averaged", still=(0.5, 2))
     behind: float = number(
         0.3,
         "share",
@@ -592,14 +610,14 @@ class RangePriors(Table):
 class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
-    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 1))
     change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 1))
     any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
-    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite")
-    huber: float = number(2.0, "σ", "width of Huber's weight")
+    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", still=(0.5, 2))
+    huber: float = number(2.0, "σ", "width of Huber's weight", still=(0.5, 1))
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
     beyond: float = number(20.0, "m", "margin of that distance")
-    rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked")
+    rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", still=(0.5, 2))
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
 
 
@@ -609,7 +627,9 @@ class SearchPriors(Table):
 
     directions: int = number(8, "directions", "hypotheses of an unknown direction")
     alike: float = number(30.0, "steps", "with the same position error, between fixes")
-    longest_move: float = number(2.0, "m", "of a pose in an iteration with walls, whose gradients are local")
+    longest_move: float = number(
+        2.0, "m", "of a pose in an iteration with walls, whose gradients are local", still=(0.5, 2)
+    )
     dropped: float = number(12.0, "nats", "above the best at which a solution is dropped")
     usual: float = number(1.5, "ratio", "usual cost with walls to that without")
     strained: float = number(3.0, "nats", "above the usual at which further paths are searched")
@@ -639,6 +659,9 @@ class PricePriors(Table):
         3.0, "nats", "a list is displaced as a whole: as a receiver that is several times worse throughout"
     )
     wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
+    another_walker: float = number(
+        0.4, "nats", "a profile is of another walker, or was learnt from wrong positions: 2 in 5", PROFILES
+    )
     wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10")
     compass_off: float = number(
         -float(np.log(0.0115)),
@@ -741,13 +764,13 @@ class ParticlePriors(Table):
         (0.7, 0.7, 1.0), "factor", "of length, sway, turn: parts are common errors", still=(0.5, 2)
     )
     least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2))
-    least_sigma_direction: float = number(0.1, "rad", "at the start")
+    least_sigma_direction: float = number(0.1, "rad", "at the start", still=(0.5, 2))
     sought: int = number(5, "particles", "of which one moves to such a fix")
-    outlier_price: float = number(8.0, "log-odds", "largest of an outlier")
+    outlier_price: float = number(8.0, "log-odds", "largest of an outlier", still=(0.5, 2))
     doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
-    rare: int = number(4, "particles", "of which one draws any turn then")
-    tries: int = number(4, "draws", "further ones of a step that would cross a wall")
-    clear_price: float = number(0.1, "log-odds", "of a step along a wall")
+    rare: int = number(4, "particles", "of which one draws any turn then", still=(0.5, 2))
+    tries: int = number(4, "draws", "further ones of a step that would cross a wall", still=(0.5, 2))
+    clear_price: float = number(0.1, "log-odds", "of a step along a wall", still=(0.5, 2))
     stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough")
 
     @property
@@ -997,6 +1020,10 @@ class VerdictPriors(Table):
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
     seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
+    strides: tuple[float, float] = number(
+        (0.72, 1.6), "ratio", "of strides to those by height and pace, beyond which no position confirms them"
+    )
+    near_beacon: float = number(5.0, "m", "sigma of a position by a beacon, which may teach a stride")
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
 
 

@@ -671,15 +671,22 @@ class Calibration(OneLineRepr):
     written as a gyro drift: true length = R_s × length, true turn = R_d × turn + b × Δt.
 
     start: ``(s,)`` start of each segment [s]; value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
-    covariance: ``(s, 3, 3)``; prior_sigma: ``(s, 3)`` prior standard deviations.
+    covariance: ``(s, 3, 3)``; prior_sigma: ``(s, 3)`` prior standard deviations; usual: R_s of a usual walker, 1 unless
+    a profile has corrected the steps.
     """
 
     start: Array
     value: Array
     covariance: Array
     prior_sigma: Array
+    usual: float = 1.0
 
     names: ClassVar[tuple[str, ...]] = ("R_s", "R_d", "b")
+
+    @property
+    def stride(self) -> float:
+        """Mean R_s of the walk as a share of that of a usual walker; above 0."""
+        return max(float(self.value[:, 0].mean()) / self.usual, 1e-9)
 
     @property
     def sigma(self) -> Array:
@@ -706,7 +713,7 @@ class FixReport:
     """Residual and weight of one fix, and the reason for the weight.
 
     residual: distance from the smoothed position [m]; weight: share of its stated information that was used, 0–1;
-    x, y, sigma: of the fix [m].
+    x, y, sigma: of the fix [m]; source: its receiver, as in `Fixes`.
     """
 
     time: float
@@ -716,6 +723,7 @@ class FixReport:
     residual: float
     weight: float
     reason: str
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -747,7 +755,8 @@ class Estimate(OneLineRepr):
     routes that also explain the measurements, NaN if it is unknown; routes: probability and path of each route, this
     one first, empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`;
-    placed: the place of a live walk was certain before the first report.
+    placed: the place of a live walk was certain before the first report; assumed: the errors of sources by which this
+    walk is explained, as "kind: error".
     graph: the `WalkGraph` that was smoothed, with all decisions about its measurements, at its optimum; None of other
     methods, and where the estimate was copied or pickled.
     """
@@ -764,6 +773,7 @@ class Estimate(OneLineRepr):
     contradictions: tuple[Contradiction, ...] = ()
     routes: tuple[tuple[float, Trajectory], ...] = ()
     placed: bool = False
+    assumed: tuple[str, ...] = ()
     graph: Any = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:

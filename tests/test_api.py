@@ -20,10 +20,10 @@ import pdr_graph as pdr
 # What other people's programs may rely on: a change here is a change for them, and belongs into CHANGELOG.md
 PROMISED = """
 Building(floors)
-Calibration(start, value, covariance, prior_sigma)
+Calibration(start, value, covariance, prior_sigma, usual=)
 Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
-contradictions=, routes=, placed=, graph=)
+contradictions=, routes=, placed=, assumed=, graph=)
 Event
 FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, prior=, \
 curvature=, native=)
@@ -39,7 +39,7 @@ Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=)
-Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=)
+Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
 Samples(sensor, time, values)

@@ -14,7 +14,7 @@ import pdr_graph as pdr
 from pdr_graph.apps.cli import learn_radio_map
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.estimation.verdict import stride_determined, teaches_profile
+from pdr_graph.estimation.verdict import independent_positions, stride_determined, teaches_profile
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import DOUBTFUL, FAILED, Contradiction, Headings, Verdict
 
@@ -178,6 +178,19 @@ def test_two_fixes_determine_a_stride_if_they_are_far_apart():
     assert stride_determined(pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[[0, 60]], far, 1.0))))
 
 
+def test_correlated_fixes_of_one_receiver_count_once_and_teach_no_profile():
+    """Fixes within a minute and 84 m: of the user 21 positions, of a receiver fewer than three."""
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    fixes = fixes_at(track.time[::6], track.position[::6], 1.0)
+    of_user = pdr.smooth(pdr.WalkGraph(steps, fixes))
+    assert (independent_positions(of_user), teaches_profile(of_user)) == ({"fixes": 21.0}, True)
+    of_receiver = pdr.smooth(pdr.WalkGraph(steps, replace(fixes, source=("GNSS",) * len(fixes))))
+    assert 1.0 < independent_positions(of_receiver)["GNSS"] < 3.0
+    assert not teaches_profile(of_receiver)
+    assert not teaches_profile(replace(of_user, assumed=("calibration: another walker",)))
+
+
 def test_a_stride_of_no_usual_walker_is_doubtful_until_three_fixes_confirm_it():
     steps = square_walk(side=30)
     track = dead_reckon(steps)
@@ -186,6 +199,36 @@ def test_a_stride_of_no_usual_walker_is_doubtful_until_three_fixes_confirm_it():
         estimate = pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[rows], long[rows], 0.5)))
         assert pdr.verdict(estimate).state == state
         assert any("stride scale R_s is 1." in line for line in estimate.warnings)
+
+
+def test_strides_too_short_for_any_walker_are_doubtful_whatever_confirms_them():
+    """A plan drawn at two thirds of its scale: all fixes agree."""
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    estimate = pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[::6], 0.66 * track.position[::6], 0.5)))
+    [reason] = pdr.verdict(estimate).reasons
+    assert reason.source == "stride"
+    assert "in 120 steps, 0.46 m each: 66 % of what walkers" in reason.text
+
+
+def test_a_receiver_whose_fixes_lie_away_from_the_walk_is_named():
+    steps, fixes, truth = drawn_from_the_model(200, 3)
+    time = np.arange(20.0, steps.end - 20, 30.0)
+    place = interpolate(time, truth.time, truth.position) + np.array([0.0, 40.0])
+    away = replace(fixes_at(time, place, 4.0), source=("watch",) * len(time))
+    judged = pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, pdr.Fixes.concatenate([fixes, away]))))
+    assert any("fixes of watch lie more than" in reason.text and " m (" in reason.text for reason in judged.reasons)
+
+
+def test_one_rejected_fix_has_a_line_and_a_route_without_others_has_no_probability():
+    def moved(fixes):
+        position = fixes.position.copy()
+        position[4] += 60.0
+        return replace(fixes, position=position)
+
+    estimate = estimated(1, moved)
+    assert any(line.startswith("1 fix rejected, weight 0: at ") and "8" in line for line in estimate.warnings)
+    assert np.isnan(estimate.probability)
 
 
 def test_a_route_at_twice_the_scale_calibrates_nobody():
@@ -217,7 +260,10 @@ def smoothed(walk, out, fixes, verb="smooth"):
 def test_output_summary_and_exit_code_say_the_same_and_only_a_good_walk_leaves_a_profile(arcade_walk, tmp_path, verb):
     code, printed, summary = smoothed(arcade_walk, tmp_path / "good", arcade_walk / "fixes.csv", verb)
     assert (code, printed[:4], summary["verdict"]) == (0, "ok: ", {"state": "ok", "reasons": []})
-    assert verb == "replay" or tomllib.loads((tmp_path / "good" / "walker.toml").read_text())["calibration"]
+    if verb == "smooth":
+        written = (tmp_path / "good" / "walker.toml").read_text()
+        assert tomllib.loads(written)["calibration"]
+        assert written.startswith(f"# learnt from {arcade_walk.name}: 7 independent positions (fixes 7);")
     code, printed, summary = smoothed(arcade_walk, tmp_path / "bad", moved_fixes(arcade_walk, tmp_path, 120), verb)
     assert (code, printed[:10]) == (3, "doubtful: ")
     [reason] = summary["verdict"]["reasons"]

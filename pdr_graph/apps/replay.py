@@ -227,8 +227,10 @@ def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
     late = outside.time[~duplicates(outside)]
     issues += outside_warnings(late, float(estimate.trajectory.time[0]), float(estimate.trajectory.time[-1]))
     reports = [
-        FixReport(t, x, y, sigma, float("nan"), 0.0, OUTSIDE)
-        for t, (x, y), sigma in zip(outside.time, outside.position.tolist(), outside.sigma.tolist(), strict=True)
+        FixReport(t, x, y, sigma, float("nan"), 0.0, OUTSIDE, source)
+        for t, (x, y), sigma, source in zip(
+            outside.time, outside.position.tolist(), outside.sigma.tolist(), outside.source, strict=True
+        )
     ]
     fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
     estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import shapely
@@ -51,12 +52,24 @@ def prior_of(profile: Profile | None) -> Prior:
     """The graph's prior for a walk whose steps the profile has already corrected."""
     if profile is None:
         return Prior()
+    # Somebody else's: R_s l, R_d φ + b t of the uncorrected steps in terms of (1 + E_l) l and (1 + E_c) φ + E_s l
+    stride, turn = 1 + profile.E_length, 1 + profile.E_corner
+    to_corrected = np.diag([1 / stride, 1 / turn, 1.0])
+    to_corrected[2, 1] = -profile.E_straight * profile.speed / turn
+    mean = tuple((to_corrected @ Prior().mean).tolist())
+    another = _with_covariance(to_corrected @ Prior().covariance @ to_corrected.T, mean=mean, usual=mean[0])
     usual = Prior()
     to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
     covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(WALKER.between_walks))
+    known = _with_covariance(covariance, another=another, usual=another.usual)
+    return replace(known, sigma=tuple(np.minimum(known.sigma, usual.sigma).tolist()))
+
+
+def _with_covariance(covariance: Array, **others: Any) -> Prior:
+    """A prior with this covariance ``(3, 3)`` of (R_s, R_d, b)."""
     sigma = np.sqrt(np.diag(covariance))
     correlation = (covariance / np.outer(sigma, sigma))[np.triu_indices(3, 1)]
-    return replace(usual, sigma=tuple(np.minimum(sigma, usual.sigma).tolist()), correlation=tuple(correlation.tolist()))
+    return Prior(sigma=tuple(sigma.tolist()), correlation=tuple(correlation.tolist()), **others)
 
 
 ROUNDS = 12  # of fitting the walk and matching it to the line

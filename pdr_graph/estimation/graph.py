@@ -34,13 +34,20 @@ from pdr_graph.estimation.factors.base import (
 )
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
 from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk
-from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
+from pdr_graph.estimation.factors.start import (
+    WALKER_KIND,
+    Prior,
+    by_another_walker,
+    calibration_prior,
+    first_heading_prior,
+    start_prior,
+)
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import INITIAL, MOTION
 from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Steps
 
 if TYPE_CHECKING:
@@ -83,7 +90,7 @@ class WalkGraph:
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps, self.floor, self.prior = steps, floor, prior or Prior()
+        self.steps, self.floor, self.prior, self._others = steps, floor, prior or Prior(), tuple(others)
         self.fixes = Fixes.none() if fixes is None else fixes
         tables = [table for table in (levels, closures, *measurements) if table is not None]
         tables = [table for table in tables if kind_of(table) and len(table)]  # raises for types without a kind
@@ -116,7 +123,8 @@ class WalkGraph:
         self.floor_sequence = None if floor is None else FloorSequence.of(floor, floor_of_pieces)
         prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
         kinds = [kind.initialized(poses) if isinstance(kind, Initialized) else kind for kind in kinds]
-        priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(poses[0, 2]))
+        calibrations = calibration_prior(prior_of_segment, self.prior.change, self.prior.another)
+        priors = calibrations, self._start_prior(float(poses[0, 2]))
         self._measurements = (steps_between_keyframes(), *kinds, *priors)
         self.start = initial_state(poses, c, self._measurements)
         self.walled, self.optimum = False, cast("State | None", None)
@@ -293,16 +301,37 @@ class WalkGraph:
 
     def decided(self, decisions: Mapping[str, Mapping[str, AnyArray]]) -> WalkGraph:
         """Apply earlier decisions about measurements, by kind (relocated beacons)."""
+        another = bool(decisions.get(WALKER_KIND)) and self.prior.another is not None
+        graph = self.by_another_walker(self.start) if another else self
         kinds = [
             kind.continued(decisions[kind.name]) if kind.name in decisions and isinstance(kind, Remembered) else kind
-            for kind in self._measurements
+            for kind in graph._measurements
         ]
-        return self._with_variables(tuple(kinds)) if decisions else self
+        return graph._with_variables(tuple(kinds)) if decisions else self
+
+    def by_another_walker(self, near: State) -> WalkGraph:
+        """The same walk with the prior of another walker; its measurements are not classified yet.
+
+        near: where the search starts unless the measurements determine the direction.
+        """
+        prior = self.prior.another
+        assert prior is not None, "asked for where a profile corrected the steps"
+        others = [(time, prior) for time, _ in self._others]
+        options = {"floor": self.floor, "floors": self.floors, "prior": prior, "others": others}
+        graph = WalkGraph.of(self.steps, self.data, **options)
+        graph = graph if self.walled else graph.without_plan()
+        graph = graph._replaced(_measurements=by_another_walker(graph._measurements))
+        return (
+            graph
+            if graph.sigma_direction < INITIAL.ambiguous
+            else graph.associated_at(graph.start.replaced(x=near.poses))
+        )
 
     def classified_as(self, other: WalkGraph) -> WalkGraph:
-        """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for the plan."""
+        """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for plan and walker."""
         plan = tuple(measurement for measurement in self._measurements if measurement.on_plan)
-        return self._with_variables(
+        graph = self._replaced(chain=other.chain, prior=other.prior)
+        return graph._with_variables(
             (*(measurement for measurement in other.measurements if not measurement.on_plan), *plan)
         )
 

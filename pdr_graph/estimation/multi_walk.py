@@ -14,6 +14,7 @@ from itertools import islice
 import numpy as np
 
 from pdr_graph.estimation.factors.base import State
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.optimizer import Optimum, near_start
@@ -47,13 +48,16 @@ def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], clos
     """
     begins = np.cumsum([0.0] + [graph.steps.end - graph.steps.start + BETWEEN for graph in graphs[:-1]])
     begins -= [graph.steps.start for graph in graphs]
-    joint = _joint(graphs, begins, closures)
+    solved = [
+        graph if estimate.graph is None else estimate.graph for graph, estimate in zip(graphs, alone, strict=True)
+    ]
+    joint = _joint(graphs, begins, closures, [graph.prior for graph in solved])
     optimum = near_start(joint.associated_at(_start(joint, alone, begins)))
     return list(_parted(optimum, graphs, alone, begins.tolist()))
 
 
-def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> WalkGraph:
-    """One graph of all walks; begins: offset of each walk's time [s]."""
+def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures, priors: Sequence[Prior]) -> WalkGraph:
+    """One graph of all walks. begins: offset of each walk's time [s]; priors: of their walkers."""
     steps = [shifted(graph.steps, by) for graph, by in zip(graphs, begins, strict=True)]
     whole = steps[0]
     for walk_steps in steps[1:]:
@@ -81,8 +85,8 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
         floor=graphs[0].floor,
         floors=labels,
         measurements=(*by_type(tables), Closures.concatenate([closures, *bound]).shifted(begins)),
-        prior=graphs[0].prior,
-        others=[(walk_steps.start, graph.prior) for walk_steps, graph in zip(steps[1:], graphs[1:], strict=True)],
+        prior=priors[0],
+        others=[(walk_steps.start, prior) for walk_steps, prior in zip(steps[1:], priors[1:], strict=True)],
     )
 
 
@@ -134,7 +138,7 @@ def _parted(
         start = segment_start - by
         rows = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
         prior = prior_sigma(graph.prior, np.arange(len(rows)))
-        calibration = Calibration(start[rows], c[rows], of_c[rows], prior)
+        calibration = Calibration(start[rows], c[rows], of_c[rows], prior, graph.prior.usual)
         reached = {"iterations": optimum.iterations, "cost": optimum.cost, "converged": optimum.converged}
         yield replace(
             estimate, trajectory=track, calibration=calibration, reports={**estimate.reports, "fixes": fixes}, **reached

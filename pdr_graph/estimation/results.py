@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdr_graph.errors import percent
+from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
@@ -36,6 +36,7 @@ from pdr_graph.types import (
 
 REPEATED = "a better fix at the same time: not used"  # reason in reports
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
+MOST_LISTED = 3  # rejected fixes that a warning names
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
@@ -43,7 +44,7 @@ NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"
 def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
     """(R_s, R_d, b) in each segment of the walk, from ``(s, 3)`` and ``(s, 3, 3)``."""
     prior = prior_sigma(graph.prior, np.arange(len(value)))
-    return Calibration(graph.keyframe_time[graph.chain.segment_first], value, covariance, prior)
+    return Calibration(graph.keyframe_time[graph.chain.segment_first], value, covariance, prior, graph.prior.usual)
 
 
 def prior_sigma(prior: Prior, segment: Index) -> Array:
@@ -121,6 +122,8 @@ def unusual_stride(calibration: Calibration) -> tuple[str, float, float] | None:
     None if the walk does not determine it, or if usual walkers have it.
     """
     (low, high), value, sigma = REPORTS.stride, calibration.value[:, 0].mean(), calibration.sigma[:, 0].min()
+    if abs(np.log(calibration.stride)) < abs(np.log(max(value, 1e-9))):  # unusual by the profile alone
+        value, sigma = calibration.stride, sigma / calibration.usual
     beyond = max(low - value, value - high)
     if beyond <= 0 or not calibration.learnt[:, 0].any():
         return None
@@ -129,12 +132,15 @@ def unusual_stride(calibration: Calibration) -> tuple[str, float, float] | None:
 
 
 def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
-    """Warn of fixes that the steps and the other fixes contradict; see `is_a_guess`."""
+    """Warn of fixes that the steps and the other fixes contradict; see `is_a_guess`. Few of them are listed."""
     rejected, used = _rejected(fixes), len(used_fixes(fixes))
-    if rejected <= REPORTS.many * used:
-        return ()
-    guess = ": where the walk was is a guess" if is_a_guess(fixes) else ""
-    return (f"{rejected} of {used} fixes contradict the steps and the other fixes and have weight 0{guess}",)
+    if len(rejected) > REPORTS.many * used and (len(rejected) > 1 or is_a_guess(fixes)):
+        guess = ": where the walk was is a guess" if is_a_guess(fixes) else ""
+        return (f"{len(rejected)} of {used} fixes contradict the steps and the other fixes and have weight 0{guess}",)
+    farthest = sorted(rejected, key=lambda fix: -fix.residual)[:MOST_LISTED]
+    places = "; ".join(f"at {fix.time:.0f} s, {fix.residual:.0f} m from the walk" for fix in farthest)
+    more = f"; and {len(rejected) - MOST_LISTED} more" * (len(rejected) > MOST_LISTED)
+    return (f"{count(len(rejected), 'fix')} rejected, weight 0: {places}{more}",) if rejected else ()
 
 
 def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:
@@ -149,12 +155,12 @@ def used_places(fixes: Sequence[FixReport]) -> Array:
 
 def is_a_guess(fixes: Sequence[FixReport]) -> bool:
     """True if at least half of the used fixes were rejected."""
-    return 2 * _rejected(fixes) >= max(len(used_fixes(fixes)), 1)
+    return 2 * len(_rejected(fixes)) >= max(len(used_fixes(fixes)), 1)
 
 
-def _rejected(fixes: Sequence[FixReport]) -> int:
-    """Number of used fixes that were rejected, without the rough fixes of beacons, which are always dropped."""
-    return sum(fix.weight < REPORTS.rejected and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))
+def _rejected(fixes: Sequence[FixReport]) -> list[FixReport]:
+    """The used fixes that were rejected, without the rough fixes of beacons, which are always dropped."""
+    return [fix for fix in used_fixes(fixes) if fix.weight < REPORTS.rejected and fix.reason != LOUD_BEACON]
 
 
 def is_located(estimate: Estimate) -> bool:

@@ -21,7 +21,7 @@ from pdr_graph.estimation.results import (
     warnings,
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
-from pdr_graph.priors import REPORTS, SEARCH
+from pdr_graph.priors import INITIAL, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, Trajectory
 
 
@@ -54,6 +54,8 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum())
+    if not (path.any() or graph.walled or graph.sigma_direction >= INITIAL.ambiguous):
+        of_path = np.nan  # no other route was tried
     if not fits:  # nothing keeps the walk in one aisle: the probability that it is within SEARCH.same_path
         variance = np.trace(_covariance_of_rows(best)[:, :2, :2], axis1=1, axis2=2).mean() / 2
         of_path *= 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
@@ -69,7 +71,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     routes[1:] = sorted(routes[1:], key=lambda route: -route[0])
 
     # Calibration, reports, warnings
-    calibration = calibration_of(graph, best.state.c, of_c)
+    calibration = calibration_of(best.graph, best.state.c, of_c)
     reports = {
         measurement.name: reports_of_kind
         for measurement in best.graph.measurements
@@ -89,6 +91,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
             *contradictions(optima, share),
         ),
         routes=tuple(routes),
+        assumed=tuple(claim.label for claim in best.assumed),
         graph=best.graph.smoothed(best.state),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)

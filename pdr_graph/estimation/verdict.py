@@ -5,15 +5,16 @@ It is the same offline and live.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from pdr_graph.errors import count, percent
+from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, unusual_stride, used_fixes
-from pdr_graph.priors import PATHS, RANGES, REPORTS, VERDICTS
+from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
+from pdr_graph.priors import PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
@@ -72,16 +73,19 @@ def _other_source(estimate: Estimate) -> str:
 
 
 def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
-    """Fixes whose median distance from the walk is larger than their sigmas allow."""
-    used = _evidence(estimate)
-    sigmas = np.array([fix.residual / fix.sigma for fix in used])
-    independent = len({int(fix.time // VERDICTS.alike) for fix in used})
-    if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
-        other = _other_source(estimate)
-        lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
-        text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
-        check = f"the sigmas and clock of the fixes, and the {other}"
-        yield Contradiction("fixes", other, median, "sigma", text, check)
+    """Sources whose fixes have a larger median distance from the walk than their sigmas allow."""
+    used, other = _evidence(estimate), _other_source(estimate)
+    sources = list(dict.fromkeys(fix.source for fix in used))
+    for source in sources:
+        own = [fix for fix in used if fix.source == source]
+        sigmas = np.array([fix.residual / fix.sigma for fix in own])
+        independent = len({int(fix.time // VERDICTS.alike) for fix in own})
+        if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
+            of = f" of {source}" * (source != "" and len(sources) > 1)
+            away = f"{np.median([fix.residual for fix in own]):.1f} m ({median:.1f} sigma) from the walk"
+            lie = f"the fix{of} lies" if len(own) == 1 else f"half of the fixes{of} lie more than"
+            check = f"the sigmas and clock of the fixes{of}, and the {other}"
+            yield Contradiction("fixes", other, median, "sigma", f"{lie} {away}, against the {other}", check)
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:
@@ -112,16 +116,25 @@ def _headings(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:
-    """A stride scale of no usual walker, by more than its sigma, that not even three fixes confirm."""
+    """Strides of no usual walker of that height at that pace, unless independent positions confirm them.
+
+    Strides that are too short or long for any walker are a doubt whatever confirms them: most sources share an error.
+    """
     calibration = estimate.calibration
-    unusual = None if calibration is None else unusual_stride(calibration)
-    if calibration is None or unusual is None:
+    if calibration is None:
         return
-    stated, value, beyond = unusual
-    if beyond > 1 and not stride_determined(estimate, PATHS.fewest_fixes):
-        sigmas = (value - 1) / float(calibration.prior_sigma[0, 0])
-        text, check = f"{stated}, and too few fixes confirm it", "the fixes, the start, and the floor plan"
-        yield Contradiction("stride", "fixes and plan", sigmas, "sigma", text, check)
+    (low, high), (least, most), stride = REPORTS.stride, VERDICTS.strides, calibration.stride
+    unusual = not low <= stride <= high and not low <= calibration.value[:, 0].mean() <= high
+    confirmed = not unusual or stride_determined(estimate, PATHS.fewest_fixes)
+    if confirmed and least <= stride <= most:
+        return
+    walked = float(np.hypot(*np.diff(estimate.trajectory.position, axis=0).T).sum())
+    steps = max(len(estimate.trajectory) - 2, 1)
+    text = f"{walked:.0f} m in {steps} steps, {walked / steps:.2f} m each: {percent(stride)} of what walkers of that "
+    text += "height take at that pace" + ", and too few independent positions confirm it" * (not confirmed)
+    check = "the height of the walker, their profile, the fixes, the start, and the scale of the floor plan"
+    sigmas = (stride - 1) / float(calibration.prior_sigma[0, 0])
+    yield Contradiction("stride", "fixes and plan", sigmas, "sigma", text, check)
 
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:
@@ -141,36 +154,73 @@ def _convergence(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
-    """True if measured positions determine the stride scale R_s at the end of the walk, not the plan alone.
+    """True if independent positions determine the stride scale R_s at the end of the walk, not the plan alone.
 
-    These are ``fewest`` accepted fixes or more, two of them so far apart that their sigmas alone halve the variance of
-    an unknown walker's R_s; or as many beacons or anchors.
+    These are ``fewest`` or more, see `independent_positions`; and two fixes or beacons so far apart that their sigmas
+    alone halve the variance of an unknown walker's R_s, or as many anchors.
     """
     calibration, half = estimate.calibration, np.sqrt(0.5) * Prior().sigma[0]
     if calibration is None or calibration.sigma[-1, 0] > half:
         return False
-    accepted = [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
-    if len(accepted) >= fewest and _stride_sigma(accepted) <= half:
+    number = independent_positions(estimate)
+    if sum(number.values()) < fewest:
+        return False
+    beacons = [(beacon.x, beacon.y, VERDICTS.near_beacon) for beacon in estimate.beacons if not beacon.misplaced]
+    places = [*((fix.x, fix.y, fix.sigma) for fix in _accepted(estimate)), *beacons]
+    if len(places) > 1 and _stride_sigma(np.array(places)) <= half:
         return True
-    return len(set(_transmitters(estimate))) >= max(fewest, RANGES.fewest)
+    anchors = sum(number.values()) - sum(number.get(kind, 0.0) for kind in ("beacons", *_receivers(estimate)))
+    return anchors >= max(fewest, RANGES.fewest)
+
+
+def independent_positions(estimate: Estimate) -> dict[str, float]:
+    """Effective number of accepted positions with errors of their own: of the user, each receiver, beacons, anchors.
+
+    Fixes of one receiver whose errors are correlated, by the time and the distance between them, count as one.
+    """
+    accepted, track, number = _accepted(estimate), estimate.trajectory, dict[str, float]()
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(track.position, axis=0).T)))
+    for source in dict.fromkeys(fix.source for fix in accepted):
+        time = np.sort([fix.time for fix in accepted if fix.source == source])
+        drifted = time / RECEIVERS.standing + np.interp(time, track.time, walked) / RECEIVERS.along
+        first, after = alike(drifted) if source else (np.zeros(len(time)), np.ones(len(time)))
+        number[source or "fixes"] = float(np.sum(1.0 / (after - first)))
+    for kind in locating_kinds():
+        if names := set(_transmitters(estimate, kind)):
+            number[kind] = float(len(names))
+    return number
 
 
 def teaches_profile(estimate: Estimate) -> bool:
-    """True if the walker's profile may be learnt from this estimate: it is "ok", and determines the stride scale."""
-    return stride_determined(estimate) and verdict(estimate).ok
+    """True if the walker's profile may be learnt from this estimate.
+
+    It is "ok", no error of a source explains it, and three or more independent positions determine the stride scale.
+    """
+    return not estimate.assumed and stride_determined(estimate, PATHS.fewest_fixes) and verdict(estimate).ok
 
 
-def _stride_sigma(fixes: Sequence[FixReport]) -> float:
-    """Sigma of the stride scale by the two of these fixes that determine it best, from their distance alone."""
-    some = [fixes[n] for n in np.unique(np.linspace(0, len(fixes) - 1, FIXES_COMPARED).astype(int)).tolist()]
-    x, y, sigma = np.array([(fix.x, fix.y, fix.sigma) for fix in some]).T
+def _accepted(estimate: Estimate) -> list[FixReport]:
+    return [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
+
+
+def _receivers(estimate: Estimate) -> set[str]:
+    """Names under which fixes are counted."""
+    return {fix.source or "fixes" for fix in _accepted(estimate)}
+
+
+def _stride_sigma(places: Array) -> float:
+    """Sigma of the stride scale by the two positions that determine it best, from their distance alone.
+
+    places: ``(n, 3)`` x, y and sigma [m].
+    """
+    x, y, sigma = places[np.unique(np.linspace(0, len(places) - 1, FIXES_COMPARED).astype(int))].T
     apart = np.hypot(x - x[:, None], y - y[:, None])
     return float(np.min(np.hypot(sigma, sigma[:, None]) / np.maximum(apart, 1e-9)))
 
 
-def _transmitters(estimate: Estimate) -> Iterator[str]:
+def _transmitters(estimate: Estimate, *kinds: str) -> Iterator[str]:
     """Names of the beacons and anchors that measured positions; of measurements without one, that of their kind."""
-    for kind in locating_kinds():
+    for kind in kinds or locating_kinds():
         for report in estimate.reports.get(kind, ()):
             if not getattr(report, "misplaced", False):
                 yield str(getattr(report, "anchor", "") or getattr(report, "label", "") or kind)

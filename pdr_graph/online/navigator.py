@@ -275,6 +275,7 @@ class Navigator:
             converged=True,
             contradictions=contradictions_of(smoother, self.building, rows, reports),
             placed=smoother.graph.finalized.anchored,
+            assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
         )
 
     @property

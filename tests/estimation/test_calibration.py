@@ -123,6 +123,29 @@ def test_a_walk_with_fixes_also_calibrates():
     assert reference.covariance[-1, 0, 0] < unknown.covariance[-1, 0, 0]
 
 
+@pytest.mark.parametrize("wrong", [-0.35, -0.2, 0.2, 0.35])
+def test_a_walk_contradicts_a_profile_of_somebody_else(wrong):
+    """Position errors are those without a profile; with the right profile nothing is said."""
+    steps, fixes = walked_twice(0.0, 0.0)
+    few = fixes[::4]
+    without = smooth(WalkGraph(steps, few)).trajectory
+    for E_length, reasons in ((wrong, 1), (0.0, 0)):
+        profile = Profile(E_length, 0.002, 0.0, np.diag([1e-3, 1e-6, 1e-4]), 0.3, 1.3)
+        estimate = smooth(WalkGraph(profile.corrected(steps), few, prior=prior_of(profile)))
+        assert np.hypot(*(estimate.trajectory.position - without.position).T).max() < 0.6
+        assert sum("profile does not fit" in reason.text for reason in estimate.contradictions) == reasons
+
+
+def test_the_prior_of_another_walker_is_the_usual_prior_before_the_correction():
+    """R_s l = R_s' (1 + E_l) l, and R_d φ + b t = R_d' ((1 + E_c) φ + E_s v t) + b' t, for drawn R_s, R_d, b."""
+    profile = Profile(0.2, 0.004, -0.05, np.eye(3), 0.3, 1.3)
+    another, usual = prior_of(profile).another, Prior()
+    R_s, R_d, b = np.random.default_rng(0).multivariate_normal(usual.mean, usual.covariance, 100_000).T
+    drawn = np.array([R_s / 1.2, R_d / 0.95, b - R_d / 0.95 * 0.004 * 1.3])
+    assert another.mean == pytest.approx(drawn.mean(axis=1), abs=2e-3)
+    assert another.covariance == pytest.approx(np.cov(drawn), rel=0.03, abs=5e-6)
+
+
 def test_profiles_accumulate():
     """A second walk updates the profile that corrected its steps."""
     steps, fixes = walked_twice(0.15, 0.0015)

@@ -167,7 +167,7 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
         ["fixes", f"{len(summary['fixes']):,}"],
     ]
     if summary["steps"]:
-        stated = percent(probability) if np.isfinite(probability) else "unknown"
+        stated = percent(probability) if np.isfinite(probability) else "no other route was tried"
         figures += [["steps", f"{summary['steps']:,}"], ["probability of this route", stated]]
     figures += [["floors" if len(floors) > 1 else "floor", " → ".join(floors)]] if floors else []
     crossed = summary["wall_crossings"]

@@ -17,7 +17,7 @@ from pdr_graph.apps.report.evaluation import circular_error, coverage, evaluate,
 from pdr_graph.errors import Stages
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.results import is_located, is_usual
-from pdr_graph.estimation.verdict import teaches_profile
+from pdr_graph.estimation.verdict import independent_positions, teaches_profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.io import gpx, writers
 from pdr_graph.types import Estimate, Trajectory
@@ -69,7 +69,7 @@ def write(out: Path, result: Result, stage: Stages, report: bool = True) -> tupl
         write_tracks(out, result)
         if result.steps is not None and teaches_profile(estimate):
             walker = replace(walker, profile=posterior_profile(estimate, result.steps, walker.profile))
-            origin = f"what {evidence.walk.source} taught of its walker, for --walker of the next walk"
+            origin = f"learnt from {evidence.walk.source}: {_taught_by(estimate)}; for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
         missing += _write_picture(out / "figure.png", evidence, estimate)
     summary = summarize(result) | live_scores(result) | {"seconds": stage.seconds}
@@ -83,6 +83,13 @@ def write(out: Path, result: Result, stage: Stages, report: bool = True) -> tupl
             missing += (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
+
+
+def _taught_by(estimate: Estimate) -> str:
+    """The number of independent positions, and their kinds."""
+    number = independent_positions(estimate)
+    kinds = ", ".join(f"{kind} {n:.3g}" for kind, n in number.items())
+    return f"{sum(number.values()):.3g} independent positions ({kinds})"
 
 
 def write_tracks(out: Path, result: Result) -> None:
@@ -180,6 +187,8 @@ def summarize(result: Result) -> dict[str, Any]:
             for t, u, h, kind in climbs
         ],
         "calibration": _calibration(estimate, walk.clock_origin),
+        "independent_positions": {kind: round(n, 1) for kind, n in independent_positions(estimate).items()},
+        "teaches_profile": result.steps is not None and teaches_profile(estimate),
         **_reports_by_kind(estimate, origin),
         "scores": scores_of(evidence, estimate),
         "wall_crossings": crossings,

@@ -150,7 +150,7 @@ def _name_of(estimate: Estimate) -> str:
     """The name of the track, by what determined it."""
     if estimate.dead_reckoning is estimate.trajectory:
         return "smoothed positions"
-    if len(estimate.fixes) > 1 and np.isnan(estimate.probability) and sum(f.weight > 0 for f in estimate.fixes) <= 1:
+    if len(estimate.fixes) > 1 and estimate.calibration is None and sum(f.weight > 0 for f in estimate.fixes) <= 1:
         return "dead reckoning from the first fix"
     measured = bool(estimate.routes) or any(estimate.reports.values())
     return "most probable walk" if measured else "walk by its steps alone"

@@ -24,7 +24,8 @@ from pdr_graph.errors import percent
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
 from pdr_graph.estimation.factors.base import AnyArray, Doubted, decisions_of
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.optimizer import Optimum, continued, optimize
+from pdr_graph.estimation.factors.start import WALKER_KIND
+from pdr_graph.estimation.optimizer import Optimum, continued, optimize, solve_robust
 from pdr_graph.priors import DOUBTS, SEARCH
 from pdr_graph.types import Array, Contradiction, Index
 
@@ -70,7 +71,8 @@ class HypothesisBank:
         Kind by kind, hypotheses are added to those of the best walk so far, or made instead of them. Of a walk that is
         solved from two starts, the better one remains.
         """
-        for name in [kind.name for kind in self.first.graph.measurements]:
+        names = [kind.name for kind in self.first.graph.measurements]
+        for name in sorted(names, key=lambda name: name != WALKER_KIND):  # a wrong profile accuses the rest
             best, new = self.members[0], list[Optimum]()
             for base in [best] if best is self.first else [best, self.first]:
                 solved = dict[tuple[Hypothesis, tuple[float, ...]], Optimum]()
@@ -99,10 +101,14 @@ class HypothesisBank:
 
     def solve(self, base: Optimum, proposal: Proposal) -> Optimum:
         """The optimum under one more hypothesis than ``base``."""
-        graph = base.graph.assuming(proposal.measurements)
-        optimum = optimize(graph, continued(graph.start, proposal.start or base.state, proposal.fresh))
-        changes = tuple(kind.name for kind in proposal.measurements)
-        hypothesis = replace(proposal.hypothesis.numbered(self._numbers), changes=changes)
+        changes, hypothesis = tuple(kind.name for kind in proposal.measurements), proposal.hypothesis
+        if proposal.another_walker:
+            optimum = solve_robust(base.graph.by_another_walker(base.state))
+            hypothesis = replace(hypothesis, estimate=tuple(optimum.state.c.mean(axis=0)[:2].tolist()))
+        else:
+            graph = base.graph.assuming(proposal.measurements)
+            optimum = optimize(graph, continued(graph.start, proposal.start or base.state, proposal.fresh))
+        hypothesis = replace(hypothesis.numbered(self._numbers), changes=changes)
         information = optimum.solution.log_determinant - base.solution.log_determinant
         return weighed(replace(optimum, unseen=self.first.unseen), base, hypothesis, information=information)
 
@@ -197,9 +203,15 @@ def probabilities(optima: Sequence[Optimum], path: Index) -> Array:
 
 
 def paths(optima: Sequence[Optimum]) -> Index:
-    """The path of each solution ``(n,)``: index of the first solution within SEARCH.same_path of it on average."""
+    """The path of each solution ``(n,)``: index of the first solution within SEARCH.same_path of it on average.
+
+    Without walls, a walk and the same one by another walker are one path.
+    """
     tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
     near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SEARCH.same_path
+    for n, m in zip(*np.nonzero(~near), strict=True):
+        apart = {claim.kind[0] for claim in set(optima[n].assumed) ^ set(optima[m].assumed)}
+        near[n, m] = apart == {WALKER_KIND} and not optima[n].graph.walled
     return np.argmax(near, axis=1)
 
 

@@ -23,7 +23,7 @@ class Hypothesis:
     kind: the measurement kind, or "plan", and the type of error; instances: labels of beacons, permanent numbers of
     fixes, names of receivers; parameter: how large the error is, and for a fix its time and place.
     price: see above, with the normaliser of wider priors [nats]; changes: names of the measurement kinds that the
-    hypothesis changes.
+    hypothesis changes; estimate: what the walk then says about it, for the user.
     """
 
     kind: tuple[str, str]
@@ -31,6 +31,12 @@ class Hypothesis:
     parameter: tuple[float, ...] = field(default=(), compare=False)
     price: float = field(default=0.0, compare=False)
     changes: tuple[str, ...] = field(default=(), compare=False)
+    estimate: tuple[float, ...] = field(default=(), compare=False)
+
+    @property
+    def label(self) -> str:
+        """The claim for programs."""
+        return ": ".join(self.kind)
 
     @property
     def wording(self) -> Wording:
@@ -61,12 +67,14 @@ class Proposal:
 
     measurements: the kinds that it changes, under the hypothesis; start: where the search starts, by default at the
     walk so far; fresh: symbols of the variables that do not keep their values.
+    another_walker: the walk has the other prior of `Prior.another`, and its measurements are classified anew.
     """
 
     hypothesis: Hypothesis
     measurements: tuple[Measurement, ...]
     start: State | None = None
     fresh: tuple[str, ...] = ()
+    another_walker: bool = False
 
 
 WORDINGS: dict[str, Callable[[Hypothesis], Wording]] = {}

@@ -26,6 +26,7 @@ from pdr_graph.estimation.ambiguity.path_modes import (
     solutions,
     solutions_near,
 )
+from pdr_graph.estimation.factors.start import WALKER_KIND
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
 from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, pose_costs
@@ -65,13 +66,16 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     # Between the walls: on each path for the best walk without walls, then near each other one
     first, *more = solutions(graph, best)
     between = [_assuming(walk, best) for walk in (first, *more)]
+    strangers = [other for other in others if _by_profile(other) != _by_profile(best)]
+    for other in strangers[:1]:  # other strides fit other paths
+        between += [_assuming(walk, other) for walk in solutions(graph, other)]
     for other in others:
         same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
         between.append(_assuming(near_walk(graph, other, first.state if same_path else None), other))
     by_walls = _measurements_by_walls(between[0])
     placing = [kind for kind in graph.measurements if kind.determines_position]
     single = placing == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
-    if single and between[0].surprise > best.surprise + DOUBTS.unlikely:
+    if single:
         between += _displaced(graph, best)
 
     # If the plan does not fit: in each direction if the other sources do not determine it
@@ -82,6 +86,11 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
             wrong = Hypothesis((PLAN_KIND, "wrong"), price=price + float(np.log(len(walks))))
             between.append(_assuming(replace(walk, burden=0.0), other, wrong))
     return pruned(between)
+
+
+def _by_profile(walk: Optimum) -> bool:
+    """True if the walk is not assumed to be that of another walker."""
+    return all(claim.kind[0] != WALKER_KIND for claim in walk.assumed)
 
 
 def _assuming(walk: Optimum, free: Optimum, *hypotheses: Hypothesis) -> Optimum:

@@ -237,7 +237,7 @@ class BeaconRssiFactor(Measurement):
         x, y = place.tolist()
         listed, used, label = self.listed.position[m], self.position[m], self.listed.label
         moved = bool(np.isfinite(listed[0]) and (listed != used).any())
-        reason = "heard where it is listed"
+        reason = "not contradicted"
         if np.isnan(listed[0]):
             reason = "not listed: its place is estimated"
         elif moved:

@@ -77,7 +77,8 @@ class FixFactor(Measurement):
         fresh, sigma = overhang <= FIXES.longest_overhang, np.hypot(fixes.sigma, FIXES.walking_speed * overhang)
         duplicate, still = duplicates(fixes), frozen(fixes, steps)
         used = fresh & ~duplicate & ~still
-        run, consistent = consistent_chains(steps, fixes, sigma, used)
+        longest = replace(steps, length=prior.longest * steps.length)
+        run, consistent = consistent_chains(longest, fixes, sigma, used)
         independent = sigma.copy()  # n fixes of the same error have the information of one
         for indices in by_source(fixes, consistent):
             first, after = alike(drift(steps, fixes.time[indices]))
@@ -85,7 +86,7 @@ class FixFactor(Measurement):
         none = np.zeros(len(fixes), dtype=bool)
         return cls(
             fixes=fixes,
-            steps=steps,
+            steps=longest,
             number=np.arange(len(fixes)) if number is None else number,
             sigma=sigma,
             used=used,
@@ -331,7 +332,8 @@ class FixFactor(Measurement):
             else:
                 reason = fix_reason(float(sigmas[n]), float(weight[n]), bool(self.outlier[n]), origin)
             time, sigma = float(self.fixes.time[n]), float(self.fixes.sigma[n])
-            reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
+            source = self.fixes.source[n] if self.fixes.source else ""
+            reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason, source))
         return tuple(reports)
 
 

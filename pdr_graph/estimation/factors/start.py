@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
-from pdr_graph.priors import WALKER, WALLS
+from pdr_graph.priors import PRICES, WALKER, WALLS
 from pdr_graph.types import Array
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
+WALKER_KIND = "calibration"  # the kind of the prior of the walker, and of the hypothesis about it
+ANOTHER_WALKER = "another walker"
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,8 @@ class Prior:
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
     corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
         "turns" at intersections.
+    another: prior of another walker, if the steps were corrected by a profile, which may be of somebody else.
+    usual: R_s of a usual walker; not 1 for steps that a profile has corrected.
     """
 
     mean: tuple[float, float, float] = field(default_factory=lambda: WALKER.mean)
@@ -42,6 +47,8 @@ class Prior:
     wall_margin: float = field(default_factory=lambda: WALLS.margin)
     wall_sigma: float = field(default_factory=lambda: WALLS.sigma)
     corridors: tuple[Literal["directions", "turns"], ...] = ()
+    another: Prior | None = None
+    usual: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise ValueError for a sigma that is not positive and finite, or an unknown factor of corridors."""
@@ -58,6 +65,11 @@ class Prior:
         correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
         return correlation * np.outer(self.sigma, self.sigma)
 
+    @property
+    def longest(self) -> float:
+        """Largest mean of R_s, of this walker or of another; at least 1."""
+        return max(1.0, *(prior.mean[0] for prior in (self, self.another) if prior is not None))
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationFactor(Measurement):
@@ -69,12 +81,32 @@ class CalibrationFactor(Measurement):
 
     begins: by row, mean ``(3,)`` and covariance ``(3, 3)`` of the segments that start a walk; change: standard
     deviations of the change from one segment to the next.
+    another: prior of another walker, if the steps were corrected by a profile; assumed: True if this is that prior.
     """
 
     begins: Mapping[int, tuple[Array, Array]]
     change: tuple[float, float, float]
+    another: Prior | None = None
+    assumed: bool = False
 
-    name: ClassVar[str] = "calibration"
+    name: ClassVar[str] = WALKER_KIND
+
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """The profile that corrected the steps is of another walker, who has the usual prior before that correction."""
+        if self.another is None:
+            return ()
+        _, [profile, *_], _ = self._priors
+        normaliser = float(np.linalg.slogdet(self.another.covariance)[1] - np.linalg.slogdet(profile)[1]) / 2
+        claim = Hypothesis((self.name, ANOTHER_WALKER), price=PRICES.another_walker + normaliser * len(self.begins))
+        return (Proposal(claim, (self,), another_walker=True),)
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """Whether the walker is another; empty if not."""
+        return {ANOTHER_WALKER: np.array([True])} if self.assumed else {}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """The same: `WalkGraph.decided` makes the graph of another walker."""
+        return self
 
     @cached_property
     def _priors(self) -> tuple[Array, Array, Array]:
@@ -168,11 +200,26 @@ class StartFactor(Measurement):
         return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=exported)]
 
 
+@wording_of(CalibrationFactor.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """The profile is of another walker."""
+    text = "the walker's profile does not fit"
+    if hypothesis.estimate:
+        stride, turn = hypothesis.estimate
+        text += f": strides are {stride:.2f} and turns {turn:.2f} times those by the profile"
+    return Wording("profile", text, "--walker: is the profile of this person, and learnt from good positions?")
+
+
 def calibration_prior(
-    begins: Mapping[int, tuple[Array, Array]], change: tuple[float, float, float]
+    begins: Mapping[int, tuple[Array, Array]], change: tuple[float, float, float], another: Prior | None = None
 ) -> CalibrationFactor:
     """Prior and slow change of the calibration; arguments as of `CalibrationFactor`."""
-    return CalibrationFactor(begins, change)
+    return CalibrationFactor(begins, change, another)
+
+
+def by_another_walker(kinds: Iterable[Measurement]) -> tuple[Measurement, ...]:
+    """The kinds, that of the calibration marked as having the prior of another walker."""
+    return tuple(replace(kind, assumed=True) if isinstance(kind, CalibrationFactor) else kind for kind in kinds)
 
 
 def first_heading_prior(heading: float) -> StartFactor:

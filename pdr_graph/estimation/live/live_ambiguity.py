@@ -353,7 +353,7 @@ class LiveAmbiguity:
             output.particles.forget(window.times[0])
         elif plan is not None:
             begin, belief = window.times[-1], output.keyframe_belief()
-            output.particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
+            output.particles = ParallelParticleFilter(plan, self.graph.prior_in_force, belief, begin, window.floor)
 
     def move_particles(self, busy: bool) -> None:
         """Let the particles do a little; when they reach a keyframe, compare them with the path.
@@ -476,12 +476,17 @@ class LiveAmbiguity:
         if old is not None and new is not None and len(review.decisions) == 1:
             rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
             matters = not np.isin(new["number"][new["wrong"].astype(bool)], rejected).all()
+        before = graph.prior_in_force
         graph.decide(graph.decisions | review.decisions)
+        another_walker = graph.prior_in_force is not before
+        if another_walker:  # what has left the window was estimated with the wrong profile
+            graph.c_prior = np.array(graph.prior_in_force.mean), graph.prior_in_force.covariance
+            graph.restart(graph.leaving_after)
         if window.located_plan is not None or not self.output.sure or not matters:
             graph.solve()
             return
         self.trial.cancel()
-        graph.c_prior = self._first_calibration()
+        graph.c_prior = graph.c_prior if another_walker else self._first_calibration()
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
             window.c[interval.segment] = review.path.calibration(interval.end)

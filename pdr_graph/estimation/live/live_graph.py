@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,13 @@ import numpy as np
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Priors
 from pdr_graph.estimation.factors.registry import corridors_of
-from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
+from pdr_graph.estimation.factors.start import (
+    WALKER_KIND,
+    Prior,
+    calibration_prior,
+    first_heading_prior,
+    first_pose_prior,
+)
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.linear_system import NormalEquations, Solution
@@ -151,6 +157,12 @@ class LiveGraph:
     # Factors
 
     @property
+    def prior_in_force(self) -> Prior:
+        """The prior, or that of another walker if this was decided."""
+        another = self.prior.another if self.decisions.get(WALKER_KIND) else None
+        return another or self.prior
+
+    @property
     def has_position(self) -> bool:
         """True if a measurement in the window determines a position."""
         times = self.log.position_times()
@@ -168,7 +180,7 @@ class LiveGraph:
         if self._measured_at != (measured_at := (self.log.version, window.finished)):
             end = np.inf if window.finished else window.times[-1]
             steps = window.steps.steps
-            self._measurements = self.log.measurements(steps, self.prior, window.times[0], end, self.decisions)
+            self._measurements = self.log.measurements(steps, self.prior_in_force, window.times[0], end, self.decisions)
             self._measured_at = measured_at
         kinds = [steps_between_keyframes(), *(measurement.bind(chain) for measurement in self._measurements)]
 
@@ -384,9 +396,12 @@ class LiveGraph:
         raw = [data for collector in self.collectors for data in collector.complete(steps)]
         data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
         data = [take(d, np.flatnonzero(np.array(d.source) != but)) if but and hasattr(d, "source") else d for d in data]
-        prior = Prior(**{**vars(self.prior), "mean": tuple((self.c_prior[0] if c is None else c).tolist())})
+        prior, mean = self.prior_in_force, self.c_prior[0] if c is None else c
+        same_walker = decided or prior is self.prior  # else the batch decides anew who walks
+        prior = replace(prior, mean=tuple(mean.tolist())) if same_walker else self.prior
         plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels()
         of_kinds = {name: rows for name, rows in self.decisions.items() if decided and "number" not in rows}
+        of_kinds.pop(WALKER_KIND, None)  # it is in the prior
 
         def build() -> WalkGraph:
             return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)

@@ -352,5 +352,5 @@ class LiveOutput:
         if not window.intervals:
             return None
         covariance = self.graph.calibration_covariance()
-        path = window.path
-        return Calibration(path.begin, path.c, covariance, prior_sigma(self.graph.prior, np.array(segments)))
+        path, prior = window.path, self.graph.prior_in_force
+        return Calibration(path.begin, path.c, covariance, prior_sigma(prior, np.array(segments)), prior.usual)
