@@ -206,7 +206,9 @@ def test_offsets_are_written_as_people_do():
 
 
 @pytest.mark.parametrize(
-    ("persons", "period", "names"), [(("Ada",), DAY, FILES | REPORT), ((), {"week": "2024-W20"}, FILES)], ids=str
+    ("persons", "period", "names"),
+    [(("Ada",), DAY, FILES | REPORT), ((), {"week": "2024-W20"}, FILES)],
+    ids=["day", "week"],
 )
 def test_files_are_for_their_owner_alone_and_the_page_needs_nothing_else(month_log, tmp_path, persons, period, names):
     out = tmp_path / "out"
