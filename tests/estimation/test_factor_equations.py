@@ -394,7 +394,8 @@ def test_an_offset_is_a_gauss_markov_process(seed):
             (factor,) = factors_with(graph, state, "gnss_bias.throughout", ("o", receiver))
             usual = np.median(common[own])
             ahead = np.sqrt(np.mean(bias.lead[graph.positions.keyframe[own]] ** 2))
-            assert factor.residual == pytest.approx(state["o"][receiver] / [usual, usual, min(0.3, usual / ahead)])
+            sigma = [usual / 2, usual / 2, min(0.3, usual / ahead)]
+            assert factor.residual == pytest.approx(state["o"][receiver] / sigma)
             continue
         then, at = node_times(bias)[m - 1 : m + 1]
         beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0

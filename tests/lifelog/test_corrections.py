@@ -127,7 +127,7 @@ def test_a_stated_ride_and_a_stated_walk_change_the_rides_of_a_walk_with_steps()
     assert usual == pytest.approx(end - begin, abs=120)
     walked = Correction(1, "me", 0.0, MODE, NOON, NOON + steps.end, {"mode": "walk"})
     assert ridden(walked) == 0.0
-    bus = Correction(1, "me", 0.0, MODE, NOON + 100, NOON + 300, {"mode": "bus"})
+    bus = Correction(1, "me", 0.0, MODE, NOON, NOON + 200, {"mode": "bus"})
     assert ridden(bus) == pytest.approx(usual + 200, abs=60)
 
 
