@@ -25,6 +25,7 @@ from pdr_graph.frames import frame_of
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.geometry import interpolate, length_along, rotation, unit
 from pdr_graph.inertial.barometer import with_stair_lengths
+from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import SURVEY_SIGMA, read_beacons
 from pdr_graph.lab.simulation.body import Body
@@ -50,7 +51,7 @@ DATA = Path(os.environ.get("PDR_GRAPH_DATA", ROOT.parent / "shared" / "data"))
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
-WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the taps of Microsoft's surveyors
+WAYPOINT_NOISE = WAYPOINT_SIGMA
 HELP = {  # which waypoints are given
     "every second waypoint": lambda n: np.unique(np.append(np.arange(0, n, 2), n - 1)),
     "first and last": lambda n: np.array([0, n - 1]),

@@ -24,6 +24,7 @@ SENSOR_TYPES = {
     "TYPE_MAGNETIC_FIELD": "magnetometer",
 }
 WAYPOINT = "TYPE_WAYPOINT"
+WAYPOINT_SIGMA = 0.66 / np.sqrt(2)  # [m] per axis: surveyors tap on a map where they believe to be
 RECORD_TYPES = (*SENSOR_TYPES, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
 
 
@@ -59,7 +60,7 @@ def read(source: Source) -> Recording:
         0.0,
         bluetooth=_sightings(rows.get("TYPE_BEACON"), transmitter=8, rssi=6),
         wifi=_sightings(rows.get("TYPE_WIFI"), transmitter=3, rssi=4, last_seen=6),
-        truth=None if truth is None else surveyed(truth[:, 0], truth[:, 1:]),
+        truth=None if truth is None else surveyed(truth[:, 0], truth[:, 1:], sigma=WAYPOINT_SIGMA),
         notes=notes,
     )
 

@@ -16,7 +16,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import float_of, iso_time
+from pdr_graph.io.validation import float_of, iso_time, isotropic
 from pdr_graph.types import (
     DAY_LENGTH,
     FARTHEST,
@@ -159,7 +159,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
 
     recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
     else times stay as in the file. If `geodetic`, columns ``lat,lon`` are read instead of ``x,y`` where they are there.
-    Covariance columns, as in ``trajectory.csv``, are read if they are all there. Raises InputError naming the line.
+    Covariance columns, as in ``trajectory.csv``, are read if they are all there; else ``sigma`` of the positions per
+    axis [m], an empty cell as 0. Raises InputError naming the line.
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
     source = _one_file(Path(path))
@@ -168,7 +169,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
         return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     columns = [("time", "lat", "lon"), ("time", "x", "y")] if geodetic else [("time", "x", "y")]
-    numbers, words = read_table(Path(path), columns, optional, ("floor",), recording)
+    numbers, words = read_table(Path(path), columns, (*optional, "sigma"), ("floor",), recording)
     if on_earth := "lat" in numbers:
         check_geodetic(path, numbers)
     time = numbers["time"]
@@ -180,6 +181,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
         for axis, name in enumerate(("sigma_x", "sigma_y", "sigma_heading")):
             covariance[:, axis, axis] = numbers[name] ** 2
         covariance[:, 0, 1] = covariance[:, 1, 0] = numbers["cov_xy"]
+    elif "sigma" in numbers:
+        covariance = isotropic(np.nan_to_num(numbers["sigma"]))
     return Trajectory(
         time=time if recording is None else time - recording.clock_origin,
         position=np.stack([numbers[name] for name in (("lon", "lat") if on_earth else ("x", "y"))], axis=1),

@@ -287,9 +287,24 @@ def receiver_fixes(table: Array, notes: list[str], source: str = GNSS, satellite
     return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT, (source,) * len(time))
 
 
-def surveyed(time: Array, position: Array, floor: tuple[str, ...] | None = None, epsg: int | None = None) -> Trajectory:
-    """Ground truth from surveyed positions ``(n, 2)`` at times ``(n,)`` [s]; its headings are NaN."""
-    return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), epsg=epsg)
+def surveyed(
+    time: Array,
+    position: Array,
+    floor: tuple[str, ...] | None = None,
+    epsg: int | None = None,
+    sigma: float | None = None,
+) -> Trajectory:
+    """Ground truth from surveyed positions ``(n, 2)`` at times ``(n,)`` [s]; its headings are NaN.
+
+    sigma: of the positions per axis [m], None if unknown.
+    """
+    covariance = None if sigma is None else isotropic(np.full(len(time), sigma))
+    return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), covariance, epsg)
+
+
+def isotropic(sigma: Array) -> Array:
+    """Covariances ``(n, 3, 3)`` of (x, y, heading) from the sigmas ``(n,)`` [m] of positions per axis."""
+    return sigma[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0])
 
 
 def float_of(value: Any) -> float:

@@ -73,6 +73,9 @@ def test_the_summary_headlines_the_live_track(folder, result):
     outside = Trajectory(truth.time, *moved(causal, 3.0))
     assert coverage(track, truth) == 1.0
     assert coverage(track, outside) == 0.0, "a control: 3 m at a sigma of 1 m"
+    lines = [f"{t},{x},{y},1.0" for t, (x, y) in zip(outside.time, outside.position, strict=True)]
+    (folder / "noisy.csv").write_text("\n".join(["time,x,y,sigma", *lines]))
+    assert coverage(track, read_trajectory(folder / "noisy.csv")) == 1.0, "the truth's sigma widens the region"
     lines = list(live_lines(live))
     assert lines[0].startswith("live, known at once: error 50 / 75 / 95 %: 2.0 / 2.0 / 2.0 m, 100 % in the 90 % region")
     assert lines[1].startswith("in hindsight, smoothed: error ")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import cycle
 from typing import Any
@@ -237,7 +237,7 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
     few = len(report.truth) <= FEW  # surveyed points
     style = {"mode": "markers", "symbol": "x-thin"} if few else {"width": 1.0}
     on = maps_of(report.truth.floor, labels)
-    truth = track("surveyed" if few else "truth", TRUTH, report.truth, on, **style)
+    truth = track("surveyed" if few else "truth", TRUTH, replace(report.truth, covariance=None), on, **style)
     return [*sources, *drawn, truth] if few else [truth, *sources, *drawn]
 
 

@@ -207,12 +207,18 @@ def _statistics(errors: Array) -> dict[str, float] | None:
 
 
 def coverage(estimate: Trajectory, truth: Trajectory) -> float | None:
-    """Share 0-1 of the truth's samples inside the stated 90 % region; None without samples or covariance."""
+    """Share 0-1 of the truth's samples inside the stated 90 % region; None without samples or covariance.
+
+    The region is widened by the covariance of the truth, if it has one.
+    """
     pairs = pair(estimate, truth)
     pairs = pairs.where(pairs.same_floor)
     if estimate.covariance is None or not len(pairs.time):
         return None
-    return float(np.mean(in_region(pairs, stated_covariance(estimate, pairs.time))))
+    covariance = stated_covariance(estimate, pairs.time)
+    if truth.covariance is not None:
+        covariance = covariance + np.nan_to_num(stated_covariance(truth, pairs.time))
+    return float(np.mean(in_region(pairs, covariance)))
 
 
 def stated_covariance(estimate: Trajectory, time: Array) -> Array:
