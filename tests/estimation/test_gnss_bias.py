@@ -258,3 +258,25 @@ def test_errors_larger_than_stated_are_assumed_where_the_fixes_lie_so():
     off = estimate.trajectory.position - dead_reckon(steps).position
     square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(estimate.trajectory.covariance[:, :2, :2]), off)
     assert np.mean(square < 4.61) > 0.85  # the 90 % region
+
+
+@pytest.mark.parametrize(("throughout", "larger"), [(2.0, 1.0), (RECEIVERS.throughout, 3.0), (2.0, 3.0)])
+def test_a_decision_about_receivers_holds_for_later_fixes(throughout, larger):
+    """A smoother that goes on from an earlier decision models the same errors."""
+    steps = meander()
+    time = np.arange(1.0, steps.end, 1.0)
+    graph = WalkGraph(
+        steps, named(fixes_at(time, interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position), 3.0))
+    )
+    as_stated = GnssBias.of(graph.positions, graph.steps)
+    decided = replace(as_stated._times(larger), throughout=throughout)
+    later = as_stated.continued(decided.decisions())
+    assert later.throughout == throughout
+    assert later.larger == larger
+    assert later.sigma == pytest.approx(larger * as_stated.sigma)
+
+
+def test_receivers_as_they_state_need_no_decision():
+    steps = meander()
+    graph = WalkGraph(steps, named(fixes_at([1.0, 9.0], [[0.0, 0.0], [3.0, 0.0]], 3.0)))
+    assert GnssBias.of(graph.positions, graph.steps).decisions() == {}

@@ -58,7 +58,7 @@ class Pieces:
         return total - before[..., self.interval]
 
     def between(self, begin: int, end: int | None = None) -> Pieces:
-        """The intervals from number ``begin`` to before ``end``, by default to the last, with their rows."""
+        """The intervals from number ``begin`` to before ``end``, by default to the last; without the rows' ends."""
         end = len(self.first) if end is None else end
         first, after = np.append(self.first, len(self.length))[[begin, end]]
         here = slice(first, after)
@@ -71,7 +71,7 @@ class Pieces:
             first=self.first[begin:end] - first,
             last=self.last[begin:end] - first,
             keyframe_time=self.keyframe_time[begin : end + 1],
-            row_end=self.row_end[(self.row_end >= first) & (self.row_end < after)] - first,
+            row_end=np.empty(0, dtype=np.intp),
         )
 
     @classmethod
