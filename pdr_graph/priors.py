@@ -598,6 +598,7 @@ class RangePriors(Table):
     nlos: float = number(0.2, "share", "of ranges without line of sight")
     detour: float = number(3.0, "m", "mean length of a detour")
     bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
+    lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's")
     near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
     bin: float = number(5.0, "s", "of ranges that make a rough position")
     fewest: int = number(3, "anchors", "or beacons that determine a position")

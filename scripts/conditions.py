@@ -17,12 +17,14 @@ from shapely.affinity import scale, translate
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, read_fixes
 from pdr_graph.apps.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
+from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.floor.network import Network
 from pdr_graph.frames import frame_of
 from pdr_graph.gait.steps import gait_signals
+from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import interpolate, length_along, rotation, unit
 from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
@@ -242,6 +244,11 @@ ANCHORS, RANGE, NLOS, LATE = 4, 0.3, 0.2, 2.0  # anchors; [m] sigma; share witho
 FAR = 12.0  # [m] at least between two beacons that are swapped, or from a beacon to where it was moved
 BUILDING = 30.0  # [m] by which a list of another building is off
 OFF, JUMP, DELAY, FROZEN = 10.0, 20.0, 5.0, 60.0  # [m], [m], [s], [s] of a receiver
+FOLLOWED = 0.5  # share of the way that a receiver follows indoors, as three of IPIN 2023's logs have it
+CLOCK = 2.0  # [s] by which the clock of another device is late
+WEAKER, FLATTER = -10.0, 0.8  # [dB] and factor of the levels about their mean, of another phone
+ANOTHERS = (0.85, 1.15)  # strides by the profile of another walker
+LEARNT, SPEED = (0.02, 0.002, 0.02), 1.3  # sigmas [-, rad/m, -] of a profile's coefficients, [m/s] of its walk
 JUMPS, JUMP_TIME, TREMBLE, CONFIDENT = 3, 15.0, 0.2, 3.0  # jumps of so many s; [m] of a frozen place; factor
 REBUILT, MOVED_MAP = 0.4, 12.0  # share of the floor; [m] by which its fingerprints are elsewhere
 COMPASS, MISPLACED, STRIDE, SHIFT = np.radians(40.0), 8.0, 1.4, 5.0  # [rad], [m], factor, [m]
@@ -442,12 +449,13 @@ class Given:
     levels: Levels | None = None
     ranges: Ranges | None = None
     floor: FloorPlan | None = None
+    profile: Profile | None = None  # that has corrected the steps
 
     def graph(self):
         """The factor graph."""
         tables = [] if self.ranges is None else [self.ranges]
         given = {"headings": self.headings, "levels": self.levels, "floor": self.floor, "measurements": tables}
-        return WalkGraph(self.steps, self.fixes, **given)
+        return WalkGraph(self.steps, self.fixes, prior=prior_of(self.profile), **given)
 
 
 def events(given):
@@ -508,11 +516,25 @@ def frozen(fixes, random):
     return replace(fixes, position=position)
 
 
+def shrunk(fixes):
+    """A receiver that follows half of the way."""
+    middle = fixes.position.mean(axis=0)
+    return replace(fixes, position=middle + FOLLOWED * (fixes.position - middle))
+
+
+def alternating(fixes):
+    """Every second fix is of another walker, who goes the same way backwards."""
+    position = np.where(np.arange(len(fixes))[:, None] % 2, fixes.position[::-1], fixes.position)
+    return replace(fixes, position=position)
+
+
 RECEIVER_LIES = {
     "10 m off": lambda fixes, random: replace(fixes, position=fixes.position + OFF * any_direction(random)),
     "jumping": jumping,
     "5 s late": lambda fixes, random: fixes.shifted(DELAY),
     "frozen for a minute": frozen,
+    "half as far": lambda fixes, random: shrunk(fixes),
+    "of two people": lambda fixes, random: alternating(fixes),
     "3 times as sure": lambda fixes, random: replace(fixes, sigma=fixes.sigma / CONFIDENT),
 }
 
@@ -542,6 +564,8 @@ def beacons(given, walk, lie, random):
         kept = np.delete(kept, one)
     elif lie == "of another building":
         listed = listed + BUILDING * any_direction(random)
+    if lie == "another phone":
+        heard = replace(heard, rssi=FLATTER * (heard.rssi - heard.rssi.mean()) + heard.rssi.mean() + WEAKER)
     names = tuple(f"b{n}" for n in kept)
     listing = Beacons(names, listed[kept], np.full(len(kept), SURVEY_SIGMA), ("",) * len(kept), names)
     return replace(given, levels=levels_along(heard, listing, walk.steps))
@@ -564,8 +588,12 @@ def at_times(walk, time, sigma, random, source=""):
 
 
 def user_fixes(given, walk, lie, random):
-    """Positions that the user knows."""
-    return with_fixes(given, at_times(walk, np.arange(5.0, walk.truth.time[-1] - 5, PERIOD), USER, random))
+    """Positions that the user knows; of another device or two people under a lie."""
+    fixes = at_times(walk, np.arange(5.0, walk.truth.time[-1] - 5, PERIOD), USER, random)
+    return with_fixes(given, USER_LIES[lie](fixes) if lie else fixes)
+
+
+USER_LIES = {"clock 2 s off": lambda fixes: fixes.shifted(CLOCK), "of two people": alternating}
 
 
 def start(given, walk, lie, random):
@@ -595,16 +623,17 @@ def radio_map(given, walk, lie, random):
 
 
 def ranges(given, walk, lie, random):
-    """Ranges to anchors about the walk, one a second; some without line of sight."""
+    """Ranges to anchors about the walk, one a second; some without line of sight; by a late clock under a lie."""
     low, high = walk.truth.position.min(axis=0) - BESIDE, walk.truth.position.max(axis=0) + BESIDE
     anchors = spread(low, high, ANCHORS, random)
     time = np.arange(1.0, walk.truth.time[-1] - 1)
+    late = CLOCK if lie else 0.0
     true = interpolate(time, walk.truth.time, walk.truth.position)
     which = random.integers(0, ANCHORS, len(time))
     distance = np.hypot(*(anchors[which] - true).T) + random.normal(0, RANGE, len(time))
     distance += (random.random(len(time)) < NLOS) * random.exponential(LATE, len(time))
     sigma, names = np.full(len(time), RANGE), tuple(f"a{n}" for n in range(ANCHORS))
-    table = Ranges(time, which, np.maximum(distance, 0), sigma, names, anchors, np.full(ANCHORS, 0.1))
+    table = Ranges(time + late, which, np.maximum(distance, 0), sigma, names, anchors, np.full(ANCHORS, 0.1))
     return replace(given, ranges=table)
 
 
@@ -621,6 +650,13 @@ def stride(given, walk, lie, random):
     factor = random.choice([STRIDE, 1 / STRIDE])
     steps = walk.steps
     return replace(given, steps=replace(steps, length=factor * steps.length, sigma_length=factor * steps.sigma_length))
+
+
+def profile(given, walk, lie, random):
+    """A profile, learnt on a walk with good positions: the walker's, or somebody else's."""
+    true = np.hypot(*np.diff(walk.truth.position, axis=0).T).sum() / walk.steps.length.sum()
+    learnt = Profile(true * (random.choice(ANOTHERS) if lie else 1.0) - 1, 0.0, 0.0, np.diag(LEARNT) ** 2, 0.0, SPEED)
+    return replace(given, steps=learnt.corrected(walk.steps), profile=learnt)
 
 
 def plan(given, walk, lie, random):
@@ -663,5 +699,5 @@ def with_shapes(plan, change):
 
 
 PLAN_LIES = {"5 m shifted": shifted_plan, "a door missing": without_door, "of another floor": another_floor}
-SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, compass, stride, plan)
+SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, compass, stride, profile, plan)
 SOURCES = {"GNSS": gnss} | {source.__name__.replace("_", " "): source for source in SOURCES}

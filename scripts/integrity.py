@@ -54,8 +54,9 @@ def rows_of(given, lies, without=None):
     return [Row((*given[:-1], f"{given[-1]}: {lie}" if lie else given[-1]), without) for lie in ("", *lies)]
 
 
-LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building")
-RECEIVER = ("10 m off", "jumping", "5 s late", "frozen for a minute", "3 times as sure")
+LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building", "another phone")
+RECEIVER = ("10 m off", "jumping", "5 s late", "frozen for a minute", "3 times as sure", "half as far", "of two people")
+USER = ("clock 2 s off", "of two people")
 PLAN = ("5 m shifted", "a door missing", "of another floor")
 NO_COMPASS = "compass: none"
 FAMILIES = {  # the setting and the rows of walks that are compared with each other; each family has its own walks
@@ -77,6 +78,9 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             Row(("user fixes",), (NO_COMPASS, "user fixes")),
             Row(("compass: 40° off", "user fixes"), (NO_COMPASS, "user fixes")),
             Row(("stride: 40 % off", "user fixes")),
+            Row(("profile", "user fixes"), ("user fixes",)),
+            Row(("profile: of somebody else", "user fixes"), ("user fixes",)),
+            *rows_of(("user fixes",), USER, None)[1:],
             *rows_of(("user fixes", "start"), ("8 m off",), ("user fixes",)),
         ],
     ),
@@ -84,13 +88,17 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
         INDOORS,
         [
             Row(("start",)),
+            Row(("profile: of somebody else", "start"), ("start",)),
             Row(("compass: 40° off", "start")),
             Row(("start", "end"), ("start",)),
             Row((NO_COMPASS, "start", "end")),
             Row(("compass: 40° off", "start", "end"), (NO_COMPASS, "start", "end")),
         ],
     ),
-    "ranges": (INDOORS, rows_of(("ranges", "start"), ("8 m off",), ("ranges",))),
+    "ranges": (
+        INDOORS,
+        [*rows_of(("ranges", "start"), ("8 m off",), ("ranges",)), Row(("start", "ranges: clock 2 s off"), ("start",))],
+    ),
     "radio map": (
         INDOORS,
         [*rows_of(("start", "radio map"), ("a part rebuilt",), ("start",)), Row(("radio map", "plan"), ("radio map",))],
@@ -125,6 +133,9 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
         for name, row in rows
     ]
     publish("results/integrity.md", "integrity", regions(["", "given", *HEADER], lines))
+    honest = [(name, row) for name, row in rows if LIE not in row.name or row.name.startswith(NO_COMPASS)]
+    sharp = [[FAMILIES[name][0], row.name, *sharpness(found[name, row.given])] for name, row in honest]
+    publish("results/integrity.md", "integrity sharpness", table(["", "given", *SHARPNESS], sharp))
     groups = {"nothing lies": [], "a source lies": []}
     for name, row in rows:
         if any(source.startswith("plan") for source in row.given):
@@ -188,16 +199,26 @@ RATIO, RADIUS_95 = _radii()
 class Score:
     """How an estimate is off along a walk.
 
-    error [m], inside (the 90 % region), size of that region as the radius of a circle of its area [m], radius that
-    holds 95 % [m]: ``(n,)``; probability: stated of the route; verdict: the state of the verdict.
+    error [m], the same in stated sigmas, squared, size of the 90 % region as the radius of a circle of its area [m],
+    radius that holds 95 % [m]: ``(n,)``; probability: stated of the route; verdict: the state of the verdict.
     """
 
     error: np.ndarray
-    inside: np.ndarray
+    distance: np.ndarray
     size: np.ndarray
     radius: np.ndarray
     probability: float
     verdict: str
+
+    @property
+    def inside(self):
+        """Whether each place is in the 90 % region."""
+        return self.distance < REGION_90
+
+    @property
+    def surprise(self):
+        """The logarithmic score [nats]: minus the log of the stated density [1/m²] at the true places."""
+        return self.distance / 2 + np.log(2 * np.pi * self.size**2 / REGION_90)
 
     @property
     def broken(self):
@@ -220,7 +241,7 @@ def score(estimate, truth, noise=0.0):
     small, large = np.sqrt(np.maximum(variance, 1e-12)).T
     return Score(
         error=np.hypot(*gap.T),
-        inside=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < REGION_90,
+        distance=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap),
         size=np.sqrt(REGION_90 * small * large),
         radius=large * np.interp(small / large, RATIO, RADIUS_95),
         probability=estimate.probability,
@@ -243,6 +264,23 @@ def places(scores):
     error, size = (np.concatenate([getattr(s, name) for s in scores]) for name in ("error", "size"))
     errors = " / ".join(f"{p:.1f}" for p in np.percentile(error, [50, 75, 95]))
     return errors, covered([s.inside for s in scores]), f"{np.median(size):.1f}"
+
+
+LEVELS = ((0.5, 0.45, 0.6), (0.9, 0.87, 0.96), (0.99, 0.97, 1.0))  # and the shares that such a region should hold
+SHARPEST = 2.0  # target of the radius of the 90 % region as a multiple of the error that 90 % do not exceed
+SHARPNESS = ["50 % region", "90 %", "99 %", "error, 90 % [m]", "its radius [m]", "radius / error", "log score [nats]"]
+
+
+def sharpness(scores):
+    """Cells of honest walks: what regions hold, how large they are against the errors, and the logarithmic score."""
+    error, distance, size, surprise = (
+        np.concatenate([getattr(s, name) for s in scores]) for name in ("error", "distance", "size", "surprise")
+    )
+    held = [(np.mean(distance < -2 * np.log1p(-level)), low, high) for level, low, high in LEVELS]
+    shares = [marked(f"{100 * part:.0f} %", not low <= round(part, 2) <= high) for part, low, high in held]
+    reached, radius = np.percentile(error, 90), np.median(size)
+    ratio = marked(f"{radius / reached:.1f}", radius > SHARPEST * reached)
+    return [*shares, f"{reached:.1f}", f"{radius:.1f}", ratio, f"{np.mean(surprise):.2f}"]
 
 
 def covered(walks, draws=2000):

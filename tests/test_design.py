@@ -73,7 +73,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (13, 2436),
     "estimation": (17, 2781),
     "estimation/ambiguity": (6, 388),
-    "estimation/factors": (15, 2239),
+    "estimation/factors": (15, 2285),
     "estimation/live": (10, 1638),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),

@@ -31,7 +31,7 @@ from pdr_graph.estimation.particle_filter import (
     stepped,
 )
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import interpolate, rotation
 from pdr_graph.priors import PARTICLES, RANGES, REGIONS
 from pdr_graph.types import Fixes, Ranges
 
@@ -312,7 +312,7 @@ def total(costs, state):
 
 
 def test_ranges_weigh_each_pose_by_its_residual():
-    """By Huber's loss of the first pass; the survey and the bias widen the sigma, to a metre at least."""
+    """By Huber's loss of the first pass; survey, bias and lag widen the sigma, to a metre at least."""
     steps, _, truth = drawn_from_the_model(40, 1)
     ranges = ranged(truth, 1)[0]
     wide = replace(ranges, sigma=np.full(len(ranges), 1.5))
@@ -324,9 +324,14 @@ def test_ranges_weigh_each_pose_by_its_residual():
         expected = np.zeros(50)
         for n in np.flatnonzero(kind.keyframe == keyframe):
             anchor = table.position[table.anchor[n]]
-            distance = np.sqrt(np.sum((state[:2].T - anchor) ** 2, axis=1) + RANGES.near**2)
-            variance = table.sigma[n] ** 2 + 0.1**2 + RANGES.bias**2
-            s = (distance - table.range[n]) / np.sqrt(max(variance, PARTICLES.least_sigma**2))
+            gap = state[:2].T - anchor
+            distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
+            _, [ahead] = kind._behind(np.array([n]), np.zeros(1))
+            approach = np.sum(
+                gap / distance[:, None] * np.array([rotation(angle) @ ahead for angle in state[2]]), axis=1
+            )
+            variance = table.sigma[n] ** 2 + 0.1**2 + RANGES.bias**2 + (RANGES.lag * approach) ** 2
+            s = (distance - table.range[n]) / np.sqrt(np.maximum(variance, PARTICLES.least_sigma**2))
             huber = np.where(np.abs(s) > 2.45, 2.45 * (np.abs(s) - 2.45 / 2), s**2 / 2)
             expected += np.minimum(huber, PARTICLES.outlier_price)
         assert total(pose_costs([kind], keyframe), state) == pytest.approx(expected, rel=0.02, abs=0.02)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from walks import drawn_from_the_model, pushed
+from walks import dead_reckon, drawn_from_the_model, pushed, steps_of
 
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.ambiguity.path_modes import solutions
@@ -55,6 +55,18 @@ def test_a_walk_by_ranges_alone_is_right_and_honest():
     assert 0.85 < np.mean(inside) < 0.97
 
 
+@pytest.mark.parametrize("late", [-2.0, 2.0])
+def test_a_clock_that_is_off_does_not_shift_the_walk(late):
+    """Ranges of another device, whose clock is 2 s early or late, on a walk with many turns."""
+    turn = np.where(np.arange(200) % 15 == 14, np.random.default_rng(0).choice([-1, 1], 200) * np.pi / 2, 0.0)
+    steps = steps_of(np.full(200, 0.7), turn)
+    truth = dead_reckon(steps)
+    ranges = ranged(truth, 0)[0]
+    track = smooth(WalkGraph(steps, measurements=[replace(ranges, time=ranges.time + late)])).trajectory
+    assert np.median(off(track, truth)) < 0.4
+    assert coverage(track, truth) > 0.85
+
+
 def test_a_symmetric_loss_is_worse(monkeypatch):
     """Control: with Huber's loss the detours pull the walk away."""
     steps, _, truth = drawn_from_the_model(120, 1)
@@ -101,9 +113,9 @@ def test_long_errors_cost_little_and_short_ones_huber_loss():
 
 def test_ranges_work_live():
     """The same object in the live smoother: near the batch at each end of a lag of 20 s, and equal with none."""
-    steps, _, truth = drawn_from_the_model(120, 4)
+    steps, _, truth = drawn_from_the_model(120, 5)  # with turns that determine the lag of the clock
     steps = replace(steps, end=float(steps.time[-1]))
-    ranges, _ = ranged(truth, 4)
+    ranges, _ = ranged(truth, 5)
     batch = smooth(WalkGraph(steps, measurements=[ranges])).trajectory
     for lag, near in ((20.0, 0.3), (np.inf, 0.05)):
         live = pushed(LiveSmoother(lag=lag), steps, ranges)

@@ -166,7 +166,9 @@ class State:
         return self.replaced(x=rotated(self.poses, angle, pivot))
 
     def retracted(self, moves: Mapping[str, Array], longest: float = np.inf) -> State:
-        """Move every variable by GTSAM's local coordinates; poses by Pose2's full exponential map.
+        """Move every variable by GTSAM's local coordinates; poses by Pose2's exponential map, strides in log scale.
+
+        A stride scale thus stays above 0: R_s ← R_s exp(δ / R_s), to first order R_s + δ; by a factor e at most.
 
         moves: ``(n, 3)`` of the variables of each symbol; longest: no pose may go further [m]; the whole move is
         shortened instead.
@@ -175,6 +177,8 @@ class State:
         scale = min(1.0, longest / max(furthest, 1e-9))
         arrays = {symbol: rows + scale * moves[symbol] for symbol, rows in self.arrays.items()}
         arrays[POSE] = retracted(self.poses, scale * moves[POSE])
+        stride = self.c[:, 0]
+        arrays[CALIBRATION][:, 0] = stride * np.exp(np.clip(scale * moves[CALIBRATION][:, 0] / stride, -1, 1))
         return replace(self, arrays=arrays)
 
     def to_values(self) -> gtsam.Values:

@@ -10,6 +10,7 @@ with ν = RANGES.nlos and D = RANGES.detour. Its negative logarithm is the loss:
 almost no weight, one too short has Huber's. Their detours are exponential; ours are so far off, and level at 0, so that
 the expected range is the most probable.
 Position and bias of each anchor are variables (x, y, b) with the survey as prior, so that a walk can correct them.
+So is the lag of all ranges, whose clock may be another device's.
 """
 
 from __future__ import annotations
@@ -31,10 +32,11 @@ from pdr_graph.estimation.factors.base import (
     huber_cost,
     huber_weight,
 )
+from pdr_graph.estimation.factors.gnss_bias import QUARTER
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import rotation
+from pdr_graph.geometry import as_points, rotation
 from pdr_graph.priors import RANGES, REPORTS
-from pdr_graph.types import Array, Fixes, Index, RangeReport, Ranges, Steps, take
+from pdr_graph.types import INSTANT, Array, Complex, Fixes, Index, RangeReport, Ranges, Steps, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -74,19 +76,24 @@ class LongErrors(Loss):
 
 @dataclass(frozen=True, eq=False)
 class RangeFactor(Measurement):
-    """Ranges to anchors: r = (|a − p| + b − z) / σ.
+    """Ranges to anchors: r = (|a − (p + R(θ) w(τ))| + b − z) / σ, with where the walker was τ before, w.
 
-    ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` permanent numbers; keyframe: ``(n,)``; detours: use the
-    mixture above; False for a first optimum with Huber's loss.
+    ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` permanent numbers; keyframe: ``(n,)``
+    track, time: ``(k,)`` of dead-reckoned keyframes; ahead: ``(n,)`` the walker's direction there at each range
+    detours: use the mixture above; False for a first optimum with Huber's loss.
     """
 
     ranges: Ranges
     number: Index
     keyframe: Index
+    track: Complex
+    time: Array
+    ahead: Complex
     detours: bool = False
 
     name: ClassVar[str] = "ranges"
     symbol: ClassVar[str] = "r"
+    symbol_lag: ClassVar[str] = "l"
     determines_position: ClassVar[bool] = True
 
     @classmethod
@@ -94,43 +101,68 @@ class RangeFactor(Measurement):
         """The ranges measured during the recording."""
         number = np.arange(len(ranges)) if number is None else number
         inside = np.flatnonzero((ranges.time >= steps.start) & (ranges.time <= steps.end))
-        return cls(take(ranges, inside), number[inside], np.full(len(inside), -1))
+        none = np.empty(0, dtype=np.complex128)
+        return cls(take(ranges, inside), number[inside], np.full(len(inside), -1), none, np.empty(0), none)
 
     def keyframe_times(self) -> Array:
         """The times of the ranges."""
         return self.ranges.time
 
     def bind(self, chain: Chain) -> Self:
-        """Bind every range to its keyframe."""
-        return replace(self, keyframe=chain.keyframe(self.ranges.time))
+        """Bind every range to its keyframe, and keep what was walked before and after."""
+        keyframe, (track, heading) = chain.keyframe(self.ranges.time), chain.track
+        return replace(self, keyframe=keyframe, track=track, time=chain.time, ahead=np.exp(1j * heading[keyframe]))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """Position and bias (x, y, b) [m] of each anchor with ranges."""
-        return (Variables(self.symbol, self._met, self._surveyed, np.full(len(self._met), np.inf)),)
+        """Position and bias (x, y, b) [m] of each anchor with ranges; the lag τ [s] of their clock."""
+        lag = np.zeros((min(len(self._met), 1), 3))
+        return (
+            Variables(self.symbol, self._met, self._surveyed, np.full(len(self._met), np.inf)),
+            Variables(self.symbol_lag, np.arange(len(lag)), lag, np.full(len(lag), np.inf)),
+        )
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Factors of the ranges, and priors of the anchors from the survey."""
+        """Factors of the ranges, and priors of the anchors from the survey and of the lag."""
         which = np.flatnonzero(self.keyframe >= 0)
         keyframe, m = self.keyframe[which], np.searchsorted(self._met, self.ranges.anchor[which])
         pose, anchor, sigma = at.state.poses[keyframe], at.state[self.symbol][m], self.ranges.sigma[which]
-        gap = anchor[:, :2] - pose[:, :2]
+        clock = np.zeros(len(which), dtype=np.intp)
+        behind, velocity = self._behind(which, at.state[self.symbol_lag][clock, 0])
+        R = rotation(pose[:, 2])
+        behind, velocity = np.einsum("nij,nj->ni", R, behind), np.einsum("nij,nj->ni", R, velocity)
+        gap = anchor[:, :2] - pose[:, :2] - behind
         distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
         value = (distance + anchor[:, 2] - self.ranges.range[which]) / sigma
 
         def jacobian() -> list[Array]:
             towards = gap / distance[:, None]
-            in_body = np.einsum("nji,nj->ni", rotation(pose[:, 2]), towards)
-            by_pose = np.column_stack([-in_body, np.zeros(len(pose))]) / sigma[:, None]
+            in_body = np.einsum("nji,nj->ni", R, towards)
+            turned = -np.sum(towards * (behind @ QUARTER.T), axis=1)
+            by_pose = np.column_stack([-in_body, turned]) / sigma[:, None]
             by_anchor = np.column_stack([towards, np.ones(len(pose))]) / sigma[:, None]
-            return [by_pose[:, None], by_anchor[:, None]]
+            by_lag = np.column_stack([np.sum(towards * velocity, axis=1), *np.zeros((2, len(pose)))]) / sigma[:, None]
+            return [by_pose[:, None], by_anchor[:, None], by_lag[:, None]]
 
         loss = LongErrors(RANGES.detour / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
-        variables = [("x", keyframe), (self.symbol, m)]
+        variables = [("x", keyframe), (self.symbol, m), (self.symbol_lag, clock)]
         ranges = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
         place, off = self.ranges.position_sigma[self._met], at.state[self.symbol] - self._surveyed
         widths = np.stack([place, place, np.full(len(place), RANGES.bias)], axis=1)
         anchors = self.symbol, np.arange(len(place))
-        return [ranges, FactorBlock.prior_of(f"{self.name}.anchor", anchors, off, widths, self._met)]
+        lag = at.state[self.symbol_lag]
+        clocks, usual = (self.symbol_lag, np.arange(len(lag))), np.full_like(lag, RANGES.lag)
+        surveyed = FactorBlock.prior_of(f"{self.name}.anchor", anchors, off, widths, self._met)
+        return [ranges, surveyed, FactorBlock.prior_of(f"{self.name}.lag", clocks, lag, usual, clocks[1])]
+
+    def _behind(self, which: Index, late: Array) -> tuple[Array, Array]:
+        """Where the walker was ``late (n,)`` [s] before, and the velocity [m/s] there: forward and to the left."""
+        place, time, back = self.track, self.time, self.ahead[which].conj()
+        now, then = self.ranges.time[which], self.ranges.time[which] - late
+        after = np.searchsorted(time, then)
+        inside, after = (after > 0) & (after < len(time)), np.clip(after, 1, len(time) - 1)
+        velocity = inside * (place[after] - place[after - 1]) / np.maximum(time[after] - time[after - 1], INSTANT)
+        moved = np.interp(then, time, place) - np.interp(now, time, place)
+        return as_points(moved * back), as_points(velocity * back)
 
     @cached_property
     def _met(self) -> Index:
