@@ -1,6 +1,7 @@
 """The command line on other people's files: every recorder's export to a report, and what was missing in it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ from commands import run
 from mutations import gpx
 from plans import ARCADE
 
-from pdr_graph import read_trajectory
+from pdr_graph import kalman_filter, kalman_smoother, read_trajectory, smooth
 from pdr_graph.io.loading import READERS
+from pdr_graph.walk import Options, estimate, observe, read
 
 PHONES = ("sensor_logger", "phyphox", "get_sensor_data", "gnss_logger")  # whose exports have the walk's sensors
 
@@ -161,3 +163,61 @@ def test_map_show_draws_a_plan(tmp_path):
     assert code == 0
     assert "m² walkable" in printed
     assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+# The frame of a walk by latitude, and the options of an estimate
+
+ANCHORS = np.array([[20.0, -5.0], [3.0, 9.0]])  # [m] east and north of the walk's start
+
+
+@pytest.fixture(scope="module")
+def geodetic(tmp_path_factory, felt):
+    """A recording with fixes; as many of a file, seven metres south of them; anchors and ranges by latitude."""
+    folder = tmp_path_factory.mktemp("geodetic")
+    south = recorders.FRAME.to_lonlat(recorders.FRAME.from_lonlat(felt.lonlat) - [0.0, 7.0])
+    times = recorders.UNIX + felt.fix_time - 0.5
+    lines = [f"{time:.3f},{lat:.8f},{lon:.8f},3" for time, (lon, lat) in zip(times, south, strict=True)]
+    (folder / "fixes.csv").write_text("\n".join(["time,lat,lon,sigma", *lines]))
+    anchors = recorders.FRAME.to_lonlat(ANCHORS)
+    lines = [f"{name},{lat:.8f},{lon:.8f}" for name, (lon, lat) in zip("AB", anchors, strict=True)]
+    (folder / "anchors.csv").write_text("\n".join(["beacon,lat,lon", *lines]))
+    (folder / "ranges.csv").write_text(f"time,anchor,range\n{times[3]},A,9\n{times[5]},B,9\n")
+    return folder, exported("sensor_logger", folder, felt)
+
+
+def test_without_a_plan_the_origin_is_the_earliest_fix_of_file_and_recording(geodetic, felt):
+    folder, recording = geodetic
+    both = read(recording, Options(fixes=folder / "fixes.csv"))
+    assert len(both.fixes) == 2 * len(felt.fix_time)
+    assert both.frame.kind == "enu"
+    first = np.argmin(both.fixes.time)
+    assert both.fixes.position[first] == pytest.approx([0.0, 0.0], abs=0.01)
+    apart = both.fixes.position[both.fixes.time < both.fixes.time[first] + 0.6]
+    assert np.ptp(apart[:, 1]) == pytest.approx(7.0, abs=0.1)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_anchors_by_latitude_are_the_origin_only_of_a_walk_without_fixes(geodetic, felt, recorded):
+    folder, recording = geodetic
+    lists = {"beacons": folder / "anchors.csv", "ranges": folder / "ranges.csv"}
+    found = read(recording, Options(recorded_fixes=recorded, **lists))
+    [ranges] = found.walk.measurements
+    origin = recorders.FRAME.from_lonlat(felt.lonlat[:1])[0] if recorded else ANCHORS[0]
+    assert ranges.position == pytest.approx(ANCHORS - origin, abs=0.01)
+    assert found.fixes.position[:1] == pytest.approx(np.zeros((int(recorded), 2)), abs=0.01)
+    assert found.frame.to_lonlat(np.zeros((1, 2))) == pytest.approx(recorders.FRAME.to_lonlat(origin[None]), abs=1e-7)
+
+
+@pytest.mark.parametrize("method", ["graph", "filter", "rts", "pdr", "live"])
+def test_lag_and_journal_are_options_of_a_live_walk_alone(method):
+    alone = {"lag", "journal"}
+    assert alone & set(Options(method=method).describe()) == (alone if method == "live" else set())
+
+
+def test_each_method_is_the_estimator_of_its_name(geodetic):
+    found = observe(read(geodetic[1]))
+    for method, estimator in {"graph": smooth, "filter": kalman_filter, "rts": kalman_smoother}.items():
+        track = estimate(replace(found, options=Options(method=method))).estimate.trajectory
+        expected = estimator(found.graph()).trajectory
+        assert track.position == pytest.approx(expected.position, abs=1e-6), method
+        assert track.covariance == pytest.approx(expected.covariance, abs=1e-6), method

@@ -17,6 +17,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Closures, Headings, Ranges
 
 HALL = plan(("corridor", shapely.box(-6, -6, 6, 6) - shapely.box(-1, -1, 1, 1)))  # with a pillar: walks press on walls
@@ -138,3 +139,10 @@ def test_the_guard_fills_every_block():
         values.insert(key, gtsam.Pose2())
     values.insert(C(0), np.zeros(3))
     assert np.hsplit(factor.linearize(values).jacobian()[0], 3) == pytest.approx(np.array(blocks))
+
+
+def test_the_calibrations_of_a_chain_are_numbered_as_the_variables_of_the_graph():
+    graph = WalkGraph(wandering_walk(4 * MOTION.steps_per_segment))
+    assert len(graph.chain.segment_first) > 2
+    assert graph.chain.segment_number.tolist() == graph.start.number("c").tolist()
+    assert graph.chain.number.tolist() == graph.start.number("x").tolist()

@@ -260,6 +260,19 @@ def test_errors_larger_than_stated_are_assumed_where_the_fixes_lie_so():
     assert np.mean(square < 4.61) > 0.85  # the 90 % region
 
 
+def test_errors_k_times_as_large_cost_their_price_and_the_normaliser_of_every_error():
+    """Two axes of each fix, of each node of the offset and of the offset throughout: k^−2 in the density of each."""
+    steps, random = meander(), np.random.default_rng(2)
+    time = np.arange(2.0, steps.end, 4.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    graph = biased(WalkGraph(steps, named(fixes_at(time, true + random.normal(0, 9.0, true.shape), 3.0))))
+    gnss = graph.find(GnssBias)
+    proposals = gnss.hypotheses(graph.evaluate(graph.start), None)
+    larger = {p.hypothesis.parameter[0]: p.hypothesis.price for p in proposals if p.hypothesis.kind[1] == "larger"}
+    errors = len(time) + len(gnss.node_number) + 1
+    assert larger == pytest.approx({k: price + 2 * errors * np.log(k) for k, price in PRICES.larger})
+
+
 @pytest.mark.parametrize(("throughout", "larger"), [(2.0, 1.0), (RECEIVERS.throughout, 3.0), (2.0, 3.0)])
 def test_a_decision_about_receivers_holds_for_later_fixes(throughout, larger):
     """A smoother that goes on from an earlier decision models the same errors."""

@@ -7,7 +7,8 @@ import pytest
 from walks import dead_reckon, fixes_at, fixes_on, straight, wandering_walk
 
 from pdr_graph import kalman_filter, kalman_smoother, smooth
-from pdr_graph.estimation.factors.fixes import consistent_chains
+from pdr_graph.estimation.factors.fixes import FixFactor, consistent_chains
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.step_chunks import concatenate_steps, gap, join, shifted
@@ -235,3 +236,84 @@ def test_a_misplaced_start_is_recognised_by_the_fixes_after_it():
     assert "the fix at 0 s" in wrong.text
     assert np.hypot(*(estimate.trajectory.position - truth.position).T).max() < 5.0
     assert estimate.fixes[0].weight == 0
+
+
+# What the second pass and the search for alternatives make of each fix, at poses that the test chooses
+
+MEADOW = straight(60)
+EVERY = 8  # steps between the fixes on it
+
+
+def on_the_meadow(off=(), sigma=1.0):
+    """A graph of fixes every few steps of a straight walk, some of them off by so much [m] to the left."""
+    track = dead_reckon(MEADOW)
+    place = track.position[:-1:EVERY].copy()
+    for n, metres in dict(off).items():
+        place[n, 1] += metres
+    return WalkGraph(MEADOW, fixes_at(track.time[:-1:EVERY], place, sigma))
+
+
+def along_the_truth(graph, left=0.0):
+    """The evaluation of a graph along the straight walk, or so far [m] to the left of it."""
+    track, time = dead_reckon(MEADOW), graph.keyframe_time
+    y = np.full(len(time), left)
+    poses = np.column_stack([np.interp(time, track.time, track.position[:, 0]), y, np.zeros(len(time))])
+    return graph.evaluate(graph.start.replaced(x=poses))
+
+
+@pytest.mark.parametrize("sigma", [0.4, 3.0])
+def test_a_fix_is_an_outlier_beyond_so_many_of_its_sigmas(sigma):
+    """One is just within and one just beyond: in the second pass, and where a walk goes on."""
+    limit = FIXES.outlier * sigma
+    graph = on_the_meadow({2: 0.95 * limit, 5: 1.05 * limit}, sigma)
+    fixes, at = graph.positions, along_the_truth(graph)
+    assert fixes.consistent.all(), "steps lead from each to the next"
+    for classified in (fixes.refined(at), fixes.reclassified(at)):
+        assert np.flatnonzero(classified.outlier).tolist() == [5]
+
+
+@pytest.mark.parametrize(("left", "held"), [(0.0, False), (80.0, True)])
+def test_a_run_outside_the_chain_is_used_if_the_first_optimum_is_near_it(left, held):
+    """Two fixes 80 m aside are no part of the longest chain; a walk that leads there by other measurements has them."""
+    graph = on_the_meadow({3: 80.0, 4: 80.0})
+    assert graph.positions.consistent.tolist() == [True] * 3 + [False] * 2 + [True] * 3
+    fixes = graph.positions.refined(along_the_truth(graph, left))
+    assert fixes.held[3:5].tolist() == [held] * 2
+    assert fixes.held[fixes.consistent].all()
+
+
+def test_a_fix_without_a_keyframe_has_no_factor():
+    graph = on_the_meadow()
+    assert len(graph.positions.independent) == len(graph.fixes)
+    assert not len(FixFactor.of(graph.fixes, MEADOW, Prior()).independent)
+
+
+@pytest.mark.parametrize("known", ["", "outlier", "wrong"])
+def test_fixes_that_leave_the_chain_contradict_it_unless_they_were_rejected_before(known):
+    """The two were consistent with the others in a window in which the fixes after them were still to come."""
+    fixes = on_the_meadow({3: 80.0, 4: 80.0}).positions
+    before = {"number": fixes.number, "consistent": np.ones(len(fixes), dtype=bool)}
+    rejected = {name: ~fixes.consistent & (name == known) for name in ("outlier", "wrong")}
+    assert fixes.contradicts(before | rejected) == (known == "")
+
+
+def test_a_fix_is_doubted_from_the_distance_that_so_many_fixes_rarely_reach():
+    """The farthest of f fixes is doubted where f exp(−d² / 2) [d in sigmas] is below FIXES.doubtful."""
+    rare = np.sqrt(2 * np.log(8 / FIXES.doubtful))
+    found = {}
+    for share in (0.95, 1.05):
+        graph = on_the_meadow({4: share * rare})
+        found[share] = len(graph.positions.hypotheses(along_the_truth(graph), None))
+    assert found == {0.95: 0, 1.05: 3}, "that fix, and those beside it"
+
+
+def test_without_a_doubted_fix_those_beside_it_count_again():
+    """The walk may have followed it, so that those beside it in time became outliers; it alone is marked as wrong."""
+    graph = on_the_meadow({4: 8.0})
+    fixes = graph.positions.rejected(np.array([3, 6]))
+    proposals = fixes.hypotheses(along_the_truth(graph), None)
+    assert sorted(proposal.hypothesis.instances for proposal in proposals) == [(4,), (5,)]
+    [without] = next(proposal.measurements for proposal in proposals if proposal.hypothesis.instances == (4,))
+    assert np.flatnonzero(without.wrong).tolist() == [4]
+    assert np.flatnonzero(~without.held).tolist() == [4]
+    assert np.flatnonzero(without.outlier).tolist() == [6], "it is not beside the wrong one"

@@ -17,16 +17,20 @@ from walks import (
     live_track,
     part,
     pushing,
+    straight,
     wandering_walk,
 )
 
-from pdr_graph import FloorPlan, smooth
+from pdr_graph import FloorPlan, Prior, smooth
 from pdr_graph.estimation.factors import start
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.live.window import Path, Window
+from pdr_graph.floor.building import Building
 from pdr_graph.gait.step_chunks import concatenate_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, rotation, wrap_angle
 from pdr_graph.online.navigator import Navigator
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Fixes
 
 LAG = 60.0  # [s]
@@ -343,3 +347,80 @@ def test_a_copy_of_the_graph_knows_as_much():
         assert np.sqrt(np.diag(told)) == pytest.approx(np.sqrt(np.diag(known)), rel=0.1)
         compared += 1
     assert compared > 20
+
+
+# The window: keyframes, the intervals between them, and the estimate
+
+PLAIN = Prior(mean=(1.0, 1.0, 0.0))  # steps as they are
+
+
+def window_of(steps, plan=None):
+    """The window of a walk without measurements, all of whose intervals were closed at once."""
+    window = Window(PLAIN, plan, "")
+    window.steps.append(steps)
+    window.begin()
+    window.cut(window.steps.keyframe_ends(window.times[-1], []))
+    assert len(window.intervals) > 3
+    return window
+
+
+def test_intervals_that_are_closed_at_once_are_dead_reckoned_one_after_the_other():
+    steps = wandering_walk(60)
+    window, track = window_of(steps), dead_reckon(steps)
+    rows = np.searchsorted(track.time, np.array(window.times) - 1e-3)
+    assert window.pose[:, :2] == pytest.approx(track.position[rows], abs=1e-9)
+    assert wrap_angle(window.pose[:, 2] - track.heading[rows]) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7])
+def test_a_keyframe_that_is_inserted_lies_on_the_way_between_its_neighbours(share):
+    """Of a walk at a constant speed: where the walker is at that time."""
+    steps = straight(60)
+    window, speed = window_of(steps), 0.7 / PERIOD
+    before, after = window.times[2:4]
+    time = before + share * (after - before)
+    window.split(time)
+    assert window.times[3] == time
+    assert window.pose[:, 0] == pytest.approx(speed * np.array(window.times), abs=1e-5)
+    assert [interval.delta[0] for interval in window.intervals] == pytest.approx(np.diff(window.pose[:, 0]), abs=1e-5)
+
+
+def test_a_path_of_the_end_of_a_window_has_the_calibrations_of_that_end():
+    """Those of the segments before it stay, and so do their poses."""
+    window = window_of(straight(4 * MOTION.steps_per_segment))
+    assert window.segments[-1] >= 2
+    first = next(n for n, interval in enumerate(window.intervals) if interval.segment == 1)
+    other = np.array([0.9, 1.1, 0.01])
+    times = np.array(window.times[first:])
+    path = Path(times, window.pose[first:] + np.array([0.0, 5.0, 0.0]), times[:1], other[None])
+    window.place_on(path)
+    assert window.c[0] == pytest.approx(PLAIN.mean)
+    assert np.array([window.c[n] for n in window.segments[1:]]) == pytest.approx(np.tile(other, (len(window.c) - 1, 1)))
+    assert (window.pose[:, 1] > 2.5).tolist() == [n >= first for n in range(len(window.times))]
+
+
+def test_steps_that_turn_out_to_be_on_stairs_shorten_the_walk_by_the_treads():
+    """Five steps of 0.7 m become 0.28 m long, in the intervals too; said again, nothing changes."""
+    steps = straight(60)
+    window = window_of(steps)
+    goings = np.array([[steps.time[20] + 0.1, steps.time[25] - 0.1, 0.28]])
+    last = np.searchsorted(steps.time, window.times[-1] + 1e-3)
+    assert window.set_goings(goings)
+    assert sum(interval.delta[0] for interval in window.intervals) == pytest.approx(0.7 * last - 5 * 0.42)
+    assert not window.set_goings(goings)
+
+
+def test_every_piece_of_a_window_has_a_floor():
+    window = window_of(straight(60), Building.around(FloorPlan.load(LOOP)))
+    window.floor = window.plan.labels[0]
+    floors = window.floors()
+    assert len(floors.level) == len(window.chain().pieces.length)
+
+
+def test_a_time_beyond_the_keyframes_has_none_unless_the_window_begins_or_the_walk_ends_there():
+    window = window_of(straight(60))
+    times, last = np.array([-1.0, window.times[2], window.times[-1], window.times[-1] + 1.0]), len(window.times) - 1
+    assert window.chain().keyframe(times).tolist() == [0, 2, last, -1]
+    assert window.chain(first=2).keyframe(times).tolist() == [-1, 0, last - 2, -1]
+    window.finished = True
+    assert window.chain().keyframe(times).tolist() == [0, 2, last, last]

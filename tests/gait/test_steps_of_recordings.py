@@ -5,6 +5,7 @@ import pytest
 from simulated import GYRO_BIAS, walk_along
 
 from pdr_graph import InputError, WalkGraph, detect_steps, smooth
+from pdr_graph.gait.steps import uninterrupted
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.types import Fixes, Recording, Signal
 
@@ -141,6 +142,15 @@ def test_a_gap_is_a_row_of_length_0_with_a_wide_sigma(walk, steps):
     assert found.unknown == ("1 gaps in the recording",)
     outside = (steps.time < 10.0) | (steps.time > 20.5)
     assert len(found) - 1 == pytest.approx(outside.sum(), abs=2)
+
+
+def test_a_part_between_two_gaps_is_kept_if_it_is_longer_than_a_second(walk):
+    """Parts of 8 s, 0.6 s and the rest of a walk that begins five minutes after its clock."""
+    ran = (walk.time < 8.0) | ((walk.time > 12.0) & (walk.time < 12.6)) | (walk.time > 16.0)
+    accelerometer = Signal(walk.time[ran] + 300.0, walk.acceleration[ran])
+    parts = uninterrupted(recorded(walk, accelerometer=accelerometer, gyroscope=None))
+    spans = np.array([part.accelerometer.time[[0, -1]] for part in parts])
+    assert spans == pytest.approx(np.array([[300.0, 308.0], [316.0, 300.0 + walk.time[-1]]]), abs=0.05)
 
 
 def test_a_stray_sample_a_year_later_is_ignored(walk, steps):

@@ -464,7 +464,7 @@ def frozen(fixes: Fixes, steps: Steps) -> Mask:
         for n in range(1, len(indices) + 1):
             if n < len(indices) and abs(place[n] - place[first]) < RECEIVERS.still:
                 continue
-            if n > first + 1 and np.abs(walked[first:n] - walked[first]).max() > RECEIVERS.away:
+            if np.abs(walked[first:n] - walked[first]).max() > RECEIVERS.away:
                 result[indices[first + 1 : n]] = True
             first = n
     return result
