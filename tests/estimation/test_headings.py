@@ -82,5 +82,5 @@ def test_the_ends_of_a_nearly_closed_walk_determine_no_direction():
     drifting = replace(steps, turn=steps.turn + 0.04)
     assert np.hypot(*(dead_reckon(drifting).position[-1] - truth.position[-1])) > 12
     assert len(solutions(WalkGraph(drifting, ends))) > 1
-    apart = fixes_at(truth.time[[0, 40]], truth.position[[0, 40]], 0.5)
+    apart = fixes_at(truth.time[[0, 30]], truth.position[[0, 30]], 0.5)
     assert len(solutions(WalkGraph(drifting, apart))) == 1

@@ -255,7 +255,7 @@ def test_anchors_in_another_frame_are_converted_to_that_of_the_first_recording()
     elsewhere = replace(later, frame=Frame())
     day = reconstruct("me", "2023-11-14", {"one": first, "two": elsewhere}, None)
     assert len(day.outings) == 2, "anchors on no common ground are two outings"
-    assert median_error(day.outings[0].trajectory, truth) < 0.3
+    assert median_error(day.outings[0].trajectory, truth) < 0.4
 
 
 def test_a_walk_with_ranges_does_not_begin_where_the_outing_before_ended():

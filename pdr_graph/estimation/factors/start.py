@@ -75,7 +75,7 @@ class Prior:
 class CalibrationFactor(Measurement):
     """Prior and slow change of stride, turn and gyro coefficients.
 
-    r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change
+    r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with log R_s in place of R_s, of relative sigma
 
     [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
 
@@ -110,11 +110,12 @@ class CalibrationFactor(Measurement):
 
     @cached_property
     def _priors(self) -> tuple[Array, Array, Array]:
-        """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information ``(n, 3, 3)``, in order of rows."""
+        """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information in log scale, in order of rows."""
         distributions = [self.begins[s] for s in sorted(self.begins)]
         mean = np.array([mean for mean, _ in distributions]).reshape(-1, 3)
         covariance = np.array([covariance for _, covariance in distributions]).reshape(-1, 3, 3)
         root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1).astype(float)
+        root[:, :, 0] *= mean[:, :1]  # the sigma of log R_s is that of R_s by its mean
         return mean, covariance, root
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
@@ -124,39 +125,30 @@ class CalibrationFactor(Measurement):
         follows[first] = False
         later = np.flatnonzero(follows)
         number, sigma = at.state.number("c"), np.array(self.change)
-        mean, covariance, root = self._priors
-
-        def prior_factor(n: int) -> gtsam.NonlinearFactor:
-            import gtsam
-
-            noise = gtsam.noiseModel.Gaussian.Covariance(covariance[n])
-            return gtsam.PriorFactorVector(int(at.state.keys("c")[first[n]]), mean[n], noise)
-
-        def changed(n: int) -> gtsam.NonlinearFactor:
-            import gtsam
-
-            before, after = at.state.keys("c")[later[n] - 1 : later[n] + 1].tolist()
-            return gtsam.BetweenFactorVector(before, after, np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(sigma))
-
-        by = np.tile(np.diag(1 / sigma), (len(later), 1, 1))
+        mean, _, root = self._priors
+        free, diagonal = in_log_scale(c), np.eye(3) / sigma
+        slope = np.column_stack([1 / c[:, 0], np.ones((len(c), 2))])[:, None]  # of that by c
         return [
             FactorBlock.uniform(
                 f"{self.name}.begin",
-                np.einsum("nij,nj->ni", root, c[first] - mean),
+                np.einsum("nij,nj->ni", root, free[first] - in_log_scale(mean)),
                 [("c", first)],
-                lambda: [root],
+                lambda: [root * slope[first]],
                 number[first],
-                native=prior_factor,
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
-                (c[later] - c[later - 1]) / sigma,
+                (free[later] - free[later - 1]) / sigma,
                 [("c", later - 1), ("c", later)],
-                lambda: [-by, by],
+                lambda: [-diagonal * slope[later - 1], diagonal * slope[later]],
                 number[later],
-                native=changed,
             ),
         ]
+
+
+def in_log_scale(c: Array) -> Array:
+    """Calibrations ``(n, 3)`` with log R_s for R_s: strides are as likely half as long as twice."""
+    return np.column_stack([np.log(c[:, 0]), c[:, 1:]])
 
 
 @dataclass(frozen=True, eq=False)
