@@ -453,18 +453,22 @@ def test_a_heading_is_an_angle_to_the_walking_direction():
 
 
 def test_calibration_is_a_prior_and_a_random_walk():
-    """c₀ about its mean with the prior's covariance, then c_s+1 − c_s of its change; strides in log scale."""
+    """c₀ about its mean with the prior's covariance, then c_s+1 − c_s of its change; short strides in log scale."""
+
+    def scaled(stride):
+        return np.log(stride) if stride < 1 else stride - 1
+
     correlated = Prior(mean=(1.25, 1.0, 0.0), sigma=(1.25 * 0.15, 0.03, 0.003), correlation=(0.3, -0.2, 0.1))
     graph = WalkGraph(wandering_walk(210), prior=correlated)
     state = any_state(graph, 0)
     (factor,) = factors_with(graph, state, "calibration.begin", ("c", 0))
-    off = np.append(np.log(state.c[0, 0] / 1.25), state.c[0, 1:] - [1, 0])
+    off = np.append(scaled(state.c[0, 0] / 1.25), state.c[0, 1:] - [1, 0])
     correlation = np.array([[1, 0.3, -0.2], [0.3, 1, 0.1], [-0.2, 0.1, 1]])
     S = np.diag([0.15, 0.03, 0.003]) @ correlation @ np.diag([0.15, 0.03, 0.003])
     assert factor.residual @ factor.residual == pytest.approx(off @ np.linalg.solve(S, off))
     assert factor.cost == pytest.approx(off @ np.linalg.solve(S, off) / 2)
     (factor,) = factors_with(graph, state, "calibration.change", ("c", 0), ("c", 1))
-    change = np.append(np.log(state.c[1, 0] / state.c[0, 0]), (state.c[1] - state.c[0])[1:])
+    change = np.append(scaled(state.c[1, 0]) - scaled(state.c[0, 0]), (state.c[1] - state.c[0])[1:])
     assert factor.residual == pytest.approx(change / [0.03, 0.005, 0.0005])
 
 

@@ -368,11 +368,14 @@ def test_a_lost_filter_is_reinitialised_with_a_warning(away):
 
 
 def linear_chain(steps: int = 240, seed: int = 1) -> WalkGraph:
-    """A straight walk in a direction that is known well, with noisy fixes now and then: a linear Gaussian chain."""
+    """A straight walk in a direction that is known well, with noisy fixes now and then: a linear Gaussian chain.
+
+    Its strides are those expected, about which their prior, of log R_s, is linear.
+    """
     walked = straight(steps, sigma_length=0.1, sigma_turn=1e-4)
     random = np.random.default_rng(seed)
     at = np.arange(20, steps, 45)
-    place = np.stack([0.75 * (at + 1), np.zeros(len(at))], axis=1) + random.normal(0, 0.8, (len(at), 2))
+    place = np.stack([0.7 * (at + 1), np.zeros(len(at))], axis=1) + random.normal(0, 0.8, (len(at), 2))
     direction = Headings(np.zeros(1), np.zeros(1), np.full(1, 1e-4))
     stiff = Prior(sigma=(0.1, 1e-4, 1e-6), change=(0.03, 1e-5, 1e-7))
     return WalkGraph(walked, fixes_at(walked.time[at], place, 0.8), headings=direction, prior=stiff)

@@ -54,7 +54,7 @@ def test_time_without_data_is_a_gap_without_a_distance():
     assert (np.diff(outing.trajectory.time) > 500).sum() == 1
     assert np.sqrt(outing.trajectory.covariance[[0, -1], 0, 0]).max() < 5.0
     walked = sum(s.distance for s in outing.segments if s.kind == WALKING)
-    assert walked == pytest.approx(2 * day_of(one).total(WALKING)[1], rel=0.03), "as each by itself"
+    assert walked == pytest.approx(2 * day_of(one).total(WALKING)[1], rel=0.05), "as each by itself"
 
 
 def test_a_walk_without_position_begins_where_the_outing_before_ended():

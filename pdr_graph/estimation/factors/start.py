@@ -75,7 +75,7 @@ class Prior:
 class CalibrationFactor(Measurement):
     """Prior and slow change of stride, turn and gyro coefficients.
 
-    r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with log R_s in place of R_s, of relative sigma
+    r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with λ(R_s) for R_s (`scaled`), of relative sigma
 
     [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
 
@@ -110,12 +110,12 @@ class CalibrationFactor(Measurement):
 
     @cached_property
     def _priors(self) -> tuple[Array, Array, Array]:
-        """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information in log scale, in order of rows."""
+        """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information of `scaled`, in order of rows."""
         distributions = [self.begins[s] for s in sorted(self.begins)]
         mean = np.array([mean for mean, _ in distributions]).reshape(-1, 3)
         covariance = np.array([covariance for _, covariance in distributions]).reshape(-1, 3, 3)
         root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1).astype(float)
-        root[:, :, 0] *= mean[:, :1]  # the sigma of log R_s is that of R_s by its mean
+        root[:, :, 0] *= mean[:, :1]  # the sigma of λ is that of R_s by its mean
         return mean, covariance, root
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
@@ -126,29 +126,37 @@ class CalibrationFactor(Measurement):
         later = np.flatnonzero(follows)
         number, sigma = at.state.number("c"), np.array(self.change)
         mean, _, root = self._priors
-        free, diagonal = in_log_scale(c), np.eye(3) / sigma
-        slope = np.column_stack([1 / c[:, 0], np.ones((len(c), 2))])[:, None]  # of that by c
+        begun, by_begun = scaled(c[first], mean)
+        moved, by_moved = scaled(c, np.array([[1.0, 0.0, 0.0]]))
+        diagonal = np.eye(3) / sigma
         return [
             FactorBlock.uniform(
                 f"{self.name}.begin",
-                np.einsum("nij,nj->ni", root, free[first] - in_log_scale(mean)),
+                np.einsum("nij,nj->ni", root, begun),
                 [("c", first)],
-                lambda: [root * slope[first]],
+                lambda: [root * by_begun],
                 number[first],
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
-                (free[later] - free[later - 1]) / sigma,
+                (moved[later] - moved[later - 1]) / sigma,
                 [("c", later - 1), ("c", later)],
-                lambda: [-diagonal * slope[later - 1], diagonal * slope[later]],
+                lambda: [-diagonal * by_moved[later - 1], diagonal * by_moved[later]],
                 number[later],
             ),
         ]
 
 
-def in_log_scale(c: Array) -> Array:
-    """Calibrations ``(n, 3)`` with log R_s for R_s: strides are as likely half as long as twice."""
-    return np.column_stack([np.log(c[:, 0]), c[:, 1:]])
+def scaled(c: Array, mean: Array) -> tuple[Array, Array]:
+    """Departures ``(n, 3)`` of calibrations from ``mean``, and their diagonal derivatives ``(n, 1, 3)``.
+
+    Those of strides are shares, in log scale where shorter: λ(r) = log r for r < 1, else r − 1. No walk shrinks to
+    nothing or turns back, nor does a long stride cost so little that an outlier is reached by it.
+    """
+    share = c[:, 0] / mean[:, 0]
+    departure = np.column_stack([np.where(share < 1, np.log(share), share - 1), c[:, 1:] - mean[:, 1:]])
+    slope = np.column_stack([1 / (mean[:, 0] * np.minimum(share, 1)), np.ones((len(c), 2))])
+    return departure, slope[:, None]
 
 
 @dataclass(frozen=True, eq=False)
