@@ -150,11 +150,11 @@ class CalibrationFactor(Measurement):
 def scaled(c: Array, mean: Array) -> tuple[Array, Array]:
     """Departures ``(n, 3)`` of calibrations from ``mean``, and their diagonal derivatives ``(n, 1, 3)``.
 
-    Those of strides are shares, in log scale where shorter: λ(r) = log r for r < 1, else r − 1. No walk shrinks to
+    Those of strides are shares, in log scale where shorter: λ(r) = log min(r, 1) + max(r, 1) − 1. No walk shrinks to
     nothing or turns back, nor does a long stride cost so little that an outlier is reached by it.
     """
     share = c[:, 0] / mean[:, 0]
-    departure = np.column_stack([np.where(share < 1, np.log(share), share - 1), c[:, 1:] - mean[:, 1:]])
+    departure = np.column_stack([np.log(np.minimum(share, 1)) + np.maximum(share, 1) - 1, c[:, 1:] - mean[:, 1:]])
     slope = np.column_stack([1 / (mean[:, 0] * np.minimum(share, 1)), np.ones((len(c), 2))])
     return departure, slope[:, None]
 
