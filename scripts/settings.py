@@ -38,7 +38,6 @@ ROOT = Path(__file__).resolve().parent.parent
 SAME = (0.03, 0.05, 3.0)  # change of CE50 and CE95, as share, and of the coverage, in points, that counts as none
 HEADER = ["number", "value", "source", "halved: CE95 [m]", "doubled: CE95 [m]", "same accuracy"]
 KINDS = STEADY, UNUSED, NOT_MEASURED = "same accuracy at half and double", "no effect on these walks", "not measured"
-USUAL = ("judgement", "building practice")  # sources that the page leaves out
 
 
 @cache
@@ -164,20 +163,16 @@ def settings(data, names=()):
             figures[str(entry)], ranges[str(entry)] = cells, ends
     if "--write" in sys.argv:
         write_ranges(ranges)
-    sensitive, others, last = [], {}, ""
+    sensitive, others = [], {}
     for entry in entries():
         cells, still = figures.get(str(entry), ["", ""]), ranges.get(str(entry)) or entry.still
-        value = f"{shown(entry.value)} {entry.unit}"
         if UNUSED in cells or still in (None, (0.5, 2)):
             kind = 1 if UNUSED in cells else 2 if still is None else 0
-            source = entry.source.partition(";")[0]
-            source = "" if source in USUAL else f" ({'same' if source == last else source})"
-            others.setdefault(entry.table, ([], [], []))[kind].append(f"`{entry.name}` {value}{source}")
-            last = entry.source.partition(";")[0]
+            others.setdefault(entry.table, ([], [], []))[kind].append(f"`{entry.name}`")
         else:
             within = " to ".join(shown(scaled(entry.value, factor)) for factor in still)
-            sensitive.append([f"`{entry}`", value, entry.source, *cells, within])
-    rows = [[f"`{name}`", *map("; ".join, of)] for name, of in others.items()]
+            sensitive.append([f"`{entry}`", f"{shown(entry.value)} {entry.unit}", entry.source, *cells, within])
+    rows = [[f"`{name}`", *map(" ".join, of)] for name, of in others.items()]
     text = f"{table(HEADER, sensitive)}\n\n{table(['table', *KINDS], rows)}"
     publish("results/settings.md", "settings", text.replace("|a|", "abs a"), ", ".join(names))
 
