@@ -28,6 +28,11 @@ class InputError(ValueError):
         super().__init__(f"{where}: found {one_line(found)}, expected {one_line(expected)}")
         self._parts = str(source), place, found, expected
 
+    @property
+    def wrong(self) -> str:
+        """The text without the source and the place."""
+        return f"found {one_line(self._parts[2])}, expected {one_line(self._parts[3])}"
+
     def renamed(self, old: str, new: str) -> InputError:
         """The same error with a file's name in the source replaced."""
         source, *rest = self._parts

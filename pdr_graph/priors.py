@@ -425,7 +425,7 @@ class WalkerPriors(Table):
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
         "fit of b: docs/results/drift.md; JUDGEMENT",
-        still=(1, 1),
+        still=(1, 2),
     )
     change: tuple[float, float, float] = number(
         (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
@@ -972,6 +972,8 @@ class FixesAlonePriors(Table):
 
     wander: float = number(1.0, "m/√s", "growth of sigma without steps: 8 m in a minute")
     given_up: int = number(3, "fixes", "beyond the gate in a row, after which the position restarts")
+    away: int = number(10, "fixes", "that agree, outside the region of the walk, after which the position is theirs")
+    moved: float = number(10.0, "m", "least distance that they go meanwhile, and the walker's steps not half of it")
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def build_recording(
             # Copies, since columns of a table are slow to pass over
             signals[sensor] = Signal(cleaned[:, 0].copy(), cleaned[:, 1:].copy())
     _check_one_unit(path, signals)
-    for sensor in ("accelerometer", "gyroscope", "barometer"):
+    for sensor in ("accelerometer", "gyroscope", "magnetometer", "barometer"):
         if sensor in signals:
             signal = signals.pop(sensor)
             kind, factor = unit_of(path, sensor, signal, notes)
@@ -168,6 +168,10 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
     if sensor == "barometer" and not 200 <= median <= 2000:  # people walk at 400–1050 hPa
         unit, factor = ("Pa", 0.01) if median > 2000 else ("kPa", 10.0)
         notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
+        return sensor, factor
+    if sensor == "magnetometer" and median > 0 and not FIELD[0] <= median <= FIELD[1]:
+        unit, factor = next((unit, factor) for most, unit, factor in FIELD_UNITS if median < most)
+        notes.append(f"magnetometer: a median of {median:.3g} can only be in {unit}; converted to µT")
         return sensor, factor
     if sensor != "accelerometer":
         return sensor, 1.0
@@ -327,6 +331,8 @@ def iso_time(value: Any) -> float:
 GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over WINDOW; 9.5–10.2 on real walks
 GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
 WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration averages out
+FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
+FIELD_UNITS = ((1e-3, "T", 1e6), (0.15, "mT", 1e3), (4.0, "gauss", 100.0), (np.inf, "nT", 1e-3))  # below which median
 FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
 
 

@@ -7,13 +7,16 @@ measurement is a keyframe.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from pdr_graph.errors import InputError
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
+from pdr_graph.inertial.attitude import GravityRestorer
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
+from pdr_graph.io.validation import IMPLAUSIBLE, WINDOW, unit_of
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INERTIAL,
@@ -25,6 +28,7 @@ from pdr_graph.types import (
     Limits,
     Mask,
     Sightings,
+    Signal,
     Steps,
     last_time,
     row_columns,
@@ -53,19 +57,73 @@ LARGEST_FLOAT = float(np.finfo(float).max)
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
+@dataclass
+class SensorUnit:
+    """The unit of a sensor's samples by their values, as in files; once another than the expected is sure it is kept.
+
+    sensor: its name; factor: to its unit; gravity: restores what the recorder removed, None if it did not; note: what
+    differs from the expected, "" without; before: found in the last window; time, values: of the present one, in
+    packets.
+    """
+
+    sensor: str
+    factor: float = 1.0
+    gravity: GravityRestorer | None = None
+    note: str = ""
+    before: tuple[str, float, str] = ("", 1.0, "")
+    time: list[Array] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+    def watch(self, time: Array, values: Array) -> None:
+        """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
+        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
+        if self.note or not usable.any():
+            return
+        self.time.append(time[usable])
+        self.values.append(values[usable])
+        if abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
+            return
+        window, notes = Signal(np.concatenate(self.time), np.concatenate(self.values)), list[str]()
+        self.time, self.values = [], []
+        try:
+            kind, factor = unit_of("", self.sensor, window, notes)
+        except InputError as error:
+            kind, factor, notes = self.sensor, 1.0, [f"{self.sensor}: {error.wrong}"]
+        found = kind, factor, "".join(notes)
+        if found[2] and self.before[2] and found[:2] == self.before[:2]:
+            self.factor, self.note = factor, found[2]
+            self.gravity = GravityRestorer() if kind != self.sensor else None
+        self.before = found
+
+    def converted(self, values: Array) -> Array:
+        """Samples ``(n, k)`` in the expected unit, with gravity."""
+        values = values if self.factor == 1.0 else self.factor * values
+        return values if self.gravity is None else self.gravity.restored(values)
+
+
 class EventChecks:
-    """Leaves out rows of live events; unused: how many, by what the status says of them."""
+    """Leaves out rows of live events; unused: how many, by what the status says of them; units: of each sensor."""
 
     def __init__(self) -> None:
         self.unused = Counter[tuple[str, str]]()
+        self.units = dict[str, SensorUnit]()
         self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
 
-    def check_samples(self, sensor: str, time: Array) -> None:
-        """Count samples whose times are in a finer unit than seconds. Raises ValueError for an unknown sensor."""
+    def in_unit(self, sensor: str, time: Array, values: Array) -> Array:
+        """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit. Raises ValueError for an unknown sensor."""
         if sensor not in SENSORS:
             raise ValueError(f"Samples.sensor: {unknown_sensor(sensor)}")
-        stamps = np.asarray(time, dtype=float).reshape(-1)
-        if sensor not in INERTIAL or not len(stamps):
+        stamps, values = np.asarray(time, dtype=float).reshape(-1), np.asarray(values, dtype=float)
+        if not len(stamps) or values.ndim != 2 or len(values) != len(stamps):
+            return values
+        self._check_clock(sensor, stamps)
+        unit = self.units.setdefault(sensor, SensorUnit(sensor))
+        unit.watch(stamps, values)
+        return unit.converted(values)
+
+    def _check_clock(self, sensor: str, stamps: Array) -> None:
+        """Count samples whose times ``(n,)`` are in a finer unit than seconds."""
+        if sensor not in INERTIAL:
             return
         last, before = self._stamps.get(sensor, (np.nan, ""))
         several = len(stamps) > 1
@@ -157,8 +215,9 @@ class EventChecks:
         return replace(steps, start=end, **columns)
 
     def issues(self) -> list[str]:
-        """A line for each reason why rows were left out."""
-        return [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
+        """A line for each unit that is not the expected one, and for each reason why rows were left out."""
+        units = [unit.note for unit in self.units.values() if unit.note]
+        return units + [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
 
     def _counted(self, name: str, data: Any, within: Mask, reason: str) -> Any:
         """The rows within; None without any."""

@@ -23,7 +23,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.live_output import FixesAlone, after_fixes
+from pdr_graph.estimation.live.live_output import Away, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.estimation.verdict import verdict
@@ -34,12 +34,13 @@ from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import ANY_HEADING, wrap_angle
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.status import (
     Status,
+    contradiction_of_fixes,
     contradictions_of,
     issues_of,
     issues_of_times,
@@ -113,6 +114,7 @@ class Navigator:
         prior = prior or prior_of(self.walker.profile)
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
         self._alone: FixesAlone | None = None
+        self._away = Away()
         self._display = Display()
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
@@ -141,8 +143,7 @@ class Navigator:
         expect("Navigator.push, event", event, *event_types(), instead="events_of(recording)")
         self._pose = None
         if isinstance(event, Samples):
-            self._checks.check_samples(event.sensor, event.time)
-            self._sample(event)
+            self._sample(replace(event, values=self._checks.in_unit(event.sensor, event.time, event.values)))
         elif isinstance(event, Steps):
             if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:
                 self._extend(steps)
@@ -181,7 +182,7 @@ class Navigator:
 
     def _current_pose(self) -> Pose | None:
         alone = self._alone
-        if alone is not None and not (self._window.keyframes and alone.time < self._now + SENSORS_SILENT):
+        if alone is not None and (self._away_by or not self._window.keyframes or self._silent(alone)):
             return self._pose_by_fixes(alone)
         if not self._window.keyframes or not (self.frame is None or self._graph.output.is_placed(self._now)):
             return None if alone is None else self._pose_by_fixes(alone)
@@ -196,10 +197,21 @@ class Navigator:
 
     def _pose_by_fixes(self, alone: FixesAlone) -> Pose:
         """The pose where no steps are known: the fixes, smoothed, and any direction."""
-        covariance = np.diag([0.0, 0.0, ANY_HEADING**2])
-        covariance[:2, :2] = alone.covariance
+        time = max(alone.time, self._now) if self._away_by and not self._silent(alone) else alone.time
         x, y = alone.mean.tolist()
-        return Pose(alone.time, x, y, 0.0, self._floors.label, covariance)
+        return Pose(time, x, y, 0.0, self._floors.label, alone.covariance_at(time))
+
+    def _silent(self, alone: FixesAlone) -> bool:
+        """True if the sensors are silent while fixes come."""
+        return alone.time >= self._now + SENSORS_SILENT
+
+    @property
+    def _away_by(self) -> float:
+        """Distance of the fixes from the walk where they are followed [m], else 0."""
+        alone = self._alone
+        if alone is None or not self._away.is_followed(alone, self._walked):
+            return 0.0
+        return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
     @property
     def _walked(self) -> float:
@@ -222,11 +234,11 @@ class Navigator:
         directed = pose is not None and pose.covariance[2, 2] < DIRECTED**2
         located = self._accepted > 0 or graph.output.modes.mixture is not None or graph.graph.finalized.anchored
         return Status(
-            state=state_of(walking, located, graph.sure or directed),
+            state=state_of(walking and not self._away_by, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
-                *issues_of(self._gait.health, located and not walking),
+                *issues_of(self._gait.health, located and not walking, self._away_by),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
             ),
@@ -273,7 +285,10 @@ class Navigator:
             iterations=smoother.graph.iterations,
             cost=smoother.graph.cost,
             converged=True,
-            contradictions=contradictions_of(smoother, self.building, rows, reports),
+            contradictions=(
+                *contradictions_of(smoother, self.building, rows, reports),
+                *contradiction_of_fixes(self._away_by),
+            ),
             placed=smoother.graph.finalized.anchored,
             assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
         )
@@ -371,6 +386,9 @@ class Navigator:
         self._graph.append(data)
         if isinstance(data, Fixes):
             self._alone = after_fixes(self._alone, data)
+            if self._window.keyframes and self._alone is not None:
+                belief = self._graph.output.belief(self._tail, self._alone.time)
+                self._away = self._away.after(self._alone, belief, self._walked)
 
     def _scan(self, scan: Scan) -> None:
         """Pass the usable signals of a scan to the collectors."""

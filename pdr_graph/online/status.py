@@ -33,8 +33,8 @@ SENSOR_SILENCE = 2.0  # [s] without samples of a sensor while others have some, 
 class Status(OneLineRepr):
     """State of the navigator.
 
-    state: "waiting" for sensors and fixes, "fixes alone" without steps, "no absolute position" until the first fix,
-    "initialising heading" until the direction of the walk is known, "running".
+    state: "waiting" for sensors and fixes, "fixes alone" without steps or where fixes go away from them, "no absolute
+    position" until the first fix, "initialising heading" until the direction of the walk is known, "running".
     sigma: of the current position per axis [m], NaN without an absolute position; missing: what would make the pose
     better, a line each; issues: present problems, a line each; unknown: what the sensors do not measure, a line each;
     sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of
@@ -94,11 +94,14 @@ def issues_of_times(early: int, late: int) -> Iterator[str]:
         yield f"measurements: {late} came too late, when their time was finalised"
 
 
-def issues_of(health: Mapping[str, Health], stepless: bool) -> Iterator[str]:
+def issues_of(health: Mapping[str, Health], stepless: bool, away: float) -> Iterator[str]:
     """Yield the present problems of the sensors, a line each.
 
-    health: of each sensor; stepless: there are fixes and no steps.
+    health: of each sensor; stepless: there are fixes and no steps; away: distance of fixes that are followed instead of
+    the walk [m].
     """
+    if away:
+        yield AWAY.format(away) + "; they are followed"
     if stepless:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
@@ -111,6 +114,14 @@ def issues_of(health: Mapping[str, Health], stepless: bool) -> Iterator[str]:
             yield f"{name}: {sensor.dropped} samples could not be used"
         if sensor.clock_resets:
             yield f"{name}: clock reset {sensor.clock_resets} times"
+
+
+AWAY = "the fixes went {:.0f} m from the walk: a ride, or steps that are not recognised"
+
+
+def contradiction_of_fixes(away: float) -> tuple[Contradiction, ...]:
+    """The contradiction of fixes that went so far from the walk [m], 0 without."""
+    return (Contradiction("steps", "fixes", away, "m", AWAY.format(away), "the units of the sensors"),) if away else ()
 
 
 UNSURE = "the measurements leave open which way the walk went: the most probable one is given"

@@ -256,6 +256,66 @@ def test_a_clock_in_milliseconds_is_an_issue_that_says_so(unit, factor, packet):
         assert any(issue.endswith(expected) for issue in nav.status.issues), nav.status.issues
 
 
+WRONG_UNITS = {  # of a sensor: what an app has done to its samples, and what the status says
+    "g": ("accelerometer", lambda values: values / 9.81, "the unit is g; converted to m/s²"),
+    "linear": ("accelerometer", lambda values: values - smoothed(values), "the recorder removed it"),
+    "degrees": ("gyroscope", np.degrees, "can only be degrees per second; converted to rad/s"),
+}
+
+
+def smoothed(values, samples=100):
+    """Means over a second: gravity, where the phone hardly turns."""
+    return np.stack([np.convolve(axis, np.ones(samples) / samples, "same") for axis in values.T], axis=1)
+
+
+@pytest.mark.parametrize("wrong", WRONG_UNITS)
+def test_another_unit_is_recognised_within_five_seconds_of_walking_and_converted(wrong):
+    sensor, changed, said = WRONG_UNITS[wrong]
+    recording, truth = walk("figure_eight")
+    signal = getattr(recording, sensor)
+    nav, at = Navigator(), np.inf
+    for event in events_of(replace(recording, **{sensor: Signal(signal.time, changed(signal.values))})):
+        nav.push(event)
+        if nav.status.issues:
+            at = min(at, when(event))
+    begins = truth.time[np.flatnonzero(np.hypot(*np.diff(truth.position, axis=0).T) > 0.001)[0]]
+    assert at - begins < 5.0
+    assert any(issue.startswith(sensor) and issue.endswith(said) for issue in nav.status.issues), nav.status.issues
+    in_order = Navigator()
+    for event in events_of(recording):
+        in_order.push(event)
+    assert abs(nav.steps - in_order.steps) <= 6, "of the first seconds"
+    assert np.hypot(nav.pose.x - in_order.pose.x, nav.pose.y - in_order.pose.y) < 1.0
+
+
+def test_the_pose_follows_fixes_that_go_away_while_no_step_is_recognised():
+    """A ride of 20 s at 8 m/s between two walks; the pose is with the fixes within 12 s, and the state says so."""
+    recording, _ = walk("figure_eight")
+    nav, far, random = Navigator(), [], np.random.default_rng(0)
+    ride = 40.0, 60.0
+    for sensor in ("accelerometer", "gyroscope"):
+        signal, rest = getattr(recording, sensor), [0.0, 0.0, 9.81] if sensor == "accelerometer" else [0.0, 0.0, 0.0]
+        during = (signal.time > ride[0]) & (signal.time < ride[1])
+        values = np.where(during[:, None], rest + random.normal(0, 0.003, signal.values.shape), signal.values)
+        recording = replace(recording, **{sensor: Signal(signal.time, values)})
+    time = np.arange(1.0, 60.0)
+    place = np.column_stack(
+        [np.interp(time, walk("figure_eight")[1].time, axis) for axis in walk("figure_eight")[1].position.T]
+    )
+    place[time > ride[0]] = place[39] + np.outer(time[time > ride[0]] - ride[0], [8.0, 0.0])
+    fixes = Fixes(time, place + random.normal(0, 1.0, place.shape), np.ones(len(time)), ("",) * len(time))
+    for event in events_of(replace(recording, fixes=fixes)):
+        if when(event) > ride[1]:
+            break
+        nav.push(event)
+        if when(event) > ride[0] + 12.0 and nav.pose is not None:
+            far.append(np.hypot(*(np.array([nav.pose.x, nav.pose.y]) - place[int(nav.pose.time) - 1])))
+    assert max(far) < 20.0, "one fix behind at most"
+    assert nav.status.state == "fixes alone"
+    assert any("a ride, or steps that are not recognised" in issue for issue in nav.status.issues)
+    assert not nav.status.verdict.ok
+
+
 def test_gaps_are_no_milliseconds():
     nav = Navigator()
     for now in (0.0, 0.01, 0.02, 5.0, 5.01, 5.02, 20.0, 20.01):

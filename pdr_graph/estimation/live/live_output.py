@@ -34,8 +34,8 @@ from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.geometry import horizontal_sigma, pose_rotation
-from pdr_graph.priors import FIXES_ALONE, KALMAN, LIVE_PATHS
+from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, horizontal_sigma, pose_rotation
+from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
@@ -162,13 +162,29 @@ def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
 class FixesAlone:
     """A Kalman filter of positions.
 
-    time [s], mean ``(2,)`` [m], covariance ``(2, 2)``; beyond: number of fixes in a row that were not used.
+    time [s], mean ``(2,)`` [m], covariance ``(2, 2)``; sigma: of the last fix [m]; speed: to its place [m/s]; beyond:
+    number of fixes in a row that were not used.
     """
 
     time: float
     mean: Array
     covariance: Array
+    sigma: float
+    speed: float = 0.0
     beyond: int = 0
+
+    def covariance_at(self, time: float) -> Array:
+        """Covariance ``(3, 3)`` of the pose later [s], of any heading; at least that of a fix: their errors repeat."""
+        repeated = max(self.sigma**2 - float(np.trace(self.covariance)) / 2, 0.0)
+        covariance = (repeated + self.growth(time)) * np.eye(3)
+        covariance[:2, :2] += self.covariance
+        covariance[2, 2] = ANY_HEADING**2
+        return covariance
+
+    def growth(self, time: float) -> float:
+        """Variance per axis that the position has gained by then [s]: it wanders, and goes on as before. [m²]"""
+        later = max(time - self.time, 0.0)
+        return FIXES_ALONE.wander**2 * later + (self.speed * later) ** 2
 
 
 def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
@@ -178,18 +194,50 @@ def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
     """
     for time, position, sigma in zip(fixes.time.tolist(), fixes.position, fixes.sigma.tolist(), strict=True):
         R = sigma**2 * np.eye(2)
-        if state is None or state.beyond + 1 >= FIXES_ALONE.given_up:
-            state = FixesAlone(time, position.copy(), R)
+        if state is None:
+            state = FixesAlone(time, position.copy(), R, sigma)
             continue
         covariance = np.zeros((6, 6))
-        covariance[:2, :2] = state.covariance + FIXES_ALONE.wander**2 * max(time - state.time, 0.0) * np.eye(2)
+        covariance[:2, :2] = state.covariance + state.growth(time) * np.eye(2)
         mixture = single_mode(np.append(state.mean, np.zeros(4)), covariance)
         mixture, _, weight = measured(mixture, OF_POSITION, (position - state.mean)[None], R)
-        if weight[0] == 0.0:
+        mean, covariance = mixture.mean[0, :2], mixture.covariance[0, :2, :2]
+        if weight[0] == 0.0 and state.beyond + 1 < FIXES_ALONE.given_up:
             state = replace(state, beyond=state.beyond + 1)
-        else:
-            state = FixesAlone(max(time, state.time), mixture.mean[0, :2], mixture.covariance[0, :2, :2])
+            continue
+        if weight[0] == 0.0:
+            mean, covariance = position.copy(), R
+        moved, later = float(np.hypot(*(mean - state.mean))), time - state.time
+        speed = min(moved / later, FIXES.driven) if later > INSTANT else state.speed
+        state = FixesAlone(max(time, state.time), mean, covariance, sigma, speed)
     return state
+
+
+@dataclass(frozen=True)
+class Away:
+    """Fixes in a row that agree and go away from the walk: a ride, or steps that are not recognised.
+
+    count: of them; place ``(2,)`` [m], walked [m]: at the first.
+    """
+
+    count: int = 0
+    place: Array = field(default_factory=lambda: np.zeros(2))
+    walked: float = 0.0
+
+    def after(self, alone: FixesAlone, belief: Belief, walked: float) -> Away:
+        """The row after one more fix. belief: of the walk at its time; walked: until then [m]."""
+        if alone.beyond:
+            return self  # it agrees with none before
+        apart = alone.mean - belief.mean[:2]
+        spread = belief.covariance[:2, :2] + alone.covariance_at(alone.time)[:2, :2]
+        if apart @ np.linalg.solve(spread, apart) < CHI_SQUARE:
+            return Away()
+        return replace(self, count=self.count + 1) if self.count else Away(1, alone.mean, walked)
+
+    def is_followed(self, alone: FixesAlone, walked: float) -> bool:
+        """True if the position is that of the fixes, not of the walk."""
+        moved = float(np.hypot(*(alone.mean - self.place)))
+        return self.count >= FIXES_ALONE.away and moved >= max(FIXES_ALONE.moved, 2 * (walked - self.walked))
 
 
 class LiveOutput:
