@@ -74,21 +74,21 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation": (17, 2781),
     "estimation/ambiguity": (6, 388),
     "estimation/factors": (15, 2285),
-    "estimation/live": (10, 1638),
+    "estimation/live": (10, 1686),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
     "gait": (9, 1281),
-    "inertial": (5, 411),
-    "io": (18, 1612),
+    "inertial": (6, 518),
+    "io": (18, 1564),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
-    "online": (7, 818),
+    "online": (7, 847),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
     "estimation.smoother": (30, 5147),
-    "online.navigator": (63, 11152),
+    "online.navigator": (64, 11529),
 }
 
 
@@ -268,7 +268,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 26, 45, 28
+TO_EVIDENCE, TO_RESULT, TO_POSE = 27, 46, 28
 
 
 def passed(call):

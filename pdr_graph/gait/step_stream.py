@@ -16,8 +16,9 @@ from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_detection import Landings, StepDetector, decimation
 from pdr_graph.gait.steps import GaitSignals, steps_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeStream, GravityRestorer
+from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeStream
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
+from pdr_graph.inertial.units import GravityRestorer
 from pdr_graph.priors import REST, STEP
 from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import interpolate
-from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, SensorStream
+from pdr_graph.inertial.sensor_stream import SensorStream
+from pdr_graph.inertial.units import GravityRestorer
 from pdr_graph.priors import REST
-from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, OneLineRepr, Recording, Signal
+from pdr_graph.types import Array, Index, Mask, OneLineRepr, Recording, Signal
 
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
 
@@ -190,36 +191,6 @@ def upright(up: Array) -> Rotation:
     down = w < 1e-9 * (length + 1e-9)
     x, y = np.where(down, 1.0, up[:, 1]), np.where(down, 0.0, -up[:, 0])
     return Rotation.from_quat(np.stack([x, y, np.zeros(len(up)), np.where(down, 0.0, w)], axis=1))
-
-
-@dataclass
-class GravityRestorer:
-    """Restores gravity that the recorder removed, along the axis of the largest motion so far.
-
-    A walker bounces more than they sway. The sign of the axis assumes that the phone faces up or stands upright rather
-    than upside down. On real walks with the phone in hand the axis is within 3–9° of the vertical and gives the same
-    steps and turns.
-
-    moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
-    """
-
-    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
-
-    @property
-    def used(self) -> bool:
-        """True once it has restored a sample."""
-        return bool(self.moments[0, 0] > 0)
-
-    def restored(self, values: Array) -> Array:
-        """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
-        valid = (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
-        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
-        self.moments = self.moments + ones.T @ ones
-        count, total = self.moments[0, 0], self.moments[0, 1:]
-        covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
-        vertical = np.linalg.eigh(covariance)[1][:, -1]
-        up = np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
-        return values + STANDARD_GRAVITY * up * vertical
 
 
 class AttitudeStream:

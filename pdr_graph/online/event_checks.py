@@ -7,16 +7,14 @@ measurement is a keyframe.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pdr_graph.errors import InputError
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.inertial.attitude import GravityRestorer
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
-from pdr_graph.io.validation import IMPLAUSIBLE, WINDOW, unit_of
+from pdr_graph.inertial.units import SensorUnit
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INERTIAL,
@@ -28,7 +26,6 @@ from pdr_graph.types import (
     Limits,
     Mask,
     Sightings,
-    Signal,
     Steps,
     last_time,
     row_columns,
@@ -55,50 +52,6 @@ FINER = {  # unit of a clock: least and largest interval of inertial samples in 
 }
 LARGEST_FLOAT = float(np.finfo(float).max)
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
-
-
-@dataclass
-class SensorUnit:
-    """The unit of a sensor's samples by their values, as in files; once another than the expected is sure it is kept.
-
-    sensor: its name; factor: to its unit; gravity: restores what the recorder removed, None if it did not; note: what
-    differs from the expected, "" without; before: found in the last window; time, values: of the present one, in
-    packets.
-    """
-
-    sensor: str
-    factor: float = 1.0
-    gravity: GravityRestorer | None = None
-    note: str = ""
-    before: tuple[str, float, str] = ("", 1.0, "")
-    time: list[Array] = field(default_factory=list)
-    values: list[Array] = field(default_factory=list)
-
-    def watch(self, time: Array, values: Array) -> None:
-        """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
-        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
-        if self.note or not usable.any():
-            return
-        self.time.append(time[usable])
-        self.values.append(values[usable])
-        if abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
-            return
-        window, notes = Signal(np.concatenate(self.time), np.concatenate(self.values)), list[str]()
-        self.time, self.values = [], []
-        try:
-            kind, factor = unit_of("", self.sensor, window, notes)
-        except InputError as error:
-            kind, factor, notes = self.sensor, 1.0, [f"{self.sensor}: {error.wrong}"]
-        found = kind, factor, "".join(notes)
-        if found[2] and self.before[2] and found[:2] == self.before[:2]:
-            self.factor, self.note = factor, found[2]
-            self.gravity = GravityRestorer() if kind != self.sensor else None
-        self.before = found
-
-    def converted(self, values: Array) -> Array:
-        """Samples ``(n, k)`` in the expected unit, with gravity."""
-        values = values if self.factor == 1.0 else self.factor * values
-        return values if self.gravity is None else self.gravity.restored(values)
 
 
 class EventChecks:

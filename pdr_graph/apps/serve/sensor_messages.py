@@ -23,8 +23,9 @@ import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.units import GRAVITY_IN_G, unit_of
 from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_gravity
-from pdr_graph.io.validation import GRAVITY_IN_G, float_of, iso_time, receiver_fixes, unit_of
+from pdr_graph.io.validation import float_of, iso_time, receiver_fixes
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
 from pdr_graph.priors import FIXES
 from pdr_graph.types import INERTIAL, LONLAT, STANDARD_GRAVITY, Array, Fixes, Recording, Sightings, Signal

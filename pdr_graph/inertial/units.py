@@ -1,0 +1,181 @@
+"""The unit of a sensor by the values of its samples, of a file or as they arrive; gravity that the recorder removed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
+from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Signal
+
+GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over WINDOW; 9.5–10.2 on real walks
+GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
+WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration averages out
+FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
+FIELD_UNITS = ((1e-3, "T", 1e6), (0.15, "mT", 1e3), (4.0, "gauss", 100.0), (np.inf, "nT", 1e-3))  # below which median
+FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
+LARGEST = 1e12  # of a value in any unit; larger ones are damage
+
+
+def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
+    """The kind of a sensor by its values, and the factor that converts them to SI units, hPa and µT.
+
+    An accelerometer whose recorder removed gravity is of the kind ``linear_acceleration``: over a stride the walker's
+    acceleration averages out, and gravity remains. Raises InputError if an accelerometer's unit is not recognised.
+    """
+    median = float(np.median(signal.values if sensor == "barometer" else np.linalg.norm(signal.values, axis=1)))
+    if sensor == "gyroscope" and median > FASTEST_TURN:
+        notes.append(f"gyroscope: a median of {median:.1f} can only be degrees per second; converted to rad/s")
+        return sensor, np.pi / 180
+    if sensor == "barometer" and not 200 <= median <= 2000:  # people walk at 400–1050 hPa
+        unit, factor = ("Pa", 0.01) if median > 2000 else ("kPa", 10.0)
+        notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
+        return sensor, factor
+    if sensor == "magnetometer" and median > 0 and not FIELD[0] <= median <= FIELD[1]:
+        unit, factor = next((unit, factor) for most, unit, factor in FIELD_UNITS if median < most)
+        notes.append(f"magnetometer: a median of {median:.3g} can only be in {unit}; converted to µT")
+        return sensor, factor
+    if sensor != "accelerometer":
+        return sensor, 1.0
+    gravity = float(np.median(_windows(signal)[2]))
+    if GRAVITY[0] <= gravity <= GRAVITY[1]:
+        return sensor, 1.0
+    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * median:
+        notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
+        return sensor, STANDARD_GRAVITY
+    if gravity < 0.5 * median and median < GRAVITY[0]:
+        notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
+        return "linear_acceleration", 1.0
+    expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
+    raise InputError(path, sensor, f"gravity of {gravity:.3f} (median of {WINDOW:.0f} s means)", expected)
+
+
+@dataclass
+class SensorUnit:
+    """The unit of a sensor's samples by their values, as in files; once another than the expected is sure it is kept.
+
+    sensor: its name; factor: to its unit; gravity: restores what the recorder removed, None if it did not; note: what
+    differs from the expected, "" without; before: found in the last window; time, values: of the present one, in
+    packets.
+    """
+
+    sensor: str
+    factor: float = 1.0
+    gravity: GravityRestorer | None = None
+    note: str = ""
+    before: tuple[str, float, str] = ("", 1.0, "")
+    time: list[Array] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+    def watch(self, time: Array, values: Array) -> None:
+        """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
+        usable = np.isfinite(time) & (np.abs(values) < LARGEST).all(axis=1)
+        if self.note or not usable.any():
+            return
+        self.time.append(time[usable])
+        self.values.append(values[usable])
+        if abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
+            return
+        window, notes = Signal(np.concatenate(self.time), np.concatenate(self.values)), list[str]()
+        self.time, self.values = [], []
+        try:
+            kind, factor = unit_of("", self.sensor, window, notes)
+        except InputError as error:
+            kind, factor, notes = self.sensor, 1.0, [f"{self.sensor}: {error.wrong}"]
+        found = kind, factor, "".join(notes)
+        if found[2] and self.before[2] and found[:2] == self.before[:2]:
+            self.factor, self.note = factor, found[2]
+            self.gravity = GravityRestorer() if kind != self.sensor else None
+        self.before = found
+
+    def converted(self, values: Array) -> Array:
+        """Samples ``(n, k)`` in the expected unit, with gravity."""
+        values = values if self.factor == 1.0 else self.factor * values
+        return values if self.gravity is None else self.gravity.restored(values)
+
+
+@dataclass
+class GravityRestorer:
+    """Restores gravity that the recorder removed, along the axis of the largest motion so far.
+
+    A walker bounces more than they sway. The sign of the axis assumes that the phone faces up or stands upright rather
+    than upside down. On real walks with the phone in hand the axis is within 3–9° of the vertical and gives the same
+    steps and turns.
+
+    moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
+    """
+
+    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
+
+    @property
+    def used(self) -> bool:
+        """True once it has restored a sample."""
+        return bool(self.moments[0, 0] > 0)
+
+    def restored(self, values: Array) -> Array:
+        """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
+        valid = (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
+        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
+        self.moments = self.moments + ones.T @ ones
+        count, total = self.moments[0, 0], self.moments[0, 1:]
+        covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
+        vertical = np.linalg.eigh(covariance)[1][:, -1]
+        up = np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
+        return values + STANDARD_GRAVITY * up * vertical
+
+
+def _windows(signal: Signal) -> tuple[Array, Array, Array, Array]:
+    """Begin [s], median magnitude, magnitude of the mean vector, and swing of each window of WINDOW.
+
+    Swing is the standard deviation of the magnitude over its median. The last samples, which fill no window, are left
+    out.
+    """
+    samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
+    number = len(signal) // samples
+    values = signal.values[: number * samples].reshape(number, samples, -1)
+    size = np.linalg.norm(values, axis=2)
+    typical = np.median(size, axis=1)
+    swing = size.std(axis=1) / np.maximum(typical, np.finfo(float).tiny)
+    return signal.time[: number * samples : samples], typical, np.linalg.norm(values.mean(axis=1), axis=1), swing
+
+
+def check_one_unit(path: str, signals: dict[str, Signal]) -> None:
+    """Raise InputError if a sensor's unit changes: acceleration from m/s² to g, angular rate from rad/s to deg/s, or
+    back. Windows without gravity or steps fit both units and are not counted.
+    """
+    if "accelerometer" not in signals:
+        return
+    time, typical, mean, swing = _windows(signals["accelerometer"])
+    # gravity: the mean is within the limits, and the median magnitude of a walk within a factor of 1.4 of them
+    metric, in_g = (
+        (mean >= low) & (mean <= high) & (typical >= low / 1.4) & (typical <= high * 1.4)
+        for low, high in (GRAVITY, GRAVITY_IN_G)
+    )
+    _refuse_mixture(path, "accelerometer", time, typical, (metric, in_g), ("m/s²", "g"))
+    if "gyroscope" in signals:
+        moment, rate, _, _ = _windows(signals["gyroscope"])
+        effort = np.interp(moment, time, swing)
+        walking = effort > 0.1  # a phone that lies or is held still turns slowly
+        in_degrees = walking & (rate > FASTEST_TURN)
+        in_radians = walking & (rate <= FASTEST_TURN) & (rate > 0)
+        if in_degrees.any() and in_radians.any():
+            ratio, harder = (np.median(v[in_degrees]) / np.median(v[in_radians]) for v in (rate, effort))
+            if 0.5 < np.radians(ratio) < 2 and 2 / 3 < harder < 1.5:  # else a ride and a run in deg/s
+                _refuse_mixture(path, "gyroscope", moment, rate, (in_radians, in_degrees), ("rad/s", "deg/s"))
+
+
+def _refuse_mixture(
+    path: str, sensor: str, time: Array, typical: Array, which: tuple[Mask, Mask], units: tuple[str, str]
+) -> None:
+    """Raise InputError if two windows or more are in each of two units."""
+    first, second = which
+    if min(first.sum(), second.sum()) < 2:
+        return
+    counted = np.flatnonzero(first | second)
+    change = counted[np.flatnonzero(np.diff(second[counted].astype(int)))[0] + 1]
+    before, after = units if second[change] else units[::-1]
+    at, value = time[change] - time[0], typical[change]
+    found = f"values in {before}, and from {at:.0f} s on in {after}: a median of {value:.3g}"
+    raise InputError(path, sensor, found, "one unit throughout (two recordings in one file?)")
