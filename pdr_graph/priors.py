@@ -907,6 +907,7 @@ class TrackPriors(Table):
 class Schedule(Table):
     """When the live smoother refines, reviews, searches and restarts its estimate."""
 
+    late: float = number(3.0, "s", "by which fixes may come late while the direction is open")
     rounds: int = number(4, "rounds", "relinearisations after a keyframe, one with each of the next steps")
     wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe")
     final_rounds: int = number(30, "rounds", "most linearisations at the end of the walk")
@@ -977,6 +978,18 @@ class FixesAlonePriors(Table):
 
 
 @dataclass(frozen=True)
+class StandPriors(Table):
+    """The current position of a walker who stands."""
+
+    quiet: float = number(
+        0.3, "m/s²", "largest spread of the acceleration's size over a second", "who stands has 0.2, 0.3 m/s 0.4 to 0.7"
+    )
+    settled: float = number(3.0, "s", "without a step, and the same without a quiet second that ends it")
+    steps: float = number(0.3, "m", "of steps below which there is none: provisional ones change by a little")
+    held: float = number(2.0, "σ", "from the estimate, beyond which the position moves there")
+
+
+@dataclass(frozen=True)
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
@@ -1044,5 +1057,5 @@ PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()
 LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
 TRAVEL, TRACK = TravelPriors(), TrackPriors()
 SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()
-FIXES_ALONE, LIVE_FLOORS = FixesAlonePriors(), LiveFloorPriors()
+FIXES_ALONE, STAND, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), LiveFloorPriors()
 REPORTS, VERDICTS = ReportPriors(), VerdictPriors()

@@ -74,7 +74,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation": (17, 2781),
     "estimation/ambiguity": (6, 388),
     "estimation/factors": (15, 2285),
-    "estimation/live": (10, 1686),
+    "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
     "gait": (9, 1281),
@@ -83,12 +83,12 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
-    "online": (7, 847),
+    "online": (7, 871),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5147),
-    "online.navigator": (64, 11529),
+    "estimation.smoother": (30, 5190),
+    "online.navigator": (64, 11612),
 }
 
 

@@ -19,7 +19,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeStream
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
 from pdr_graph.inertial.units import GravityRestorer
-from pdr_graph.priors import REST, STEP
+from pdr_graph.priors import REST, STAND, STEP
 from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 
 
@@ -57,6 +57,13 @@ class StepStream:
         sensors = deepcopy(self._sensors)  # packets are validated together when they are due, whatever is asked before
         _ingest(*sensors.values())
         return {name: sensor.health for name, sensor in sensors.items()}
+
+    @property
+    def quiet(self) -> bool:
+        """True if nobody can be walking: the acceleration hardly varies within the last second, or is not measured."""
+        accelerometer = self._sensors["accelerometer"]
+        recent = accelerometer.values[accelerometer.time > accelerometer.last - SENSOR_VALIDATION.history]
+        return not len(recent) or bool(np.linalg.norm(recent, axis=1).std() < STAND.quiet)
 
     def push(self, sensor: str, time: Array, values: Array) -> None:
         """Add samples of a sensor, by its name in ``Recording.signals``, at times ``(n,)`` [s], as in `Signal`.

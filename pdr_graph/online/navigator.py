@@ -23,7 +23,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.live_output import Away, FixesAlone, after_fixes
+from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.estimation.verdict import verdict
@@ -34,7 +34,7 @@ from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import horizontal_sigma, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
@@ -48,7 +48,7 @@ from pdr_graph.online.status import (
     state_of,
     warnings_of,
 )
-from pdr_graph.priors import FIXES, INITIAL, REPORTS
+from pdr_graph.priors import FIXES, INITIAL, REPORTS, STAND
 from pdr_graph.types import (
     LONLAT,
     START,
@@ -115,14 +115,15 @@ class Navigator:
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
         self._alone: FixesAlone | None = None
         self._away = Away()
-        self._display = Display()
+        self._display, self._stand = Display(), Stand()
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
         self._start_heading = start_heading, start_heading_sigma
         self._chunks = list[Steps]()  # since `finalized` was last called, with the last before
         self._beacons = beacons
-        self._tail: Steps | None = None
-        self._pose: Pose | None = None  # the current pose, if it was asked for since the last event
+        self._provisional: Steps | None = None
+        self._tail: Steps | None = None  # the provisional steps, on stairs as long as the treads
+        self._pose: Pose | None = None  # the current pose, if it was asked for since it changed last
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._checks = EventChecks()
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
@@ -141,10 +142,11 @@ class Navigator:
     def push(self, event: Event) -> None:
         """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
         expect("Navigator.push, event", event, *event_types(), instead="events_of(recording)")
-        self._pose = None
         if isinstance(event, Samples):
             self._sample(replace(event, values=self._checks.in_unit(event.sensor, event.time, event.values)))
-        elif isinstance(event, Steps):
+            return
+        self._pose = None
+        if isinstance(event, Steps):
             if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:
                 self._extend(steps)
         elif isinstance(event, Scan):
@@ -187,7 +189,7 @@ class Navigator:
         if not self._window.keyframes or not (self.frame is None or self._graph.output.is_placed(self._now)):
             return None if alone is None else self._pose_by_fixes(alone)
         ways = self._graph.output.mixture(self._tail)
-        belief = self._graph.output.expected(ways)
+        belief = self._stand.held(self._now, self._graph.output.expected(ways), self._walked, self._gait.quiet)
         x, y, heading = belief.mean[:3].tolist()
         here = self._display.at(self._now, belief.mean[:2], heading, self._walked)
         modes = modes_of(ways)
@@ -261,7 +263,7 @@ class Navigator:
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""
         last = self._gait.finish()
-        self._tail = self._pose = None
+        self._tail = self._provisional = self._pose = None
         if last is not None:
             self._extend(last)
         self._graph.finish()
@@ -326,12 +328,16 @@ class Navigator:
         elif samples.sensor == "barometer":
             self._floors.push(samples.time + self._gait.offset, samples.values)
         self._gait.push(samples.sensor, samples.time, samples.values)
-        certain, self._tail = self._gait.advance()
-        for heading in self._compass.advance():
+        certain, provisional = self._gait.advance()
+        headings = self._compass.advance()
+        if certain is None and not headings and provisional is self._provisional:
+            return  # samples that wait for more: the pose is as before
+        self._pose, self._provisional, self._tail = None, provisional, provisional
+        for heading in headings:
             self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
         if certain is not None:
             self._extend(certain)
-        self._tail = None if self._tail is None else with_goings(self._tail, self._floors.goings)
+        self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)
 
     def _extend(self, steps: Steps) -> None:
         if self._start_heading[0] is not None and not self._certain and (len(steps) or not self._window.keyframes):
@@ -422,6 +428,32 @@ def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
         if probability >= REPORTS.least_reported or not modes:
             modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
     return tuple(modes)
+
+
+class Stand:
+    """The pose of a walker who stands stays where it is, until the estimate is some sigmas from it."""
+
+    def __init__(self) -> None:
+        self._walked, self._place = np.nan, np.zeros(2)
+        self._stepped = self._quiet = -np.inf  # times of the last step, and of the last quiet second [s]
+
+    def held(self, time: float, belief: Belief, walked: float, quiet: bool) -> Belief:
+        """The belief that is shown at a time [s] after ``walked`` [m]: its covariance is about the place it stays at.
+
+        quiet: nobody can be walking at that time.
+        """
+        if not abs(walked - self._walked) < STAND.steps:
+            self._stepped, self._walked = time, walked
+        self._quiet = time if quiet else self._quiet
+        apart = belief.mean[:2] - self._place
+        stands = time - self._stepped >= STAND.settled and time - self._quiet < STAND.settled
+        if not stands or np.hypot(*apart) > STAND.held * horizontal_sigma(belief.covariance):
+            self._place = belief.mean[:2].copy()
+            return belief
+        mean, covariance = belief.mean.copy(), belief.covariance.copy()
+        mean[:2] = self._place
+        covariance[:2, :2] += np.outer(apart, apart)
+        return Belief(mean, covariance)
 
 
 class Display:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapely
 from simulated import scenario
+from walks import part, straight
 
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -240,3 +241,56 @@ def test_standing_still_the_pose_stands():
     place = np.array([(pose.x, pose.y) for pose in found if pose.time > stop])
     assert len(place) > 300
     assert np.hypot(*(place - np.median(place, axis=0)).T).max() < 0.2
+
+
+def pushed_by_step(steps, *later):
+    """A navigator after some steps of a walk; after step n the data ``later`` has for it."""
+    nav = Navigator()
+    for n in range(len(steps)):
+        nav.push(part(steps, n, n + 1))
+        for number, data in later:
+            if number == n:
+                nav.push(data)
+    return nav
+
+
+def test_fixes_that_come_late_tell_the_direction_as_others_do():
+    """A receiver's fix each second, each pushed two steps late: west is told from east."""
+    steps, random = straight(12), np.random.default_rng(1)
+    time = steps.time[1::2]
+    place = np.column_stack([-0.7 * (np.arange(len(steps))[1::2] + 1), np.zeros(len(time))])
+    place += np.array([6.0, -4.0]) + random.normal(0, 0.7, place.shape)
+    fixes = [replace(fixes_at((t, *p), sigma=4.0), source=("GNSS",)) for t, p in zip(time, place, strict=True)]
+    pose = pushed_by_step(steps, *((2 * n + 3, fix) for n, fix in enumerate(fixes))).pose
+    assert abs(np.abs(pose.heading) - np.pi) < 0.8
+    assert np.hypot(pose.x - (6.0 - 0.7 * 12), pose.y + 4.0) < 2.5
+    assert 3.0 < pose.sigma < 7.0, "what all fixes share stays unknown"
+
+
+def test_a_heading_that_the_compass_revises_replaces_what_it_said():
+    """Start alone: the compass says south-west, then west; the pose is in the west."""
+    nav = pushed_by_step(straight(30), (0, fixes_at((0.1, 0.0, 0.0), sigma=0.5)))
+    graph = nav._graph
+    for heading, sigma in ((-2.0, 0.5), (np.pi, 0.3)):
+        graph.set_heading(-1, 5.0, heading, sigma)
+        nav.push(fixes_at((0.05, 0.0, 0.0), sigma=50.0))
+    assert abs(np.abs(nav.pose.heading) - np.pi) < 0.2
+    assert nav.pose.x < -15.0
+
+
+def test_a_walker_who_stands_stays_where_they_are_while_fixes_scatter():
+    """A minute's stand with a fix of 4 m each second: no pose is 0.2 m from another; then the walk goes on."""
+    route = [[0.0, 0.0], {"stand": 2}, {"to": [[20.0, 0.0]]}, {"stand": 60}, {"to": [[20.0, 20.0]]}, {"stand": 2}]
+    made = simulate(Scenario.of({"seed": 3, "start": 1.7e9, "phone": {"rate": 50.0}, "route": route}))
+    walk, truth = Recording("walk", 0.0, None, **{name: made.signals[name] for name in INERTIAL}), made.truth
+    time = np.arange(0.0, truth.time[-1])
+    place = np.column_stack([np.interp(time, truth.time, axis) for axis in truth.position.T])
+    place += np.random.default_rng(5).normal(0, 2.0, place.shape)
+    fixes = replace(Fixes(time, place, np.full(len(time), 4.0), ("",) * len(time)), source=("GNSS",) * len(time))
+    still = np.hypot(*np.gradient(truth.position, truth.time, axis=0).T) < 0.02
+    begin = truth.time[np.flatnonzero(still & (truth.time > 10.0))[0]]
+    found = [pose for pose in poses(replace(walk, fixes=fixes)) if pose is not None]
+    stands = np.array([(pose.x, pose.y) for pose in found if begin + 5.0 < pose.time < begin + 58.0])
+    assert len(stands) > 100
+    assert np.ptp(stands, axis=0).max() < 0.2
+    assert np.hypot(found[-1].x - 20.0, found[-1].y - 20.0) < 3.0

@@ -29,7 +29,6 @@ from pdr_graph.estimation.live.live_output import (
     LiveOutput,
     Modes,
     Position,
-    after_headings,
     in_any_direction,
     modes_at_end,
     predict,
@@ -40,7 +39,7 @@ from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, n
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
-from pdr_graph.types import Array, Fixes, Headings, Index, take
+from pdr_graph.types import Array, Fixes, Index
 
 Result = TypeVar("Result")
 
@@ -241,7 +240,7 @@ class LiveAmbiguity:
         if output.sure:
             output.modes.mixture = None
         elif solution.directed or output.modes.mixture is None:
-            output.modes = Modes(solution.ways, float(solution.path.time[-1]), solution.headings)
+            output.modes = Modes(solution.ways, float(solution.path.time[-1]), used=solution.headings)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
@@ -403,24 +402,25 @@ class LiveAmbiguity:
     def follow_modes(self) -> None:
         """Advance the modes that remain while the direction is open: the first fix begins them, in all directions.
 
-        Later fixes correct them, and each heading once.
+        Later fixes correct them. They stay a little behind, for fixes that come late; headings, which the compass
+        revises, correct what is shown.
         """
-        graph, output, modes, steps = self.graph, self.output, self.output.modes, self.graph.window.steps
+        graph, output, steps = self.graph, self.output, self.graph.window.steps
         if output.sure:
             return
-        if modes.mixture is None:
+        if output.modes.mixture is None:
             first = output.fixes_between(-np.inf, steps.end)
             if not first or graph.finalized.anchored:
                 return
-            modes.mixture = in_any_direction(output.keyframe_belief(), first[0])
-            modes.time = max(first[0].time, steps.start)
-        fixes, whole, start = output.fixes_between(modes.time, steps.end), steps.whole, steps.start
-        modes.mixture = predict(modes.mixture, whole, start, modes.time, steps.end, fixes)
-        modes.time = max(modes.time, steps.end)
-        headings, numbers = graph.log.rows_and_numbers(Headings)
-        new = ~np.isin(numbers, modes.used) & (headings.time <= modes.time)
-        modes.mixture = after_headings(modes.mixture, whole, start, modes.time, take(headings, new))
-        modes.used = np.append(modes.used, numbers[new])
+            output.modes = output.modes.begun(output.keyframe_belief(), first)
+            output.modes.time = max(first[0].time, steps.start)
+        until = max(output.modes.time, steps.end - SCHEDULE.late)
+        fixes, whole, start = output.fixes_between(output.modes.time, until), steps.whole, steps.start
+        output.modes = modes = output.modes.of_all(fixes)
+        if modes.mixture is None:
+            return
+        modes.mixture = predict(modes.mixture, whole, start, modes.time, until, fixes, modes.receiver)
+        modes.time = until
 
     def search_plan(self) -> None:
         """Seek a walk without any position on the whole plan; a place that is certain becomes a fix."""
@@ -439,7 +439,7 @@ class LiveAmbiguity:
             graph.append(places.heading)
             return
         if places is not None:
-            modes.mixture, modes.time = places.ways, places.time
+            modes.mixture, modes.time, modes.receiver = places.ways, places.time, None
         if np.isfinite(graph.leaving_after):
             graph.restart(np.inf)  # no keyframe leaves the window before the walk is placed
         if self.place.idle and walked > SCHEDULE.search_after and now >= self.next_search:

@@ -2,9 +2,9 @@
 
 The current pose is predicted by extended Kalman filters from the last keyframe through later steps and fixes: one if
 the direction of the walk is certain, else one for each way that remains (`Modes`). These begin at the first fix, in all
-directions; each fix and heading corrects them, and each solution of the batch replaces them. Ways whose present
-position is inside walls count less, as long as they are there. Before the first steps, and where no steps can be
-detected, the position is that of the fixes alone (`FixesAlone`).
+directions; each fix corrects them, the headings known by now what is shown, and each solution of the batch replaces
+them. Ways whose present position is inside walls count less, as long as they are there. Before the first steps, where
+no steps can be detected and where fixes go away from them, the position is that of the fixes alone (`FixesAlone`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, horizontal_sigma, pose_rotation
-from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS
+from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
@@ -43,12 +43,54 @@ QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
 
 @dataclass(frozen=True)
 class Position:
-    """A fix: time [s], position ``(2,)`` [m], sigma [m]; share: of its information that is independent of others."""
+    """A fix: time [s], position ``(2,)`` [m], sigma [m]; share: of its information that is independent of others.
+
+    source: of the receiver, "" of others.
+    """
 
     time: float
     position: Array
     sigma: float
     share: float
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """The receiver whose fixes alone tell where a walk is: the filter follows what it would state.
+
+    Its errors are correlated, so that changes of its position are known much better than the position. source: its
+    name; sigma: of its first fix [m].
+    """
+
+    source: str
+    sigma: float
+
+    @property
+    def common(self) -> float:
+        """Variance of the error that its fixes share. [m²]"""
+        return (1 - RECEIVERS.white**2) * self.sigma**2
+
+    @property
+    def drift(self) -> float:
+        """Growth of the variance of that error while somebody walks. [m²/s]"""
+        varying = max(1 - RECEIVERS.white**2 - RECEIVERS.throughout**2, 0.0) * self.sigma**2
+        return 2 * varying * (1 / RECEIVERS.standing + FIXES.walking_speed / RECEIVERS.along)
+
+    def seen(self, fix: Position) -> Position:
+        """One of its fixes, as a measurement of what it states."""
+        return replace(fix, sigma=RECEIVERS.white * fix.sigma, share=1.0)
+
+    @staticmethod
+    def of(fix: Position) -> Receiver | None:
+        """The receiver of a first fix; None for a position that somebody states."""
+        return Receiver(fix.source, fix.sigma) if fix.source else None
+
+    def widened(self, mixture: GaussianMixture) -> GaussianMixture:
+        """The mixture of true positions."""
+        covariance = mixture.covariance.copy()
+        covariance[:, :2, :2] += self.common * np.eye(2)
+        return replace(mixture, covariance=covariance)
 
 
 @dataclass(frozen=True)
@@ -87,11 +129,17 @@ def corrected(mixture: GaussianMixture, fix: Position) -> GaussianMixture:
 
 
 def predict(
-    mixture: GaussianMixture, whole: Array, start: float, begin: float, end: float, fixes: Sequence[Position]
+    mixture: GaussianMixture,
+    whole: Array,
+    start: float,
+    begin: float,
+    end: float,
+    fixes: Sequence[Position],
+    receiver: Receiver | None = None,
 ) -> GaussianMixture:
     """Predict the mixture from ``begin`` to ``end`` [s] through the steps and fixes between, in order of time.
 
-    whole, start: of the steps, see `intervals`.
+    whole, start: of the steps, see `intervals`; receiver: of all fixes, if the mixture is of what it states.
     """
     moments = np.unique([*(fix.time for fix in fixes if begin + INSTANT < fix.time <= end), end])
     if moments[-1] < begin + INSTANT:
@@ -100,7 +148,8 @@ def predict(
     mean_c = mixture.mean[mixture.best, 3:]
     increments = preintegrate(pieces, np.tile(mean_c, (len(moments), 1)))
     spread = increment_covariance(pieces, increments)
-    waiting = list(fixes)
+    waiting = [receiver.seen(fix) for fix in fixes] if receiver is not None else list(fixes)
+    elapsed = np.diff(moments, prepend=begin)
     for n, moment in enumerate(moments.tolist()):
         last, R = pieces.last[n], pose_rotation(mixture.mean[:, 2])
         delta, by_c = increments.delta[last], increments.by_c[last]
@@ -111,6 +160,8 @@ def predict(
         F[:, :3, 3:] = R @ by_c
         covariance = F @ covariance @ F.transpose(0, 2, 1)
         covariance[:, :3, :3] += R @ spread[n] @ R.transpose(0, 2, 1)
+        if receiver is not None:
+            covariance[:, :2, :2] += receiver.drift * max(elapsed[n], 0.0) * np.eye(2)
         mixture = replace(mixture, mean=mean, covariance=covariance)
         while waiting and waiting[0].time <= moment:
             mixture = corrected(mixture, waiting.pop(0))
@@ -121,12 +172,27 @@ def predict(
 class Modes:
     """Gaussians over (x, y, θ, R_s, R_d, b) with weights, at ``time`` [s]; none before the first fix.
 
-    used: numbers of the headings that corrected them.
+    receiver: what they state is the position that it would state, None if the true one; used: numbers of the headings
+    that the batch has used.
     """
 
     mixture: GaussianMixture | None = None
     time: float = np.nan
+    receiver: Receiver | None = None
     used: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    def begun(self, at: GaussianMixture, fixes: list[Position]) -> Modes:
+        """Modes in all directions at the first of some fixes; ``at`` has the calibration."""
+        receiver = Receiver.of(fixes[0])
+        first = fixes[0] if receiver is None else receiver.seen(fixes[0])
+        return Modes(in_any_direction(at, first), fixes[0].time, receiver, used=self.used)
+
+    def of_all(self, fixes: list[Position]) -> Modes:
+        """The modes for which these fixes are measurements: of the true position, unless all are the receiver's."""
+        receiver, mixture = self.receiver, self.mixture
+        if receiver is None or mixture is None or all(fix.source == receiver.source for fix in fixes):
+            return self
+        return replace(self, mixture=receiver.widened(mixture), receiver=None)
 
 
 def after_headings(
@@ -236,8 +302,9 @@ class Away:
 
     def is_followed(self, alone: FixesAlone, walked: float) -> bool:
         """True if the position is that of the fixes, not of the walk."""
-        moved = float(np.hypot(*(alone.mean - self.place)))
-        return self.count >= FIXES_ALONE.away and moved >= max(FIXES_ALONE.moved, 2 * (walked - self.walked))
+        if self.count < FIXES_ALONE.away:
+            return False
+        return float(np.hypot(*(alone.mean - self.place))) >= max(FIXES_ALONE.moved, 2 * (walked - self.walked))
 
 
 class LiveOutput:
@@ -265,15 +332,17 @@ class LiveOutput:
         """
         window, modes = self.graph.window, self.modes
         whole = window.steps.with_tail(tail)
-        base, at = modes.mixture, modes.time
-        if base is None:
-            base, at = self.keyframe_belief(), window.times[-1]
-        end = float(whole[-1, END]) if len(whole) else at
+        if modes.mixture is None:
+            modes = Modes(self.keyframe_belief(), window.times[-1])
+        end = float(whole[-1, END]) if len(whole) else modes.time
         end = end if until is None else min(end, until)
-        fixes = self.fixes_between(at, end)
-        if fixes and modes.mixture is None and not self.graph.has_position:
-            base, at, fixes = in_any_direction(base, fixes[0]), fixes[0].time, fixes[1:]
-        ways, plan = predict(base, whole, window.steps.start, at, end, fixes), window.located_plan
+        fixes = self.fixes_between(modes.time, end)
+        if fixes and self.modes.mixture is None and not self.graph.has_position:
+            modes, fixes = modes.begun(self.keyframe_belief(), fixes), fixes[1:]
+        modes = modes.of_all(fixes)
+        base = self.keyframe_belief() if modes.mixture is None else modes.mixture
+        ways = predict(base, whole, window.steps.start, modes.time, end, fixes, modes.receiver)
+        ways, plan = ways if modes.receiver is None else modes.receiver.widened(ways), window.located_plan
         if self.sure:
             ways = self._with_others(ways, whole, end)
         elif len(ways) > 1:
@@ -344,7 +413,7 @@ class LiveOutput:
             independent = (factor.sigma / factor.independent_sigma) ** 2
             share = {source: float(of) for source, of in zip(factor.fixes.source, independent, strict=True) if source}
         rows = zip(new.time.tolist(), new.position, new.sigma.tolist(), new.source, strict=True)
-        return [Position(time, position, sigma, share.get(source, 1.0)) for time, position, sigma, source in rows]
+        return [Position(t, position, sigma, share.get(source, 1.0), source) for t, position, sigma, source in rows]
 
     def pending_rows(self) -> list[TrajectoryRows]:
         """Finalised rows that `pop_finalized` has not returned yet."""
