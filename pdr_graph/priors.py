@@ -984,7 +984,7 @@ class StandPriors(Table):
     quiet: float = number(
         0.3, "m/s²", "largest spread of the acceleration's size over a second", "who stands has 0.2, 0.3 m/s 0.4 to 0.7"
     )
-    settled: float = number(3.0, "s", "without a step, and the same without a quiet second that ends it")
+    seconds: float = number(3.0, "s", "without a step, and the same without a quiet second that ends it")
     steps: float = number(0.3, "m", "of steps below which there is none: provisional ones change by a little")
     held: float = number(2.0, "σ", "from the estimate, beyond which the position moves there")
 

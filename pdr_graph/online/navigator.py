@@ -446,7 +446,7 @@ class Stand:
             self._stepped, self._walked = time, walked
         self._quiet = time if quiet else self._quiet
         apart = belief.mean[:2] - self._place
-        stands = time - self._stepped >= STAND.settled and time - self._quiet < STAND.settled
+        stands = time - self._stepped >= STAND.seconds and time - self._quiet < STAND.seconds
         if not stands or np.hypot(*apart) > STAND.held * horizontal_sigma(belief.covariance):
             self._place = belief.mean[:2].copy()
             return belief
