@@ -787,6 +787,8 @@ class KalmanPriors(Table):
     hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
     same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
     patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
+    left_out: float = number(0.01, "probability", "of a wrong fix, above which a hypothesis goes on without it too")
+    most: int = number(24, "hypotheses", "largest number")
 
 
 @dataclass(frozen=True)

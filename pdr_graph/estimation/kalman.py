@@ -10,8 +10,9 @@ same pieces and fixes:
 
 The paper has one filter for the heading and another for the position, so its fixes correct neither heading nor stride;
 in one state they do. Its magnetometer measures the heading from the first step on; here the first magnetic heading is
-carried back to the start by the gyro. A fix beyond the gate is rejected; after several in a row the filter is
-re-initialised at their position.
+carried back to the start by the gyro. A fix beyond the gate is rejected, and where a nearer one may be wrong, the
+filter goes on with it and without it, until later fixes decide; so does it with the first fix at the second. After
+several rejected in a row it is re-initialised at their position.
 
 An unknown direction, or one from a rough compass, is too uncertain for one linearisation: a mixture of filters, one per
 direction, runs in parallel, and measurements decide between them. A measurement beyond the gate of a hypothesis does
@@ -42,7 +43,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import FIXES, KALMAN, REPORTS, SEARCH
+from pdr_graph.priors import FIXES, KALMAN, PRICES, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
@@ -117,6 +118,31 @@ def measured(
     covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(mean, covariance, log_weight, bank.origin), sigmas, weight
+
+
+def corrected(
+    bank: GaussianMixture, place: Array, sigma: float, share: float
+) -> tuple[GaussianMixture, Index, Array, Array]:
+    """Correct the mixture with a fix at ``place (2,)`` [m]; where it may be wrong, hypotheses go on without it too.
+
+    sigma [m]; share: see `measured`. Returns the mixture, and of each of its hypotheses ``(h,)`` that before, the
+    innovation [σ] and the weight of the fix.
+    """
+    updated, sigmas, weight = measured(bank, OF_POSITION, place - bank.mean[:, :2], sigma**2 * np.eye(2), share)
+    spared = huber_cost(np.minimum(sigmas, FIXES.outlier)) - PRICES.wrong_fix  # [nats] if the fix is wrong
+    gone = weight == 0.0
+    updated = replace(updated, log_weight=updated.log_weight + np.where(gone, spared, 0.0))
+    without = np.flatnonzero(~gone & (spared > np.log(KALMAN.left_out)))
+    kept = replace(bank.take(without), log_weight=(updated.log_weight + spared)[without])
+    row, whole = np.append(np.arange(len(bank)), without), joined(updated, kept)
+    most = np.argsort(-whole.log_weight, kind="stable")[: KALMAN.most]
+    return whole.take(most), row[most], sigmas[row][most], np.append(weight, np.zeros(len(without)))[most]
+
+
+def joined(first: GaussianMixture, second: GaussianMixture) -> GaussianMixture:
+    """All hypotheses of two mixtures, with their weights as they are."""
+    names = ("mean", "covariance", "log_weight", "origin")
+    return GaussianMixture(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
 
 
 def heading_corrected(bank: GaussianMixture, H: Array, heading: float, variance: float) -> GaussianMixture:
@@ -323,25 +349,38 @@ def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
 def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
     """Correct with fix ``n``. refused: number of fixes rejected in a row before it; its new value is returned."""
     fixes = graph.positions
-    place, R = fixes.fixes.position[n], fixes.sigma[n] ** 2 * np.eye(2)
+    second = np.flatnonzero(fixes.used)[1:2]
+    place, sigma = fixes.fixes.position[n], float(fixes.sigma[n])
     share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
     bank = moment.posterior
-    updated, sigmas, weight = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+    updated, row, sigmas, weight = corrected(bank, place, sigma, share)
     best = updated.best
-    distance = float(np.hypot(*(place - bank.mean[best, :2])))
+    distance = float(np.hypot(*(place - bank.mean[row[best], :2])))
     meeting = Meeting(n, distance, float(sigmas[best]), float(weight[best]), reset=False)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == KALMAN.patience:
-        # The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle
-        winner = moment.posterior.origin[[moment.posterior.best]]
-        lost = moment.predicted.take(winner)
-        forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
-        anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
-        bank, refused = by_direction(anywhere), 0
-        moment = Moment(moment.parent[winner], moment.motion[winner], anywhere, bank, moment.met)
-        updated, *_ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
-        meeting = replace(meeting, weight=1.0, reset=True)
+        moment, refused = _lost(moment), 0
+        updated, meeting = corrected(moment.posterior, place, sigma, share)[0], replace(meeting, weight=1.0, reset=True)
+    elif n in second:  # perhaps the first was wrong, and this is where the walk is
+        lost = _lost(moment)
+        elsewhere = corrected(lost.posterior, place, sigma, share)[0]
+        cost = np.where(weight > 0, huber_cost(np.minimum(sigmas, FIXES.outlier)), PRICES.wrong_fix)
+        log_weight = elsewhere.log_weight + np.logaddexp.reduce(updated.log_weight + cost) - PRICES.wrong_fix
+        elsewhere = replace(elsewhere, log_weight=log_weight, origin=elsewhere.origin + len(moment.predicted))
+        parent, motion = np.append(moment.parent, lost.parent), np.concatenate([moment.motion, lost.motion])
+        moment = Moment(parent, motion, joined(moment.predicted, lost.predicted), moment.posterior, moment.met)
+        updated = joined(updated, elsewhere)
+        updated = updated.take(np.arange(len(updated)))
     return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
+
+
+def _lost(moment: Moment) -> Moment:
+    """The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle."""
+    winner = moment.posterior.origin[[moment.posterior.best]]
+    lost = moment.predicted.take(winner)
+    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
+    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
+    return Moment(moment.parent[winner], moment.motion[winner], anywhere, by_direction(anywhere), moment.met)
 
 
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
