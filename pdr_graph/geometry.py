@@ -191,6 +191,18 @@ def protection_level(covariance: Array, heading: Array, probability: float = 0.9
     return float(stdtrit(FREEDOM, (1 + probability) / 2)) * along_and_across(covariance, heading)
 
 
+def confidence_ellipse(covariance: Array, probability: float = 0.9) -> tuple[float, float, float]:
+    """Half axes [m], the longer first, and the angle of that [rad] of the ellipse that holds a Gaussian's position.
+
+    covariance: ``(2, 2)`` or more, of (x, y) first [m²]. Raises ValueError unless the probability lies between 0 and 1.
+    """
+    if not 0 < probability < 1:
+        raise ValueError(f"confidence_ellipse, probability: found {probability}, expected a number between 0 and 1")
+    variance, axes = np.linalg.eigh(covariance[:2, :2])
+    minor, major = np.sqrt(-2 * np.log(1 - probability) * np.maximum(variance, 0.0)).tolist()
+    return major, minor, float(np.arctan2(axes[1, 1], axes[0, 1]))
+
+
 CHI_SQUARE = 5.99  # 95 % quantile for two degrees of freedom
 CORNERS = 24  # of the polygon drawn for an ellipse
 

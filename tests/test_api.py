@@ -38,7 +38,7 @@ Measurement()
 Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
-Pose(time, x, y, heading, floor, covariance, modes=, display=)
+Pose(time, x, y, heading, floor, covariance, modes=, display=, placed=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)

@@ -12,12 +12,15 @@ from itertools import pairwise
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+import shapely
+from shapely import affinity
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
-from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle
+from pdr_graph.geometry import confidence_ellipse, horizontal_sigma, protection_level, wrap_angle
 from pdr_graph.types import (
     Array,
     Estimate,
@@ -151,7 +154,8 @@ class Pose(OneLineRepr):
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
     (x, y, heading) in the output axes [m, m, rad], of all ways together; modes: the ways, the most probable first;
-    display: x, y [m] for a map, which follows a jump of the pose within 2 s.
+    display: x, y [m] for a map, which follows a jump of the pose within 2 s; placed: False while no measurement has
+    told a position, so that it is relative to the start.
     """
 
     time: float
@@ -162,11 +166,25 @@ class Pose(OneLineRepr):
     covariance: Array
     modes: tuple[Mode, ...] = ()
     display: tuple[float, float] | None = None
+    placed: bool = True
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the position per axis [m], root mean square of both axes."""
-        return float(horizontal_sigma(self.covariance))
+        """Standard deviation of the position per axis [m], root mean square of both axes; NaN before any position."""
+        return float(horizontal_sigma(self.covariance)) if self.placed else float("nan")
+
+    def region(self, probability: float = 0.9, plan: FloorPlan | None = None) -> shapely.Geometry:
+        """The ellipse that holds the position with a probability, as a polygon [m]; on a plan, its walkable part.
+
+        Empty where no position is known. Raises ValueError unless the probability lies between 0 and 1.
+        """
+        if not self.placed:
+            return shapely.Polygon()
+        major, minor, angle = confidence_ellipse(self.covariance, probability)
+        circle = shapely.Point(0.0, 0.0).buffer(1.0)
+        ellipse = affinity.rotate(affinity.scale(circle, max(major, 0.01), max(minor, 0.01)), angle, use_radians=True)
+        region = affinity.translate(ellipse, self.x, self.y)
+        return region if plan is None else shapely.intersection(region, plan.walkable)
 
     def protection(self, probability: float = 0.95) -> tuple[float, float]:
         """Distances along and across the heading that hold the error with a probability [m]."""

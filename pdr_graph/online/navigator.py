@@ -192,9 +192,16 @@ class Navigator:
         belief = self._stand.held(self._now, self._graph.output.expected(ways), self._walked, self._gait.quiet)
         x, y, heading = belief.mean[:3].tolist()
         here = self._display.at(self._now, belief.mean[:2], heading, self._walked)
-        modes = modes_of(ways)
         return Pose(
-            self._now, x, y, float(wrap_angle(heading)), self._floors.label, belief.covariance[:3, :3], modes, here
+            self._now,
+            x,
+            y,
+            float(wrap_angle(heading)),
+            self._floors.label,
+            belief.covariance[:3, :3],
+            modes_of(ways),
+            here,
+            self._graph.output.is_placed(self._now),
         )
 
     def _pose_by_fixes(self, alone: FixesAlone) -> Pose:

@@ -14,7 +14,7 @@ from walks import part, straight
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.online.interface import events_of
+from pdr_graph.online.interface import Pose, events_of
 from pdr_graph.online.navigator import Display, Navigator
 from pdr_graph.types import Fixes, Recording, Signal
 
@@ -294,3 +294,25 @@ def test_a_walker_who_stands_stays_where_they_are_while_fixes_scatter():
     assert len(stands) > 100
     assert np.ptp(stands, axis=0).max() < 0.2
     assert np.hypot(found[-1].x - 20.0, found[-1].y - 20.0) < 3.0
+
+
+def test_the_region_of_a_pose_holds_its_probability_and_is_cut_by_walls():
+    """Of draws from the pose's Gaussian, 9 of 10 and half are in it; on a plan it is walkable."""
+    covariance = np.array([[4.0, 1.5, 0.0], [1.5, 1.0, 0.0], [0.0, 0.0, 0.1]])
+    pose = Pose(0.0, 7.0, 19.0, 0.0, "", covariance)
+    drawn = np.random.default_rng(0).multivariate_normal([7.0, 19.0], covariance[:2, :2], 20_000)
+    for probability in (0.5, 0.9):
+        inside = shapely.contains_xy(pose.region(probability), *drawn.T).mean()
+        assert inside == pytest.approx(probability, abs=0.01)
+    plan = fresh_plan()
+    assert plan.walkable.buffer(1e-6).contains(pose.region(0.9, plan))
+    assert 0.0 < pose.region(0.9, plan).area < pose.region(0.9).area
+    with pytest.raises(ValueError, match="expected a number between 0 and 1"):
+        pose.region(90)
+
+
+def test_before_any_position_a_pose_has_no_sigma_and_no_region():
+    [*_, last] = poses(recorded(STRAIGHT)[0])
+    assert not last.placed
+    assert np.isnan(last.sigma)
+    assert last.region().is_empty

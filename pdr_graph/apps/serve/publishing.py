@@ -54,6 +54,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import METRES_PER_DEGREE, Frame
+from pdr_graph.geometry import confidence_ellipse
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.interface import NO_DATA, Pose
 from pdr_graph.online.status import SENSOR_SILENCE, Status
@@ -61,7 +62,6 @@ from pdr_graph.types import Array, Trajectory
 
 PATH_INTERVAL = 2.0  # [s] between two events `path` of a walker
 PROBABILITY = 0.9  # of the region
-RADII = float(np.sqrt(-2 * np.log(1 - PROBABILITY)))  # [sigma] half axes of the ellipse of that probability
 METRE_DECIMALS, DEGREE_DECIMALS, RADIAN_DECIMALS, SECOND_DECIMALS = 3, 8, 4, 3  # decimals
 PATH_KEYS = ("time", "x", "y", "lon", "lat", "floor")
 
@@ -74,7 +74,7 @@ def pose_json(
     if pose is not None:
         event |= _place(pose, frame) | {"time": round(epoch + pose.time, SECOND_DECIMALS), "floor": pose.floor}
         event |= {
-            "sigma": round(pose.sigma, METRE_DECIMALS),
+            "sigma": round(pose.sigma, METRE_DECIMALS) if pose.placed else None,
             "heading_sigma": round(float(pose.covariance[2, 2]) ** 0.5, RADIAN_DECIMALS),
         }
         shown = pose.display or (pose.x, pose.y)
@@ -113,9 +113,7 @@ def _bearing(pose: Pose, frame: Frame | None) -> float:
 
 def region(covariance: Array) -> dict[str, float]:
     """The ellipse that holds the position with PROBABILITY; covariance: ``(2, 2)`` or more, (x, y) first [m²]."""
-    variance, axes = np.linalg.eigh(covariance[:2, :2])
-    minor, major = (RADII * np.sqrt(np.maximum(variance, 0.0))).tolist()
-    angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
+    major, minor, angle = confidence_ellipse(covariance, PROBABILITY)
     half_axes = {"semi_major": round(major, METRE_DECIMALS), "semi_minor": round(minor, METRE_DECIMALS)}
     return {"probability": PROBABILITY, **half_axes, "angle": round(angle, RADIAN_DECIMALS)}
 
