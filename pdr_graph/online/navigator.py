@@ -378,14 +378,18 @@ class Navigator:
         if self._place is None:
             self._locate(frame, frame.place(fixes).position[0])
         fixes = frame.place(fixes)
-        for n in range(len(fixes)):
-            source, place = fixes.source[n], tuple(fixes.position[n].tolist())
-            if source and self._last_fixes.get(source) == place:
-                continue  # duplicate epoch
-            self._last_fixes[source] = place
-            if len(self._last_fixes) > MOST_RECEIVERS:
-                del self._last_fixes[next(iter(self._last_fixes))]
-            self._measure(fixes[n])
+        new = np.array([self._is_new(fixes.source[n], tuple(fixes.position[n].tolist())) for n in range(len(fixes))])
+        if new.any():
+            self._measure(take(fixes, new))
+
+    def _is_new(self, source: str, place: tuple[float, ...]) -> bool:
+        """Whether a receiver's fix is at another place than its last one: else it is a duplicate epoch."""
+        if source and self._last_fixes.get(source) == place:
+            return False
+        self._last_fixes[source] = place
+        if len(self._last_fixes) > MOST_RECEIVERS:
+            del self._last_fixes[next(iter(self._last_fixes))]
+        return True
 
     def _measure(self, data: Any) -> None:
         """Append valid measurements; those of the future, and those that come too often, are counted."""
@@ -397,8 +401,8 @@ class Navigator:
             self._accepted += len(data)
             self._floors.add_fixes(data)
         self._graph.append(data)
-        if isinstance(data, Fixes):
-            self._alone = after_fixes(self._alone, data)
+        for n in range(len(data) if isinstance(data, Fixes) else 0):
+            self._alone = after_fixes(self._alone, data[n])
             if self._window.keyframes and self._alone is not None:
                 belief = self._graph.output.belief(self._tail, self._alone.time)
                 self._away = self._away.after(self._alone, belief, self._walked)
