@@ -72,6 +72,7 @@ EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
+FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class LiveCompass:
         self._earth: EarthField | None = None
         self._east = 0.0
         self._found: list[LiveHeading] = []
+        self.upside_down = False  # the field pointed up by as much as the earth's points down: accelerations negated
 
     def locate(self, frame: Frame, near: Array, epoch: float | None = None) -> None:
         """Set the location: near ``(2,)`` in the frame of the headings [m]; epoch: Unix time of time 0 [s]."""
@@ -234,6 +236,15 @@ class LiveCompass:
         early = [count * step for count in LIVE_COMPASS.early_steps]
         return next((time for time in early if time > 1.05 * self.evaluated), self.evaluated + LIVE_COMPASS.evaluation)
 
+    def _check_signs(self) -> None:
+        """Compare the dip of the field with the earth's: an app may state accelerations with the signs of iOS."""
+        known = self.samples[: self.field_count]
+        known = known[np.any(known[:, FIELD], axis=1)]
+        if self._earth is None or abs(self._earth.dip) < 2 * NORTH.disturbed or len(known) < FEWEST_FIELDS:
+            return
+        world = Rotation.from_quat(known[:, ATTITUDE]).apply(known[:, FIELD])
+        self.upside_down |= bool(np.median(dip_error(world, -self._earth.dip)) < NORTH.disturbed)
+
     @staticmethod
     def _usual_step(durations: Array) -> float:
         return float(np.median(durations)) if len(durations) else np.inf
@@ -314,6 +325,7 @@ class LiveCompass:
         time = self.begin + self.spacing * np.arange(new.start, new.stop, dtype=float)
         self.samples[new, FIELD] = self.field.at(time, Rotation.from_quat(self.samples[new, ATTITUDE]))
         self.field_count = len(self.samples)
+        self._check_signs()
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,7 @@ if TYPE_CHECKING:
 
 SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
 MOST_RECEIVERS = 100  # whose last positions are stored, to recognise duplicate epochs
+UPSIDE_DOWN = "accelerometer: the magnetic field points up: are the signs those of iOS? Android's are expected"
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
 
@@ -248,6 +249,7 @@ class Navigator:
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
                 *issues_of(self._gait.health, located and not walking, self._away_by),
+                *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
             ),

@@ -316,6 +316,21 @@ def test_the_pose_follows_fixes_that_go_away_while_no_step_is_recognised():
     assert not nav.status.verdict.ok
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_accelerations_with_the_signs_of_ios_are_an_issue(sign):
+    """By the dip of the magnetic field, where the walk's place is known."""
+    route = [[0.0, 0.0], {"stand": 2}, {"to": [[20.0, 0.0], [20.0, 10.0]]}, {"stand": 2}]
+    made = simulate(Scenario.of({"seed": 1, "start": 1.7e9, "place": [11.08, 49.45], "route": route}))
+    signals = {name: made.signals[name] for name in ("accelerometer", "gyroscope", "magnetometer")}
+    accelerometer = signals["accelerometer"]
+    signals["accelerometer"] = Signal(accelerometer.time, sign * accelerometer.values)
+    nav = Navigator(epoch=1.7e9)
+    nav.push(Fixes(0.5, (11.08, 49.45), 5.0, epsg=LONLAT))
+    for event in events_of(Recording("walk", 0.0, 1.7e9, **signals)):
+        nav.push(event)
+    assert any("signs those of iOS" in issue for issue in nav.status.issues) == (sign < 0)
+
+
 def test_gaps_are_no_milliseconds():
     nav = Navigator()
     for now in (0.0, 0.01, 0.02, 5.0, 5.01, 5.02, 20.0, 20.01):
