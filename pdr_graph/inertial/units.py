@@ -16,7 +16,7 @@ WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration
 FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
 FIELD_UNITS = ((1e-3, "T", 1e6), (0.15, "mT", 1e3), (4.0, "gauss", 100.0), (np.inf, "nT", 1e-3))  # below which median
 FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
-LARGEST = 1e12  # of a value in any unit; larger ones are damage
+IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 
 
 def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
@@ -71,7 +71,7 @@ class SensorUnit:
 
     def watch(self, time: Array, values: Array) -> None:
         """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
-        usable = np.isfinite(time) & (np.abs(values) < LARGEST).all(axis=1)
+        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
         if self.note or not usable.any():
             return
         self.time.append(time[usable])

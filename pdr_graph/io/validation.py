@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError, slow_rate
-from pdr_graph.inertial.units import check_one_unit, unit_of
+from pdr_graph.inertial.units import IMPLAUSIBLE, check_one_unit, unit_of
 from pdr_graph.types import (
     DAY_LENGTH,
     GNSS,
@@ -30,7 +30,6 @@ from pdr_graph.types import (
     Trajectory,
 )
 
-IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
 
 

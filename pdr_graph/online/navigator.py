@@ -185,7 +185,7 @@ class Navigator:
 
     def _current_pose(self) -> Pose | None:
         alone = self._alone
-        if alone is not None and (self._away_by or not self._window.keyframes or self._silent(alone)):
+        if alone is not None and (self._follows_fixes or not self._window.keyframes or self._silent(alone)):
             return self._pose_by_fixes(alone)
         if not self._window.keyframes or not (self.frame is None or self._graph.output.is_placed(self._now)):
             return None if alone is None else self._pose_by_fixes(alone)
@@ -207,7 +207,7 @@ class Navigator:
 
     def _pose_by_fixes(self, alone: FixesAlone) -> Pose:
         """The pose where no steps are known: the fixes, smoothed, and any direction."""
-        time = max(alone.time, self._now) if self._away_by and not self._silent(alone) else alone.time
+        time = max(alone.time, self._now) if self._follows_fixes and not self._silent(alone) else alone.time
         x, y = alone.mean.tolist()
         return Pose(time, x, y, 0.0, self._floors.label, alone.covariance_at(time))
 
@@ -216,10 +216,15 @@ class Navigator:
         return alone.time >= self._now + SENSORS_SILENT
 
     @property
+    def _follows_fixes(self) -> bool:
+        """True if the fixes went away from the walk, and the pose with them."""
+        return self._alone is not None and self._away.is_followed(self._alone, self._walked)
+
+    @property
     def _away_by(self) -> float:
         """Distance of the fixes from the walk where they are followed [m], else 0."""
         alone = self._alone
-        if alone is None or not self._away.is_followed(alone, self._walked):
+        if alone is None or not self._follows_fixes:
             return 0.0
         return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
@@ -244,7 +249,7 @@ class Navigator:
         directed = pose is not None and pose.covariance[2, 2] < DIRECTED**2
         located = self._accepted > 0 or graph.output.modes.mixture is not None or graph.graph.finalized.anchored
         return Status(
-            state=state_of(walking and not self._away_by, located, graph.sure or directed),
+            state=state_of(walking and not self._follows_fixes, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(

@@ -37,7 +37,7 @@ from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.frames import Frame
-from pdr_graph.inertial.units import unit_of
+from pdr_graph.inertial.units import IMPLAUSIBLE, unit_of
 from pdr_graph.io import writers
 from pdr_graph.io.delimited import MAXIMUM_LINE, TextRows
 from pdr_graph.io.get_sensor_data import (
@@ -50,7 +50,6 @@ from pdr_graph.io.get_sensor_data import (
     sightings,
 )
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.io.validation import IMPLAUSIBLE
 from pdr_graph.online.interface import Event, Georeferenced, Pose, events_of, trajectory_of
 from pdr_graph.plausibility import check_initial
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Signal, take

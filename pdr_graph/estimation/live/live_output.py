@@ -119,10 +119,10 @@ def in_any_direction(at: GaussianMixture, fix: Position) -> GaussianMixture:
     mean[:2] = fix.position
     covariance[:3, :3] = np.diag(np.square([FAR, FAR, FAR]))
     covariance[3:, 3:] = at.covariance[0, 3:, 3:]
-    return corrected(by_direction(single_mode(mean, covariance)), fix)
+    return after_fix(by_direction(single_mode(mean, covariance)), fix)
 
 
-def corrected(mixture: GaussianMixture, fix: Position) -> GaussianMixture:
+def after_fix(mixture: GaussianMixture, fix: Position) -> GaussianMixture:
     """The mixture after a fix, with Huber's weight, and weight 0 beyond the gate."""
     R = fix.sigma**2 * np.eye(2)
     return thinned(measured(mixture, OF_POSITION, fix.position - mixture.mean[:, :2], R, fix.share)[0])
@@ -164,7 +164,7 @@ def predict(
             covariance[:, :2, :2] += receiver.drift * max(elapsed[n], 0.0) * np.eye(2)
         mixture = replace(mixture, mean=mean, covariance=covariance)
         while waiting and waiting[0].time <= moment:
-            mixture = corrected(mixture, waiting.pop(0))
+            mixture = after_fix(mixture, waiting.pop(0))
     return mixture
 
 
