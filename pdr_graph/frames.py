@@ -60,13 +60,15 @@ class Frame:
 
     def place(self, data: Positioned) -> Positioned:
         """`data` with positions converted to this frame [m] from the frame of its ``epsg``; unchanged without one."""
-        if data.epsg is None:
-            return data
-        position = data.position
-        if data.epsg != self.epsg:
-            lonlat = position if data.epsg == LONLAT else projected(data.epsg).to_lonlat(position)
-            position = self.from_lonlat(lonlat)
-        return replace(data, position=position, epsg=None)
+        if data.epsg is None or data.epsg == self.epsg:
+            return replace(data, epsg=None)
+        own = None if data.epsg == LONLAT else projected(data.epsg)
+        lonlat = data.position if own is None else own.to_lonlat(data.position)
+        placed = replace(data, position=self.from_lonlat(lonlat), epsg=None)
+        if not isinstance(placed, Fixes) or not np.isfinite(placed.course).any():
+            return placed
+        east = 0.0 if own is None else own.bearing_of_east(data.position[0])
+        return replace(placed, course=placed.course + self.bearing_of_east(placed.position[0]) - east)
 
     def bearing_of_east(self, position: Array) -> float:
         """Direction of true east at a position ``(2,)``, counter-clockwise from +x: the grid convergence. [rad]"""

@@ -552,6 +552,20 @@ class ReceiverPriors(Table):
     lag: float = number(1.0, "s", "sigma of the lag", still=(1, 1))
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
     lately: float = number(2.0, "s", "over which the velocity is averaged", still=(0.5, 2))
+    velocity: float = number(
+        0.05,
+        "1/s",
+        "of the sigma of the position: sigma of the velocity",
+        "0.03 on a campus (NJU), 0.04 to 0.06 in a museum (IPIN 2023)",
+        still=(0.5, 2),
+    )
+    velocity_time: float = number(
+        10.0, "s", "over which the velocity's error is the same", "2 on a campus, 10 to 15 in a museum", still=(0.5, 2)
+    )
+    roughest: float = number(
+        0.25, "rad", "sigma of a course that is used: of slow receivers it is wrong throughout", "museum, IPIN 2023"
+    )
+    slowest: float = number(0.3, "m/s", "of the steps, below which a course says nothing", still=(0.5, 2))
     behind: float = number(
         0.3,
         "share",
@@ -659,6 +673,7 @@ class PricePriors(Table):
     wrong_origin: float = number(
         3.0, "nats", "a list is displaced as a whole: as a receiver that is several times worse throughout"
     )
+    wrong_course: float = number(3.0, "nats", "the courses of a receiver are those of something else: 1 in 20")
     wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
     another_walker: float = number(
         0.4, "nats", "a profile is of another walker, or was learnt from wrong positions: 2 in 5", PROFILES

@@ -9,8 +9,9 @@
 * A table of measurements for the graph is a frozen dataclass with ``time``, ``(n,)`` or ``(n, 2)`` for pairs [s], rows
   sorted by time. Arrays and tuples of n values are columns with a value per row. It may state, as class variables:
   ``limits``, least and largest value of a column (a live walk leaves out rows beyond them, and rows that are not
-  finite); ``most``, rows that a live walk uses in a quarter of a second; ``tables`` and ``reference``, the names of the
-  fields that rows refer to (label, position of anchors), and the column that refers to them.
+  finite); ``optional``, the columns that may be NaN; ``most``, rows that a live walk uses in a quarter of a second;
+  ``tables`` and ``reference``, the names of the fields that rows refer to (label, position of anchors), and the column
+  that refers to them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 from math import isfinite
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -41,6 +42,7 @@ Limits = dict[str, tuple[float, float]]  # least and largest value of a column, 
 DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 GNSS = "GNSS"  # source of fixes from a phone's receiver
+NONE = partial(np.empty, 0)  # makes a column of which nothing is known
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -144,6 +146,17 @@ def fill_labels(record: Any, *names: str) -> None:
         if len(labels) != rows:
             raise ValueError(f"{type(record).__name__}.{name}: found {len(labels)} labels, expected {rows}")
         object.__setattr__(record, name, labels)
+
+
+def fill_unknown(record: Any, *names: str) -> None:
+    """Store NaN per row if a column of numbers was left empty; raise ValueError if its length is wrong."""
+    rows = len(record.time)
+    for name in names:
+        values = np.atleast_1d(_stored_array(record, name) if np.ndim(getattr(record, name)) else getattr(record, name))
+        values = np.asarray(values, dtype=np.float64) if len(values) else np.full(rows, np.nan)
+        if len(values) != rows:
+            raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}")
+        object.__setattr__(record, name, values)
 
 
 class Sensor(StrEnum):
@@ -252,7 +265,10 @@ class Fixes(Rows, row="fix"):
     floor: floor label per fix, empty where unknown; optional.
     epsg: None in the output frame; LONLAT if ``position`` is longitude and latitude [deg]; else a projection's code.
     source: the receiver of each fix if its errors are correlated over time; empty if independent. Default: GNSS where
-    ``epsg`` is LONLAT, since such positions are a receiver's, else empty.
+    ``epsg`` is LONLAT or a speed is known, since such positions are a receiver's, else empty.
+    speed: ``(n,)`` over ground, as the receiver measures it by Doppler [m/s]; course: ``(n,)`` its direction,
+    counter-clockwise from +x, or from east in LONLAT [rad]; speed_sigma, course_sigma: of both [m/s, rad]. NaN where
+    unknown; optional. A speed is used together with its course.
     """
 
     time: Array
@@ -261,8 +277,13 @@ class Fixes(Rows, row="fix"):
     floor: tuple[str, ...] = ()
     epsg: int | None = None
     source: tuple[str, ...] = ()
+    speed: Array = field(default_factory=NONE)
+    course: Array = field(default_factory=NONE)
+    speed_sigma: Array = field(default_factory=NONE)
+    course_sigma: Array = field(default_factory=NONE)
 
     limits: ClassVar[Limits] = {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)}
+    optional: ClassVar[tuple[str, ...]] = ("speed", "course", "speed_sigma", "course_sigma")
     most: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
@@ -271,7 +292,13 @@ class Fixes(Rows, row="fix"):
         if self.position.shape[1:] != (2,):
             raise ValueError(f"Fixes.position: found shape {self.position.shape}, expected (n, 2)")
         check_each("Fixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
-        if self.epsg == LONLAT and not self.source:
+        fill_unknown(self, *self.optional)
+        for name in ("speed", "speed_sigma", "course_sigma"):
+            values = getattr(self, name)
+            check_each(f"Fixes.{name}", ~(values < 0), values, "numbers of 0 or more, or NaN")
+        valid = ~(np.abs(self.course) > LARGEST_HEADING)
+        check_each("Fixes.course", valid, self.course, "radians counter-clockwise from +x, not degrees")
+        if (self.epsg == LONLAT or np.isfinite(self.speed).any()) and not self.source:
             object.__setattr__(self, "source", (GNSS,) * len(self.time))
         fill_labels(self, "floor", "source")
 

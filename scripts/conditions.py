@@ -25,7 +25,7 @@ from pdr_graph.floor.network import Network
 from pdr_graph.frames import frame_of
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Profile
-from pdr_graph.geometry import interpolate, length_along, rotation, unit
+from pdr_graph.geometry import interpolate, length_along, rotation, unit, wrap_angle
 from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.loading import load
@@ -42,7 +42,7 @@ from pdr_graph.lab.simulation.sensors import (
     receptions,
 )
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory, last_time, take
+from pdr_graph.types import NONE, Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory, last_time, take
 from pdr_graph.walk import Options, read
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -487,7 +487,14 @@ def with_fixes(given, fixes):
 
 
 def gnss(given, walk, lie, random):
-    """The phone's receiver."""
+    """The phone's receiver, its positions alone."""
+    alone = gnss_and_speed(Given(walk.steps, Fixes.none(), None), walk, lie, random).fixes
+    return with_fixes(given, replace(alone, speed=NONE(), course=NONE()))
+
+
+def gnss_and_speed(given, walk, lie, random):
+    """The phone's receiver with speed and course; the positions are the same."""
+    random = walk.generator("GNSS")
     fixes = gnss_fixes(walk.body, RECEIVERS[walk.setting], random).fixes
     fixes = RECEIVER_LIES[lie](fixes, random) if lie else fixes
     inside = (fixes.time >= walk.steps.start) & (fixes.time <= walk.steps.end)
@@ -536,6 +543,7 @@ RECEIVER_LIES = {
     "half as far": lambda fixes, random: shrunk(fixes),
     "of two people": lambda fixes, random: alternating(fixes),
     "3 times as sure": lambda fixes, random: replace(fixes, sigma=fixes.sigma / CONFIDENT),
+    "courses 90° off": lambda fixes, random: replace(fixes, course=wrap_angle(fixes.course + np.pi / 2)),
 }
 
 
@@ -700,4 +708,5 @@ def with_shapes(plan, change):
 
 PLAN_LIES = {"5 m shifted": shifted_plan, "a door missing": without_door, "of another floor": another_floor}
 SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, compass, stride, profile, plan)
-SOURCES = {"GNSS": gnss} | {source.__name__.replace("_", " "): source for source in SOURCES}
+SOURCES = {source.__name__.replace("_", " "): source for source in SOURCES}
+SOURCES |= {"GNSS": gnss, "GNSS and speed": gnss_and_speed}

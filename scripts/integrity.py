@@ -70,7 +70,10 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
     ),
     "beacons, GNSS": (INDOORS, rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",))),
     "beacons": (INDOORS, rows_of(("beacons",), LISTS)),
-    "outdoors": (OUTDOORS, rows_of(("GNSS",), RECEIVER)),
+    "outdoors": (
+        OUTDOORS,
+        [*rows_of(("GNSS",), RECEIVER), *rows_of(("GNSS and speed",), ("courses 90° off",), ("GNSS",))],
+    ),
     "fixes": (
         INDOORS,
         [

@@ -27,7 +27,7 @@ contradictions=, routes=, placed=, assumed=, graph=)
 Event
 FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, prior=, \
 curvature=, native=)
-Fixes(time, position, sigma, floor=, epsg=, source=)
+Fixes(time, position, sigma, floor=, epsg=, source=, speed=, course=, speed_sigma=, course_sigma=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma, source=)

@@ -160,6 +160,10 @@ class Table(OneLineRepr):
         if None in columns[: len(names)]:
             found = f"the columns {', '.join(self.header)[:80]}"
             raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
+        return self.columns(columns)
+
+    def columns(self, columns: Sequence[int | None]) -> Array:
+        """Columns ``(n, k)`` by number, all NaN where that is None."""
         present = [n for n, column in enumerate(columns) if column is not None]
         values = self.rows.floats([column for column in columns if column is not None])
         wide = np.full((len(values), len(columns)), np.nan)

@@ -70,13 +70,15 @@ def samples(tag: str, rows: TextRows) -> Array:
 
 
 def epochs(rows: TextRows) -> Array:
-    """Columns ``(n, 6)`` of GNSS rows: app, receiver time [s], latitude, longitude [deg], accuracy [m], satellites."""
-    return rows.floats((1, 2, 3, 4, 7, 10))
+    """Columns ``(n, 8)`` of GNSS rows: app, receiver time [s], latitude, longitude [deg], accuracy [m], then speed
+    [m/s], bearing [deg], and the number of satellites.
+    """
+    return rows.floats((1, 2, 3, 4, 7, 8, 6, 10))
 
 
 def fixes_of(epochs: Array, notes: list[str]) -> Fixes:
     """Fixes on the app's clock [s] from rows of `epochs`; duplicate epochs are left out."""
-    return receiver_fixes(epochs[:, [0, 2, 3, 4]], notes, satellites=epochs[:, 5])
+    return receiver_fixes(epochs[:, [0, 2, 3, 4, 5, 6]], notes, satellites=epochs[:, 7])
 
 
 MAC_ADDRESS = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")

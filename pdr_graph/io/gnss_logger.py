@@ -79,7 +79,9 @@ def _fixes(table: Table, notes: list[str]) -> Fixes:
     if lat is None or lon is None or accuracy is None or time is None:
         found = f"Fix columns {', '.join(table.header)[:80]}"
         raise InputError(table.rows.where, "the header", found, "latitude, longitude, accuracy and Unix time")
-    rows = table.rows.floats((time, lat, lon, accuracy)) * (1e-3, 1, 1, 1)
+    begins = ("speed", "bearing", "speedaccuracy", "bearingaccuracy")
+    motion = [table.find(lambda n, w=w: n.startswith(w) and ("accuracy" in n) == ("accuracy" in w)) for w in begins]
+    rows = table.columns((time, lat, lon, accuracy, *motion)) * (1e-3, *[1] * 7)
     providers = np.array([word.lower() for word in table.rows.words(1)[: len(rows)]])
     best = next((p for p in PROVIDERS if p in providers), providers[0] if len(providers) else "")
     others = int((providers != best).sum())

@@ -47,13 +47,11 @@ def read(source: Source) -> Recording:
             if sensor in tables or (sensor == "location" and fixes is not None):
                 notes.append(f"{sensor}: a second table, {PurePosixPath(name).name}, was left out")
                 continue
-            accuracy = _accuracy(table) if sensor == "location" else []
-            values = table.rows.floats([*chosen, *accuracy])
+            values = table.columns([*chosen, *_of_receiver(table)] if sensor == "location" else chosen)
             values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns end in empty cells
             values[:, 0] = clock(values[:, 0])
             if sensor == "location":
-                unknown = np.full((len(values), 1 - len(accuracy)), np.nan)
-                fixes = receiver_fixes(np.column_stack([values, unknown]), notes)
+                fixes = receiver_fixes(values, notes)
             else:
                 tables[sensor] = values
     return build_recording(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
@@ -130,11 +128,17 @@ def _sensors(name: str, table: Table) -> dict[str, list[int]]:
     return chosen
 
 
-def _accuracy(table: Table) -> list[int]:
-    """The column of the horizontal accuracy: by its name, else the second in metres, after the height."""
-    metres = [k for k, cell in enumerate(table.header) if _unit(cell) == "m"]
+def _of_receiver(table: Table) -> tuple[int | None, ...]:
+    """The columns of horizontal accuracy, speed and direction.
+
+    The accuracy is found by its name, else it is the second in metres, after the height; the direction is the next in
+    degrees after the position.
+    """
+    units = [_unit(cell) for cell in table.header]
+    metres, degrees = ([k for k, unit in enumerate(units) if unit == wanted] for wanted in ("m", "°"))
     named = [k for k in metres if re.search("horiz|accuracy|genauigkeit", table.header[k].lower())]
-    return (named or metres[1:])[:1]
+    speeds = [k for k, unit in enumerate(units) if unit == "m/s"]
+    return tuple(next(iter(columns), None) for columns in (named or metres[1:], speeds, degrees[2:]))
 
 
 def _unit(cell: str) -> str:

@@ -48,8 +48,9 @@ def read(source: Source) -> Recording:
         tables["barometer"] = table
     fixes = None
     if (location := _table(source, "Location.csv", "LocationGps.csv")) is not None:
-        rows = location.floats("time", "latitude", "longitude", optional=("horizontalAccuracy",))
-        fixes = receiver_fixes(rows * (NANOSECOND, 1, 1, 1), notes)
+        optional = ("horizontalAccuracy", "speed", "bearing", "speedAccuracy", "bearingAccuracy")
+        rows = location.floats("time", "latitude", "longitude", optional=optional)
+        fixes = receiver_fixes(rows * (NANOSECOND, *[1] * 7), notes)
     return build_recording(
         str(source.path),
         source.path.stem,

@@ -13,10 +13,11 @@ import shapely
 
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import float_of, iso_time, isotropic
+from pdr_graph.io.validation import MOST_SPEED, float_of, iso_time, isotropic
 from pdr_graph.types import (
     DAY_LENGTH,
     FARTHEST,
@@ -134,7 +135,8 @@ def read_fixes(
 def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     """Read the fixes of a table, sorted by time on the recorder's clock [s]."""
     required = [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")]
-    numbers, words = read_table(path, required, words=("floor", "source"), recording=recording)
+    optional = ("speed", "course")
+    numbers, words = read_table(path, required, optional, words=("floor", "source"), recording=recording)
     geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
@@ -144,7 +146,14 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
-    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg, words["source"])[order]
+    motion = {name: numbers[name] for name in optional if name in numbers}
+    for name, most in (("speed", MOST_SPEED), ("course", 360.0)):
+        values = motion.get(name, np.zeros(1))
+        check_rows(path, (values < 0) | (values > most), values, name, f"0 to {most:.0f}, or an empty cell")
+    if "course" in motion:
+        motion["course"] = wrap_angle(np.pi / 2 - np.radians(motion["course"]))
+    source = words["source"] if any(words["source"]) or "speed" not in motion else ()  # else that of `Fixes`
+    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg, source, **motion)[order]
 
 
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:

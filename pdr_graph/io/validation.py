@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError, slow_rate
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.units import IMPLAUSIBLE, check_one_unit, unit_of
 from pdr_graph.types import (
     DAY_LENGTH,
@@ -206,6 +207,7 @@ def _check_clocks(path: str, signals: dict[str, Signal], fixes: Fixes | None, no
             notes.append(f"position fixes: they begin {apart:+.1f} s from the sensors' start (another clock or day?)")
 
 
+MOST_SPEED = 1000.0  # [m/s] that a receiver states
 RADIUS_68 = 1.51  # [σ per axis] radius of 68 % of a circular normal distribution: a phone's "accuracy"
 
 
@@ -228,17 +230,18 @@ RECEIVER = ReceiverErrors()
 def receiver_fixes(table: Array, notes: list[str], source: str = GNSS, satellites: Array | None = None) -> Fixes:
     """Fixes, sorted by time, from a receiver's rows.
 
-    table: ``(n, 4)`` time [s], latitude and longitude [deg], accuracy (68 % radius) [m], in any order. satellites:
-    ``(n,)`` number used for each position, NaN if unknown; it matters only where there are too few: on real walks it
-    adds nothing to a stated accuracy otherwise.
+    table: ``(n, 4)`` time [s], latitude and longitude [deg], accuracy (68 % radius) [m], in any order; with up to four
+    more columns: speed [m/s], course [deg] clockwise from north, and their accuracies (one sigma), NaN or negative
+    where unknown. satellites: ``(n,)`` number used for each position, NaN if unknown; it matters only where there are
+    too few: on real walks it adds nothing to a stated accuracy otherwise.
 
     Left out and noted: rows without a valid position, rows with a negative accuracy (iOS's mark of an invalid
     position), and duplicate epochs. An accuracy of zero or NaN counts as unknown.
     """
     if satellites is not None:
         factor = np.where(satellites < RECEIVER.satellites, RECEIVER.extrapolated, 1.0)
-        table = np.column_stack([table[:, :3], factor * table[:, 3]])
-    time, lat, lon, accuracy = table.T
+        table = np.column_stack([table[:, :3], factor * table[:, 3], table[:, 4:]])
+    time, lat, lon, accuracy = table[:, :4].T
     valid = np.isfinite(table[:, :3]).all(axis=1) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180)
     valid &= ~(accuracy < 0) & ~((lat == 0) & (lon == 0))
     if not valid.all():
@@ -248,13 +251,24 @@ def receiver_fixes(table: Array, notes: list[str], source: str = GNSS, satellite
     repeated[1:] = np.diff(table[:, 0]) == 0
     if repeated.any():
         notes.append(f"{source}: {int(repeated.sum())} duplicate epochs were left out")
-    time, lat, lon, accuracy = table[~repeated].T
+    table = np.column_stack([table[~repeated], np.full((int((~repeated).sum()), 8 - table.shape[1]), np.nan)])
+    time, lat, lon, accuracy, speed, bearing, speed_sigma, bearing_sigma = table.T
     unknown = ~(accuracy > 0) | np.isinf(accuracy)
     if unknown.any():
         assumed = f"{RECEIVER.accuracy} m (68 %) is assumed"
         notes.append(f"{source}: {int(unknown.sum())} positions have no accuracy: {assumed}")
     sigma = np.where(unknown, RECEIVER.accuracy, accuracy) / RADIUS_68
-    return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT, (source,) * len(time))
+    return Fixes(
+        time,
+        np.column_stack([lon, lat]),
+        sigma,
+        epsg=LONLAT,
+        source=(source,) * len(time),
+        speed=np.where((speed >= 0) & (speed < MOST_SPEED), speed, np.nan),
+        course=wrap_angle(np.pi / 2 - np.radians(np.where((bearing >= 0) & (bearing <= 360), bearing, np.nan))),
+        speed_sigma=np.where((speed_sigma > 0) & (speed_sigma < MOST_SPEED), speed_sigma, np.nan),
+        course_sigma=np.radians(np.where((bearing_sigma > 0) & (bearing_sigma <= 360), bearing_sigma, np.nan)),
+    )
 
 
 def surveyed(

@@ -94,7 +94,8 @@ class EventChecks:
         limits: Limits = getattr(data, "limits", {})
         tables = {column: bounds for column, bounds in limits.items() if column in getattr(data, "tables", ())}
         arrays = [name for name in row_columns(data) if isinstance(getattr(data, name), np.ndarray)]
-        numbers = [name for name in arrays if getattr(data, name).dtype.kind == "f"]
+        optional = getattr(data, "optional", ())
+        numbers = [name for name in arrays if getattr(data, name).dtype.kind == "f" and name not in optional]
         finite: Limits = dict.fromkeys(numbers, (-LARGEST_FLOAT, LARGEST_FLOAT))
         soon = np.abs(data.time) < SENSOR_VALIDATION.latest
         rows = {column: bounds for column, bounds in (finite | limits).items() if column not in tables}

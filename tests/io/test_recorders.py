@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from recorders import (
+    BEARING,
+    SPEED,
     UNIX,
     G,
     get_sensor_data,
@@ -40,6 +42,8 @@ def assert_is_the_walk(walk, sampled, start, clock_tolerance=1e-6):
     assert walk.fixes.epsg == LONLAT
     assert walk.fixes.position == pytest.approx(sampled.lonlat, abs=1e-8)
     assert walk.fixes.sigma == pytest.approx(sampled.accuracy / RADIUS_68, rel=1e-6)
+    assert walk.fixes.speed == pytest.approx(SPEED)
+    assert walk.fixes.course == pytest.approx(np.radians(90 - BEARING))
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,14 @@ def test_fixes_are_sorted_and_count_from_the_start_of_the_recording(tmp_path):
     assert fixes.floor == ("F1", "F2")
 
 
+def test_fixes_may_have_a_speed_and_a_course_clockwise_from_north(tmp_path):
+    rows = f"{ORIGIN},1,2,3,1.4,90\n{ORIGIN + 1},1,2,3,,\n"
+    fixes = read_fixes(table(tmp_path, f"time,x,y,sigma,speed,course\n{rows}"), WALK)
+    assert fixes.speed == pytest.approx([1.4, np.nan], nan_ok=True)
+    assert fixes.course == pytest.approx([0.0, np.nan], nan_ok=True)
+    assert fixes.source == ("GNSS", "GNSS")
+
+
 def test_fixes_in_degrees_are_transformed_into_the_frame(tmp_path):
     frame = enu(35.0, 135.0)
     lon, lat = frame.to_lonlat(np.array([[30.0, -12.0]]))[0]
@@ -65,6 +73,7 @@ def test_ranges_are_sorted_and_anchor_names_match_in_any_case(tmp_path):
         (f"time,lat,lon,sigma\n{ORIGIN},100,2,1\n", "latitude"),
         (f"time,x,y,sigma\n{ORIGIN},1e15,2,1\n", "data row 1, x: .* a place within"),
         ("time,x,y,sigma\n5,1,2,1\n", "times within the recording"),
+        (f"time,x,y,sigma,speed,course\n{ORIGIN},1,2,3,1.4,-1\n", "course: .*0 to 360"),
         ("\x00\x01\x02", "header"),
     ],
 )

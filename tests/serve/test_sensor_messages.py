@@ -75,13 +75,13 @@ def intake_of(*samples):
 
 def equal(one, other, tolerance=0.0):
     def near(a, b):
-        return a.shape == b.shape and np.allclose(a, b, rtol=0, atol=tolerance)
+        return a.shape == b.shape and np.allclose(a, b, rtol=0, atol=tolerance, equal_nan=True)
 
     if type(one) is not type(other) or not near(one.time, other.time):
         return False
     if isinstance(one, Samples):
         return one.sensor == other.sensor and near(one.values, other.values)
-    return near(one.position, other.position) and near(one.sigma, other.sigma)
+    return all(near(getattr(one, name), getattr(other, name)) for name in ("position", "sigma", "speed", "course"))
 
 
 @pytest.mark.parametrize("period", [0.37, 5.0])

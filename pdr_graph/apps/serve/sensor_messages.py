@@ -34,7 +34,10 @@ USED_COLUMNS = {  # name in a message: name of its columns here
     **{name: XYZ for name in ("accelerometer", "gravity", "gyroscope", "magnetometer")},
     **{f"{name}uncalibrated": XYZ for name in ("accelerometer", "gyroscope", "magnetometer")},
     "barometer": ("pressure",),
-    "location": ("latitude", "longitude", "horizontalAccuracy"),
+    "location": (
+        *("latitude", "longitude", "horizontalAccuracy"),
+        *("speed", "bearing", "speedAccuracy", "bearingAccuracy"),
+    ),
 }
 PLAIN_NAMES = {
     "gyroscope": ("gyroscope", "gyroscopeuncalibrated"),
@@ -52,6 +55,10 @@ class Values(msgspec.Struct):
     latitude: Any = None
     longitude: Any = None
     horizontalAccuracy: Any = None  # noqa: N815
+    speed: Any = None
+    bearing: Any = None
+    speedAccuracy: Any = None  # noqa: N815
+    bearingAccuracy: Any = None  # noqa: N815
     id: Any = None
     rssi: Any = None
 
@@ -254,7 +261,7 @@ class Intake:
 
     protocol; platform: "ios" or "android" if the user stated it; origin: Unix time of time 0 of the events [s], NaN
     before the first; latest: time of the last inertial sample [s]; held: rows that wait, by sensor, times in seconds
-    since origin; held_fixes ``(n, 4)``: time, longitude, latitude, sigma; ignored: number of samples of other sensors;
+    since origin; held_fixes ``(n, 8)``: columns of `Fixes` but labels; ignored: number of samples of other sensors;
     unusable: number of rows by sensor that were no numbers, or years away.
     """
 
@@ -264,7 +271,7 @@ class Intake:
     latest: float = -np.inf
     signs: Signs = field(default_factory=Signs)
     held: dict[str, Array] = field(default_factory=dict)
-    held_fixes: Array = field(default_factory=lambda: np.empty((0, 4)))
+    held_fixes: Array = field(default_factory=lambda: np.empty((0, 8)))
     ignored: dict[str, int] = field(default_factory=dict)
     unusable: dict[str, int] = field(default_factory=dict)
 
@@ -338,7 +345,8 @@ class Intake:
             earlier = self.held.get(name)
             self.held[name] = table if earlier is None else np.concatenate([earlier, table])
         if fixes is not None:
-            rows = np.column_stack([fixes.time - self.origin, fixes.position, fixes.sigma])
+            motion = [getattr(fixes, name) for name in Fixes.optional]
+            rows = np.column_stack([fixes.time - self.origin, fixes.position, fixes.sigma, *motion])
             rows = rows[(np.abs(rows[:, 0]) < LATEST_TIME) & (rows[:, 0] >= -FIXES.longest_overhang)]
             self.held_fixes = np.concatenate([self.held_fixes, rows])
         if times:
@@ -355,7 +363,8 @@ class Intake:
                 signals[name] = Signal(used[:, 0], used[:, 1:])
         used, self.held_fixes = _split(self.held_fixes, until)
         if len(used):
-            fixes = Fixes(used[:, 0], used[:, 1:3], used[:, 3], epsg=LONLAT)
+            motion = dict(zip(Fixes.optional, used[:, 4:].T, strict=True))
+            fixes = Fixes(used[:, 0], used[:, 1:3], used[:, 3], epsg=LONLAT, **motion)
         return list(events_of(Recording("session", self.origin, self.origin, **signals, fixes=fixes)))
 
     @property
@@ -377,7 +386,7 @@ def _split(table: Array, until: float) -> tuple[Array, Array]:
     """The rows in packets before the one of a number, in order of time and without repeats, and the others."""
     table = table[np.argsort(table[:, 0], kind="stable")]
     if len(table) > 1:
-        repeated = (table[1:] == table[:-1]).all(axis=1)
+        repeated = (table[1:, :4] == table[:-1, :4]).all(axis=1)  # times and the first values
         table = table[np.concatenate([[True], ~repeated])]
     number = np.floor(table[:, 0] / PACKET)
     count = int(np.searchsorted(number, until))

@@ -107,7 +107,8 @@ class HypothesisBank:
             hypothesis = replace(hypothesis, estimate=tuple(optimum.state.c.mean(axis=0)[:2].tolist()))
         else:
             graph = base.graph.assuming(proposal.measurements)
-            optimum = optimize(graph, continued(graph.start, proposal.start or base.state, proposal.fresh))
+            before = continued(graph.start, proposal.start or base.state, proposal.fresh)
+            optimum = optimize(graph, graph.start if proposal.anew else before)
         hypothesis = replace(hypothesis.numbered(self._numbers), changes=changes)
         information = optimum.solution.log_determinant - base.solution.log_determinant
         return weighed(replace(optimum, unseen=self.first.unseen), base, hypothesis, information=information)

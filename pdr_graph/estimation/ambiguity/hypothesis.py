@@ -67,6 +67,7 @@ class Proposal:
 
     measurements: the kinds that it changes, under the hypothesis; start: where the search starts, by default at the
     walk so far; fresh: symbols of the variables that do not keep their values.
+    anew: the search starts as the first one did.
     another_walker: the walk has the other prior of `Prior.another`, and its measurements are classified anew.
     """
 
@@ -74,6 +75,7 @@ class Proposal:
     measurements: tuple[Measurement, ...]
     start: State | None = None
     fresh: tuple[str, ...] = ()
+    anew: bool = False
     another_walker: bool = False
 
 

@@ -75,8 +75,9 @@ def sensor_logger(walk: Simulation, folder: Path) -> None:
             table(f"{sensor.capitalize()}.csv", "z,y,x", signal.time, values)
     if walk.gnss is not None:
         names = "bearingAccuracy,speedAccuracy,verticalAccuracy,horizontalAccuracy,speed,bearing,altitude"
-        lonlat, unknown = walk.frame.to_lonlat(walk.gnss.fixes.position), np.zeros((len(walk.gnss.fixes), 3))
-        values = np.column_stack([unknown, walk.gnss.accuracy, unknown, lonlat])
+        lonlat, unknown = walk.frame.to_lonlat(walk.gnss.fixes.position), np.zeros(len(walk.gnss.fixes))
+        motion = walk.gnss.fixes.speed, bearing(walk.gnss.fixes.course)
+        values = np.column_stack([*[unknown] * 3, walk.gnss.accuracy, *motion, unknown, lonlat])
         table("Location.csv", f"{names},longitude,latitude", walk.gnss.fixes.time, values, "%.9f")
     radios = {("Bluetooth.csv", "id,rssi"): walk.bluetooth, ("WiFi.csv", "bssid,level"): walk.wifi}
     for (name, header), heard in radios.items():
@@ -106,7 +107,8 @@ def phyphox(walk: Simulation, folder: Path) -> None:
     if walk.gnss is not None:
         lon, lat = walk.frame.to_lonlat(walk.gnss.fixes.position).T
         header = ["Latitude (°)", "Longitude (°)", "Height (m)", "Velocity (m/s)", "Direction (°)"]
-        columns = [walk.gnss.fixes.time, lat, lon, *np.zeros((3, len(lon))), walk.gnss.accuracy]
+        motion = walk.gnss.fixes.speed, bearing(walk.gnss.fixes.course)
+        columns = [walk.gnss.fixes.time, lat, lon, np.zeros(len(lon)), *motion, walk.gnss.accuracy]
         table("Location", [*header, "Horizontal Accuracy (m)"], *columns)
     start, end = walk.scenario.start, walk.body.time[-1]
     events = [f'"START",0.0,{start:.3f},""', f'"PAUSE",{end:.9E},{start + end:.3f},""']
@@ -130,6 +132,11 @@ def indoor_location(walk: Simulation, folder: Path) -> None:
     head = f"#\tstartTime:{start * 1000:.0f}\n#\tSiteID:simulated\tSiteName:simulated\tFloorName:{walk.body.floors[0]}"
     lines = [line for _, line in sorted(rows, key=lambda row: row[0])]
     _table(folder / "walk.txt", head, "%s", [*lines, f"#\tendTime:{(start + walk.body.time[-1]) * 1000:.0f}"])
+
+
+def bearing(course: Array) -> Array:
+    """Degrees clockwise from north, 0 to 360, of courses counter-clockwise from east ``(n,)`` [rad]."""
+    return np.degrees(np.pi / 2 - course) % 360
 
 
 RECORDERS: dict[str, Callable[[Simulation, Path], None]] = {

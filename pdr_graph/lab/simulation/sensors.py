@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.geometry import as_complex, interpolate, wrap_angle
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lab.simulation.body import Body, autoregressive_noise, smooth_noise
 from pdr_graph.lab.simulation.carrying import Motion
-from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Sightings, Signal
+from pdr_graph.types import Array, Complex, Fixes, Index, OneLineRepr, Sightings, Signal
 
 
 @dataclass(frozen=True)
@@ -233,8 +233,28 @@ def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> S
     for begin, end in receiver.outages:
         available &= (measured < begin) | (measured >= end)
     hdop = receiver.hdop * np.exp(random.normal(0, 0.1, n)) * reported / receiver.accuracy
-    fixes = Fixes(logged, at + error, reported / RADIUS_68, ("",) * n)
+    velocity = _doppler(body, measured, reported, random.spawn(1)[0])
+    fixes = Fixes(
+        logged,
+        at + error,
+        reported / RADIUS_68,
+        source=("",) * n,
+        speed=np.abs(velocity),
+        course=np.angle(velocity),
+    )
     return SatelliteFixes(fixes[available], reported[available], hdop[available])
+
+
+def _doppler(body: Body, measured: Array, reported: Array, random: np.random.Generator) -> Complex:
+    """Velocities ``(n,)`` [m/s] by a receiver's filter: the mean of two seconds, and noise that lasts for 2.5 s.
+
+    Errors of 0.1 m/s per axis at an accuracy of 5 m, as on a campus (NJU).
+    """
+    past = measured[:, None] - np.array([2.0, 0.0])
+    places = interpolate(past.ravel(), body.time, body.position).reshape(-1, 2, 2)
+    keep = np.exp(-np.median(np.diff(measured, append=measured[-1:] + 1.0)) / 2.5)
+    noise = 0.1 * (reported / 5.0)[:, None] * autoregressive_noise(random, len(measured), keep, 1.0, 2)
+    return as_complex((places[:, 1] - places[:, 0]) / 2.0 + noise)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.io.validation import RADIUS_68
+from pdr_graph.lab.simulation.recorders import bearing
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Recording
 
 STREAM_NAMES = {"accelerometer": "accelerometeruncalibrated", "linear_acceleration": "accelerometer"}
@@ -27,8 +28,10 @@ def batches(walk: Recording, period: float = 1.0, ios: bool = False) -> list[lis
         rows += _samples(STREAM_NAMES.get(sensor, sensor), signal.time, signal.values * factor, keys, epoch)
     fixes = walk.fixes
     if len(fixes) and fixes.epsg == LONLAT:
-        values = np.column_stack([fixes.position[:, ::-1], RADIUS_68 * fixes.sigma])
-        rows += _samples("location", fixes.time, values, ("latitude", "longitude", "horizontalAccuracy"), epoch)
+        motion = np.nan_to_num(np.column_stack([fixes.speed, bearing(fixes.course)]), nan=-1.0)  # unknown
+        values = np.column_stack([fixes.position[:, ::-1], RADIUS_68 * fixes.sigma, motion])
+        names = "latitude", "longitude", "horizontalAccuracy", "speed", "bearing"
+        rows += _samples("location", fixes.time, values, names, epoch)
     rows.sort(key=lambda row: row[0])
     groups = dict[int, list[dict[str, Any]]]()
     for time, sample in rows:
