@@ -60,7 +60,9 @@ class Frame:
 
     def place(self, data: Positioned) -> Positioned:
         """`data` with positions converted to this frame [m] from the frame of its ``epsg``; unchanged without one."""
-        if data.epsg is None or data.epsg == self.epsg:
+        if data.epsg is None:
+            return data
+        if data.epsg == self.epsg:
             return replace(data, epsg=None)
         own = None if data.epsg == LONLAT else projected(data.epsg)
         lonlat = data.position if own is None else own.to_lonlat(data.position)

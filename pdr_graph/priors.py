@@ -183,7 +183,9 @@ class MotionPriors(Table):
     )
     standing_turn: float = number(0.02, "rad", "change between walking direction and phone in a pause", still=(0.5, 2))
     gap_speed: float = number(1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks")
-    gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient")
+    gap_turn: float = number(
+        1.2, "rad", "sigma of a turn that is unknown, in a gap or while the grip changes in a stand; has a gradient"
+    )
     steps_per_keyframe: int = number(
         10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", still=(0.5, 2)
     )

@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
-from functools import cached_property, partial
+from functools import cached_property
 from math import isfinite
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -42,7 +42,7 @@ Limits = dict[str, tuple[float, float]]  # least and largest value of a column, 
 DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 GNSS = "GNSS"  # source of fixes from a phone's receiver
-NONE = partial(np.empty, 0)  # makes a column of which nothing is known
+NONE: Any = ()  # a column of which nothing is known
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -277,10 +277,10 @@ class Fixes(Rows, row="fix"):
     floor: tuple[str, ...] = ()
     epsg: int | None = None
     source: tuple[str, ...] = ()
-    speed: Array = field(default_factory=NONE)
-    course: Array = field(default_factory=NONE)
-    speed_sigma: Array = field(default_factory=NONE)
-    course_sigma: Array = field(default_factory=NONE)
+    speed: Array = NONE
+    course: Array = NONE
+    speed_sigma: Array = NONE
+    course_sigma: Array = NONE
 
     limits: ClassVar[Limits] = {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)}
     optional: ClassVar[tuple[str, ...]] = ("speed", "course", "speed_sigma", "course_sigma")
@@ -292,12 +292,13 @@ class Fixes(Rows, row="fix"):
         if self.position.shape[1:] != (2,):
             raise ValueError(f"Fixes.position: found shape {self.position.shape}, expected (n, 2)")
         check_each("Fixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
-        fill_unknown(self, *self.optional)
-        for name in ("speed", "speed_sigma", "course_sigma"):
-            values = getattr(self, name)
-            check_each(f"Fixes.{name}", ~(values < 0), values, "numbers of 0 or more, or NaN")
-        valid = ~(np.abs(self.course) > LARGEST_HEADING)
-        check_each("Fixes.course", valid, self.course, "radians counter-clockwise from +x, not degrees")
+        if "speed" in vars(self):  # else decoded from bytes of an earlier version
+            fill_unknown(self, *self.optional)
+            for name in ("speed", "speed_sigma", "course_sigma"):
+                values = getattr(self, name)
+                check_each(f"Fixes.{name}", ~(values < 0), values, "numbers of 0 or more, or NaN")
+            valid = ~(np.abs(self.course) > LARGEST_HEADING)
+            check_each("Fixes.course", valid, self.course, "radians counter-clockwise from +x, not degrees")
         if (self.epsg == LONLAT or np.isfinite(self.speed).any()) and not self.source:
             object.__setattr__(self, "source", (GNSS,) * len(self.time))
         fill_labels(self, "floor", "source")

@@ -489,7 +489,7 @@ def with_fixes(given, fixes):
 def gnss(given, walk, lie, random):
     """The phone's receiver, its positions alone."""
     alone = gnss_and_speed(Given(walk.steps, Fixes.none(), None), walk, lie, random).fixes
-    return with_fixes(given, replace(alone, speed=NONE(), course=NONE()))
+    return with_fixes(given, replace(alone, speed=NONE, course=NONE))
 
 
 def gnss_and_speed(given, walk, lie, random):

@@ -21,7 +21,7 @@ BYTES = (b"\x00", b'"', b",", b";", b"\t", b"\n", b"\r", b"\\", b"<", b"&", b"{"
 def small():
     """The first second and a half of the walk, with two fixes."""
     whole = vars(sample())
-    few = {"fix_time", "lonlat", "accuracy"}
+    few = {"fix_time", "lonlat", "accuracy", "bearing"}
     return Sample(**{name: column[: 2 if name in few else SAMPLES] for name, column in whole.items()})
 
 

@@ -11,7 +11,7 @@ import simulated
 
 from pdr_graph.frames import enu
 
-SPEED, BEARING = 1.25, 79.5  # [m/s, deg] of each fix
+SPEED = 1.25  # [m/s] of each fix
 UNIX = 1_700_000_000.0
 FRAME = enu(49.45, 11.1)
 G = 9.80665
@@ -30,6 +30,7 @@ class Sample:
     fix_time: np.ndarray
     lonlat: np.ndarray
     accuracy: np.ndarray
+    bearing: np.ndarray
 
 
 def sample(seed=0, route=((0.0, 0.0), (14.0, 0.0), (14.0, 7.0))):
@@ -47,6 +48,7 @@ def sample(seed=0, route=((0.0, 0.0), (14.0, 0.0), (14.0, 7.0))):
         fix_time=walk.time[every],
         lonlat=FRAME.to_lonlat(walk.position[every]).round(8),
         accuracy=np.full(len(walk.time[every]), 4.53),
+        bearing=np.degrees(np.arctan2(*np.gradient(walk.position, axis=0)[every].T)).round(1) % 360,
     )
 
 
@@ -71,7 +73,7 @@ def phyphox(s, **style):
         "Pressure.csv": table(["Time (s)", "Pressure (hPa)"], s.time, s.pressure, **style),
         "Location.csv": table(
             ["Time (s)", *location, "Horizontal Accuracy (m)", "Vertical Accuracy (m)"],
-            *(s.fix_time, s.lonlat[:, 1], s.lonlat[:, 0], zero, zero + SPEED, zero + BEARING, s.accuracy, zero),
+            *(s.fix_time, s.lonlat[:, 1], s.lonlat[:, 0], zero, zero + SPEED, s.bearing, s.accuracy, zero),
             **style,
         ),
         "meta/device.csv": '"property","value"\n"deviceModel","Pixel 6a"\n',
@@ -100,7 +102,7 @@ def sensor_logger(s, platform="android", standardised=False):
         "Barometer.csv": nanoseconds("relativeAltitude,pressure", s.time, 0 * s.pressure, s.pressure),
         "Location.csv": nanoseconds(
             "bearingAccuracy,horizontalAccuracy,speed,bearing,longitude,latitude",
-            *(s.fix_time, 0 * s.accuracy, s.accuracy, 0 * s.accuracy + SPEED, 0 * s.accuracy + BEARING, s.lonlat),
+            *(s.fix_time, 0 * s.accuracy, s.accuracy, 0 * s.accuracy + SPEED, s.bearing, s.lonlat),
         ),
         "Annotation.csv": "time,seconds_elapsed,text,millisecond_press_duration\n",
         "Metadata.csv": "version,device name,recording epoch time,recording time,recording timezone,platform,"
@@ -123,8 +125,8 @@ def get_sensor_data(s, unit=1.0, boot=65093.5):
             for t, (x, y, z) in zip(s.time, values, strict=True)
         ]
     rows += [(t, f"PRES;{t:.4f};{t + boot:.4f};{p:.4f};3") for t, p in zip(s.time, s.pressure, strict=True)]
-    for t, (lon, lat), accuracy in zip(s.fix_time, s.lonlat, s.accuracy, strict=True):
-        gnss = f"{int(UNIX + t)}.0000;{lat:.8f};{lon:.8f};346.000;{BEARING};{accuracy:.2f};{SPEED};22;19"
+    for t, (lon, lat), accuracy, bearing in zip(s.fix_time, s.lonlat, s.accuracy, s.bearing, strict=True):
+        gnss = f"{int(UNIX + t)}.0000;{lat:.8f};{lon:.8f};346.000;{bearing};{accuracy:.2f};{SPEED};22;19"
         rows += [(t, f"GNSS;{t + d:.4f};{gnss}") for d in (0.0, 0.01)]
     rows.append((3.0, "WIFI;3.0000;65096.5;a;network;00:11:22:33:44:55;2437;-61;"))
     rows.append((4.0, "BLE4;4.0000;iBeacon;BE:AC:20:23:00:01;-90;0;1;1;11111111-1111-BEAC-2023-111111111111"))
@@ -143,10 +145,10 @@ def gnss_logger(s, fix="Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMe
         for t, (x, y, z) in zip(s.time, values + bias, strict=True):
             when = f"{round((UNIX + t) * 1e3)},{round((t + 500) * 1e9)}"
             lines.append(f"{kind},{when},{x:.6f},{y:.6f},{z:.6f},{bias},{bias},{bias}")
-    for t, (lon, lat), accuracy in zip(s.fix_time, s.lonlat, s.accuracy, strict=True):
+    for t, (lon, lat), accuracy, bearing in zip(s.fix_time, s.lonlat, s.accuracy, s.bearing, strict=True):
         for provider in ("GPS", "NLP"):
             lines.append(
-                f"Fix,{provider},{lat:.8f},{lon:.8f},346.0,{SPEED},{accuracy:.2f},{BEARING},{(UNIX + t) * 1e3:.0f},0.5"
+                f"Fix,{provider},{lat:.8f},{lon:.8f},346.0,{SPEED},{accuracy:.2f},{bearing},{(UNIX + t) * 1e3:.0f},0.5"
             )
     return "\n".join(lines) + "\n"
 

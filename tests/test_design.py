@@ -87,7 +87,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5190),
+    "estimation.smoother": (30, 5210),
     "online.navigator": (64, 11612),
 }
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
-from pdr_graph.priors import FORWARD, GRIP, STEP
+from pdr_graph.priors import CANDIDATE, FORWARD, GRIP, MOTION, STEP
 from pdr_graph.types import Array, Complex, Mask
 
 
@@ -192,7 +192,7 @@ class HeadingStream:
     integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
     a stride the rate about gravity is more accurate: a centred mean over one step removes most of the sway and does not
     lag. During a grip change the phone does not measure the walker, whose turn then comes from the gait, or is
-    0 ± 0.35 rad.
+    0 ± 0.35 rad, or ± 1.2 where they stand meanwhile.
 
     origin: time of sample 0 [s]; period [s]; first: number of the first stored sample; step: typical duration [s].
     quaternion ``(n, 4)``, of signs that do not jump, and acceleration ``(n, 3)``; measured: ``(n,)`` True where the
@@ -312,16 +312,17 @@ class HeadingStream:
         maybe = [span for span in fast if last or span[1] < until]
 
         # The walker's turn during each, judged by the steps before and after
-        changes = [(span, 0.0) for span in tilted if span[0] >= until]
-        if decided or maybe:
-            context = round((2 * GRIP.steps_beside + FILTER_EDGE) * step)
-            gait = _StepHarmonic(self, max(0, min(span[0] for span in decided + maybe) - context))
-            maybe = [span for span in maybe if gait.phone_turned(span)]
-            changes = [(span, gait.walkers_turn(span)) for span in decided + maybe] + changes
+        undecided = [span for span in tilted if span[0] >= until]
         turn, variances = np.diff(self.heading, prepend=self.heading[:1]), np.zeros(len(self.heading))
-        for (first, final), walkers in changes:
-            turn[first + 1 : final + 1] = walkers / (final - first)
-            variances[first + 1 : final + 1] = GRIP.sigma**2 / (final - first)
+        if decided or maybe or undecided:
+            context = round((2 * GRIP.steps_beside + FILTER_EDGE) * step)
+            gait = _StepHarmonic(self, max(0, min(span[0] for span in decided + maybe + undecided) - context))
+            maybe = [span for span in maybe if gait.phone_turned(span)]
+            changes = [(span, gait.walkers_turn(span)) for span in decided + maybe]
+            for (first, final), walkers in [*changes, *((span, 0.0) for span in undecided)]:
+                sigma = GRIP.sigma if gait.walks_beside((first, final)) else MOTION.gap_turn
+                turn[first + 1 : final + 1] = walkers / (final - first)
+                variances[first + 1 : final + 1] = sigma**2 / (final - first)
 
         kept, known = self.course_final, bool(len(self.course))
         course = (self.course[begin] if known else 0.0) + np.append(0.0, np.cumsum(turn[begin + 1 :]))
@@ -352,6 +353,12 @@ class _StepHarmonic:
         if min(abs(before), abs(after)) < coherent:
             return np.nan
         return float(np.angle(after * np.conj(before)))
+
+    def walks_beside(self, span: tuple[int, int]) -> bool:
+        """True if the walker walks just before a span and just after it, as far as there are samples."""
+        first, last, two = span[0] - self.begin, span[1] - self.begin, 2 * self.step
+        parts = self.vertical[max(0, first - two) : first], self.vertical[last : last + two]
+        return all(2 * np.median(np.abs(part)) > CANDIDATE.weakest for part in parts if len(part) >= self.step)
 
     def walkers_turn(self, span: tuple[int, int]) -> float:
         """The walker's turn during a grip change; 0 unless the gait before and after shows a turn. [rad]"""

@@ -283,11 +283,11 @@ class Journal(Generic[Navigator]):
                 break
             if number:
                 try:
-                    event = decode(read_body(self._path, entry), *event_types())
+                    event: Any = decode(read_body(self._path, entry), *event_types())
                 except ValueError as error:
                     raise InputError(self._path, f"event {number}", str(error), "a journal that is whole") from None
                 try:
-                    navigator.push(event)
+                    navigator.push(replace(event))  # with columns that are new since then
                 except Exception:  # the process ended before `push` could delete this event, which was not acknowledged
                     if entry.end < self._log.end:
                         raise

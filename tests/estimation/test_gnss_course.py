@@ -77,7 +77,7 @@ def test_turns_tell_the_lag_of_a_receiver():
 
 
 def without(fixes):
-    return replace(fixes, speed=NONE(), course=NONE())
+    return replace(fixes, speed=NONE, course=NONE)
 
 
 @pytest.mark.parametrize("off", [np.pi / 2, np.pi])

@@ -11,7 +11,7 @@ from pdr_graph.lab.papers.gait_methods import acceleration_axis, accumulate_turn
 from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.priors import GRIP
+from pdr_graph.priors import GRIP, MOTION
 
 PERIOD, STEP = 0.01, 0.5  # [s]
 TIME = np.arange(0.0, 40.0, PERIOD)
@@ -59,12 +59,15 @@ def test_the_sway_of_the_gait_is_removed():
 
 
 def test_a_grip_change_adds_variance_and_no_turn():
-    """From flat in the hand to upright in a pocket, turned by 90° on the way; the walker goes straight on."""
+    """From flat in the hand to upright in a pocket, turned by 90° on the way.
+
+    Who stands meanwhile may turn by any angle; the next test but one is about those who walk on.
+    """
     share = np.clip((TIME - 20) / 1.4, 0, 1)[:, None]
     taken = Rotation.from_rotvec(share * Rotation.from_euler("xz", [1.6, 1.6]).as_rotvec())
     direction = walking_direction(attitude(taken), STEP)
     assert abs(direction.heading[-1]) < 0.05
-    assert direction.variance[-1] == pytest.approx(GRIP.sigma**2)
+    assert direction.variance[-1] == pytest.approx(MOTION.gap_turn**2)
     assert direction.variance[1700] == 0, "no doubt before"
 
 

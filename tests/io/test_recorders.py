@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from recorders import (
-    BEARING,
     SPEED,
     UNIX,
     G,
@@ -43,7 +42,7 @@ def assert_is_the_walk(walk, sampled, start, clock_tolerance=1e-6):
     assert walk.fixes.position == pytest.approx(sampled.lonlat, abs=1e-8)
     assert walk.fixes.sigma == pytest.approx(sampled.accuracy / RADIUS_68, rel=1e-6)
     assert walk.fixes.speed == pytest.approx(SPEED)
-    assert walk.fixes.course == pytest.approx(np.radians(90 - BEARING))
+    assert np.exp(1j * walk.fixes.course) == pytest.approx(np.exp(1j * np.radians(90 - sampled.bearing)))
 
 
 @pytest.mark.parametrize(

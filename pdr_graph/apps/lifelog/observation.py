@@ -145,7 +145,8 @@ def from_bytes(blob: bytes) -> Observation:
         from pdr_graph.estimation.factors.registry import KINDS  # imports gtsam, which is slow
 
         observation = replace(observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
-    return replace(observation, headings=replace(observation.headings))  # sources that earlier versions did not have
+    headings, fixes = replace(observation.headings), replace(observation.fixes)  # columns that are new since then
+    return replace(observation, headings=headings, fixes=fixes)
 
 
 def read_inputs(recording: Path, options: RecordingOptions) -> Evidence:

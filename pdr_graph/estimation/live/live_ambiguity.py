@@ -19,6 +19,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import Findings, paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors.base import Gated, decisions_of, poses_at
+from pdr_graph.estimation.factors.chain import whole_pieces
 from pdr_graph.estimation.factors.fixes import sourced
 from pdr_graph.estimation.factors.registry import kind_of_type, made_from
 from pdr_graph.estimation.graph import WalkGraph
@@ -32,6 +33,7 @@ from pdr_graph.estimation.live.live_output import (
     in_any_direction,
     modes_at_end,
     predict,
+    unknown_turns,
 )
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
@@ -39,7 +41,7 @@ from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, n
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
-from pdr_graph.types import Array, Fixes, Index
+from pdr_graph.types import Array, Fixes, Index, Steps
 
 Result = TypeVar("Result")
 
@@ -398,6 +400,17 @@ class LiveAmbiguity:
             graph.move_to(found[0])
 
     # The modes that remain, and the place on a plan
+
+    def open_direction(self, steps: Steps) -> None:
+        """Leave the direction open from an unknown turn in new steps on, until the batch is certain again."""
+        output, window, turned = self.output, self.graph.window, unknown_turns(whole_pieces(steps))
+        if not (output.sure and len(turned)):
+            return
+        begin, end, past = window.times[-1], float(turned[-1]), window.steps
+        fixes = output.fixes_between(begin, end)
+        ways = predict(output.keyframe_belief(), past.whole, past.start, begin, end, fixes)
+        output.modes, output.sure, self.next_batch = Modes(ways, end), False, -np.inf
+        self.trial.cancel()
 
     def follow_modes(self) -> None:
         """Advance the modes that remain while the direction is open: the first fix begins them, in all directions.

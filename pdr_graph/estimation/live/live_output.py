@@ -31,11 +31,11 @@ from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW
+from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, TURN_VARIANCE
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, horizontal_sigma, pose_rotation
-from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, RECEIVERS
+from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
@@ -139,9 +139,13 @@ def predict(
 ) -> GaussianMixture:
     """Predict the mixture from ``begin`` to ``end`` [s] through the steps and fixes between, in order of time.
 
+    After an unknown turn, a single hypothesis becomes one for each direction.
+
     whole, start: of the steps, see `intervals`; receiver: of all fixes, if the mixture is of what it states.
     """
-    moments = np.unique([*(fix.time for fix in fixes if begin + INSTANT < fix.time <= end), end])
+    turned = unknown_turns(whole)
+    moments = [*(fix.time for fix in fixes), *turned]
+    moments = np.unique([*(moment for moment in moments if begin + INSTANT < moment <= end), end])
     if moments[-1] < begin + INSTANT:
         return mixture
     pieces = intervals(whole, start, begin, moments)
@@ -163,9 +167,16 @@ def predict(
         if receiver is not None:
             covariance[:, :2, :2] += receiver.drift * max(elapsed[n], 0.0) * np.eye(2)
         mixture = replace(mixture, mean=mean, covariance=covariance)
+        if len(mixture) == 1 and moment in turned:
+            mixture = by_direction(mixture)
         while waiting and waiting[0].time <= moment:
             mixture = after_fix(mixture, waiting.pop(0))
     return mixture
+
+
+def unknown_turns(whole: Array) -> Array:
+    """Ends [s] of the pieces in which the walker may have turned by any angle; whole: see `intervals`."""
+    return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, END]
 
 
 @dataclass

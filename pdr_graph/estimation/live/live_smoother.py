@@ -63,6 +63,7 @@ class LiveSmoother:
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
+        self.ambiguity.open_direction(steps)
         busy = self._close()
         if not busy and (self._walls_due or self._rounds_due):  # the work is spread over the steps between keyframes
             busy = True

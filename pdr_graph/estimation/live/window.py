@@ -48,7 +48,7 @@ Rows = TypeVar("Rows", Fixes, Headings)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
-END, LENGTH, VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 6, 7  # columns of whole pieces
+END, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 5, 6, 7  # columns of whole pieces
 
 
 @dataclass
