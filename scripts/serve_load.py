@@ -42,7 +42,7 @@ SETTLED = 10.0  # [s] after the last phone has begun, from which the processor t
 WARMING = 30  # messages of a walker before all others
 PATIENCE = 30.0  # [s] for the last poses
 HEADER = ["phones", "acknowledged p50 / p99 [ms]", "pose p50 / p99 [s]", "CPU of a second of walk [ms]"]
-HEADER += ["serving / estimating, cores", "load generator, cores", "walker [MB]"]
+HEADER += ["serving / estimating, cores", "load generator / other programs, cores", "walker [MB]"]
 
 
 class Server:
@@ -75,6 +75,12 @@ class Server:
                     row = int(folder.name != str(self.process.pid))
                     total[:, row] += seconds, pages * os.sysconf("SC_PAGE_SIZE") / 1e6
         return total
+
+
+def busy_time():
+    """Processor time of all processes of the machine [s]."""
+    fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]
+    return sum(int(fields[n]) for n in (0, 1, 2, 5, 6)) / os.sysconf("SC_CLK_TCK")
 
 
 def walks(seconds):
@@ -153,7 +159,7 @@ async def phone(port, name, bodies, begin, delays, path="/sensorlogger"):
 
 
 async def loaded(server, phones, seconds):
-    """Run the phones; delays, and usage of the server per second while all of them walk."""
+    """Run the phones; delays, and cores of the server, of this process and of others while all phones walk."""
     delays = Delays()
     listening = asyncio.create_task(listen(server.port, delays))
     begin = time.monotonic() + 0.5
@@ -161,18 +167,17 @@ async def loaded(server, phones, seconds):
         asyncio.create_task(phone(server.port, name, bodies, begin + START * n / len(phones), delays))
         for n, (name, bodies) in enumerate(phones)
     ]
-    own, rates = np.zeros(2), np.full((2, 2), np.nan)
     await asyncio.sleep(START + SETTLED)
-    before, own[0], since = server.usage(), time.process_time(), time.monotonic()
+    before, since = (server.usage(), time.process_time(), busy_time()), time.monotonic()
     await asyncio.sleep(max(seconds - START - SETTLED, 1.0))
-    after, own[1], span = server.usage(), time.process_time(), time.monotonic() - since
-    rates = (after - before) / span
+    after, span = (server.usage(), time.process_time(), busy_time()), time.monotonic() - since
+    usage, own, busy = ((b - a) / span for a, b in zip(before, after, strict=True))
     await asyncio.gather(*posting)
     end = time.monotonic() + PATIENCE
     while len(delays.posed) < len(delays.posted) and time.monotonic() < end:
         await asyncio.sleep(0.1)
     listening.cancel()
-    return delays, rates[0], float(np.diff(own)[0]) / span
+    return delays, usage[0], own, busy - own - usage[0].sum()
 
 
 async def warmed_up(server, bodies, workers):
@@ -207,14 +212,19 @@ def measure(counts, workers, seconds, options):
             try:
                 asyncio.run(warmed_up(server, messages[0][0], workers))
                 before = server.usage()[1]
-                delays, cores, own = asyncio.run(loaded(server, phones, seconds))
+                delays, cores, own, others = asyncio.run(loaded(server, phones, seconds))
                 memory = (server.usage()[1] - before).sum() / count
             finally:
                 server.kill()
         ends = (1e3, delays.acknowledged), (1.0, delays.posed)
         acknowledged, posed = (np.percentile(scale * delays.until(of), [50, 99]) for scale, of in ends)
         cells = [count, f"{acknowledged[0]:.0f} / {acknowledged[1]:.0f}", f"{posed[0]:.2f} / {posed[1]:.2f}"]
-        cells += [f"{1e3 * cores.sum() / count:.1f}", f"{cores[0]:.2f} / {cores[1]:.2f}", f"{own:.2f}", f"{memory:.1f}"]
+        cells += [
+            f"{1e3 * cores.sum() / count:.1f}",
+            f"{cores[0]:.2f} / {cores[1]:.2f}",
+            f"{own:.2f} / {others:.2f}",
+            f"{memory:.1f}",
+        ]
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
         if delays.refused:
             print(f"refused: {len(delays.refused)} messages, status {sorted(set(delays.refused))}")

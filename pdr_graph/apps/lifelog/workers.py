@@ -76,12 +76,6 @@ def _set_deadline(limit: float | None) -> None:
             faulthandler.cancel_dump_traceback_later()
 
 
-def use_one_thread() -> None:
-    """Let the linear algebra of this process use one thread: several cost a multiple for small matrices."""
-    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
-    threadpool_limits(limits=1)  # for libraries that are loaded
-
-
 def collected(
     kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, number: int, task: tuple[Any, ...], time_limit: float
 ) -> tuple[int, list[Any]]:
@@ -89,7 +83,8 @@ def collected(
 
     kinds: of measurements, which the process has yet to register.
     """
-    use_one_thread()
+    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
+    threadpool_limits(limits=1)  # for libraries that are loaded
     if kinds:
         from pdr_graph.estimation.factors.registry import register
 

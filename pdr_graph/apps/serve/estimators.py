@@ -26,7 +26,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pdr_graph.apps.lifelog.workers import use_one_thread
 from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.live_walk import LiveWalk, read_session
 from pdr_graph.apps.serve.publishing import PATH_INTERVAL
@@ -338,6 +337,5 @@ def run(connection: Connection, root: str, options: Mapping[str, Any], working: 
 def run_process(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:
     """`run` in a process of its own, which Ctrl-C ends through its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    use_one_thread()
     gc.freeze()  # imported modules stay
     run(connection, root, options, working)

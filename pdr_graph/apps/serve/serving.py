@@ -21,7 +21,6 @@ import uvicorn
 from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from pdr_graph.apps.lifelog.workers import use_one_thread
 from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
@@ -64,7 +63,7 @@ def read_inputs(options: Mapping[str, Any]) -> Building | None:
 def build(settings: Settings, building: Building | None = None) -> Starlette:
     """The application, whose lifespan starts and stops everything. building: of `read_inputs`."""
     hub = Hub()
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), use_one_thread, max_tasks_per_child=20)
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=20)
 
     async def finishing(session: Session) -> str:
         arguments = (reception.root / session.id, settings.store, settings.options.get("plan"))
