@@ -159,7 +159,9 @@ async def phone(port, name, bodies, begin, delays, path="/sensorlogger"):
 
 
 async def loaded(server, phones, seconds):
-    """Run the phones; delays, and cores of the server, of this process and of others while all phones walk."""
+    """Run the phones; delays, and while all phones walk: cores of the server, its processor time of a message [ms],
+    cores of this process and of others.
+    """
     delays = Delays()
     listening = asyncio.create_task(listen(server.port, delays))
     begin = time.monotonic() + 0.5
@@ -168,16 +170,16 @@ async def loaded(server, phones, seconds):
         for n, (name, bodies) in enumerate(phones)
     ]
     await asyncio.sleep(START + SETTLED)
-    before, since = (server.usage(), time.process_time(), busy_time()), time.monotonic()
+    before, since = (server.usage(), time.process_time(), busy_time(), len(delays.posed)), time.monotonic()
     await asyncio.sleep(max(seconds - START - SETTLED, 1.0))
-    after, span = (server.usage(), time.process_time(), busy_time()), time.monotonic() - since
-    usage, own, busy = ((b - a) / span for a, b in zip(before, after, strict=True))
+    after, span = (server.usage(), time.process_time(), busy_time(), len(delays.posed)), time.monotonic() - since
+    usage, own, busy, used = ((b - a) / span for a, b in zip(before, after, strict=True))
     await asyncio.gather(*posting)
     end = time.monotonic() + PATIENCE
     while len(delays.posed) < len(delays.posted) and time.monotonic() < end:
         await asyncio.sleep(0.1)
     listening.cancel()
-    return delays, usage[0], own, busy - own - usage[0].sum()
+    return delays, usage[0], 1e3 * usage[0].sum() / used, own, busy - own - usage[0].sum()
 
 
 async def warmed_up(server, bodies, workers):
@@ -212,7 +214,7 @@ def measure(counts, workers, seconds, options):
             try:
                 asyncio.run(warmed_up(server, messages[0][0], workers))
                 before = server.usage()[1]
-                delays, cores, own, others = asyncio.run(loaded(server, phones, seconds))
+                delays, cores, each, own, others = asyncio.run(loaded(server, phones, seconds))
                 memory = (server.usage()[1] - before).sum() / count
             finally:
                 server.kill()
@@ -220,7 +222,7 @@ def measure(counts, workers, seconds, options):
         acknowledged, posed = (np.percentile(scale * delays.until(of), [50, 99]) for scale, of in ends)
         cells = [count, f"{acknowledged[0]:.0f} / {acknowledged[1]:.0f}", f"{posed[0]:.2f} / {posed[1]:.2f}"]
         cells += [
-            f"{1e3 * cores.sum() / count:.1f}",
+            f"{each:.1f}",
             f"{cores[0]:.2f} / {cores[1]:.2f}",
             f"{own:.2f} / {others:.2f}",
             f"{memory:.1f}",
