@@ -828,11 +828,13 @@ def take(data: Table, which: int | slice | Mask | Index) -> Table:
     """The rows `which` of a table, as arrays and tuples; other fields are kept, as `row_columns` says."""
     size = len(data)
     index = np.arange(*which.indices(size)) if isinstance(which, slice) else np.atleast_1d(np.arange(size)[which])
-    selected: dict[str, Any] = {}
-    for name in row_columns(data):
-        column = getattr(data, name)
-        selected[name] = column[index] if isinstance(column, np.ndarray) else tuple(column[i] for i in index.tolist())
-    return replace(data, **selected)
+    of_rows, table = row_columns(data), object.__new__(type(data))  # its rows were validated when `data` was made
+    for column in fields(data):
+        values = getattr(data, column.name)
+        if column.name in of_rows:
+            values = values[index] if isinstance(values, np.ndarray) else tuple(values[i] for i in index.tolist())
+        object.__setattr__(table, column.name, values)
+    return table
 
 
 def appended(data: Table, more: Table) -> Table:

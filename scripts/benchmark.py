@@ -389,10 +389,20 @@ def live_rows():
     """CPU time of a step, of the pushes and the pose; memory; cores that a crowd keeps busy."""
     plan, rows, memory = FloorPlan.load(LOOP), [], []
     for name, nav, events, steps in (
-        ("24 h between walls, fix every 30 steps", Navigator(plan, lag=LAG), held_by_walls(DAY, period=STEP), DAY),
-        ("no walls, fixes at 1 Hz", Navigator(lag=LAG), walk(20_000, 2), 20_000),
-        ("no walls, fix every 30 steps, without a lag", Navigator(lag=None), walk(10_000, EVERY), 10_000),
-        ("from samples at 100 Hz, between walls, fix every 15 s", Navigator(plan, lag=LAG), None, 7200),
+        (
+            "24 h between walls, fix every 30 steps",
+            Navigator(plan, lag=LAG, executor=None),
+            held_by_walls(DAY, period=STEP),
+            DAY,
+        ),
+        ("no walls, fixes at 1 Hz", Navigator(lag=LAG, executor=None), walk(20_000, 2), 20_000),
+        (
+            "no walls, fix every 30 steps, without a lag",
+            Navigator(lag=None, executor=None),
+            walk(10_000, EVERY),
+            10_000,
+        ),
+        ("from samples at 100 Hz, between walls, fix every 15 s", Navigator(plan, lag=LAG, executor=None), None, 7200),
     ):
         events = sampled_hour(nav) if events is None else live_events(*events)
         took, looks = pushed(nav, events, steps)
@@ -441,7 +451,7 @@ def crowd_rows():
     """Many walkers in turn, step by step: cores that they keep busy in the first minute and after it, and memory."""
     steps, fixes = held_by_walls(int(CROWD_TIME / STEP), period=STEP)
     plan, before, parts = FloorPlan.load(LOOP), resident(), ("push", "pose", "review")
-    walkers = [(Navigator(plan, lag=LAG), live_events(steps, fixes[n % 5 :])) for n in range(CROWD)]
+    walkers = [(Navigator(plan, lag=LAG, executor=None), live_events(steps, fixes[n % 5 :])) for n in range(CROWD)]
     took = np.zeros((2, len(parts)))  # [s] in the first minute and after it
     for n in range(len(steps)):
         for nav, events in walkers:

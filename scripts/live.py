@@ -501,7 +501,7 @@ class Run:
 def followed(case, lag=LAG):
     """The run of a case; the pose is asked for after each packet of acceleration, or each step."""
     epoch = None if case.recording is None else case.recording.epoch
-    nav = LoggingNavigator(case.plan, lag=lag, frame=case.frame, beacons=case.beacons, epoch=epoch)
+    nav = LoggingNavigator(case.plan, lag=lag, frame=case.frame, beacons=case.beacons, epoch=epoch, executor=None)
     events, asks, taken = list(case.events()), [], np.zeros(2)
     gc.collect()
     gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step

@@ -60,7 +60,7 @@ def main(hours):
     place = place[np.linspace(0, len(place) - 1, BEACONS).astype(int)]
     names = tuple(f"b{n}" for n in range(BEACONS))
     beacons = Beacons(names, place, np.ones(BEACONS), ("",) * BEACONS, names)
-    nav, took = Navigator(FloorPlan.load(LOOP), lag=LAG, beacons=beacons), []
+    nav, took = Navigator(FloorPlan.load(LOOP), lag=LAG, beacons=beacons, executor=None), []
     print("hours, events, push p50 / p99 / max [ms], pose p99 [ms], review max [ms], MB, keyframes, restarts")
     for number in range(hours):
         for count, event in enumerate(hour(number, beacons)):

@@ -21,10 +21,12 @@ matrix at the end is dense. The inverse follows backwards, since the parents of 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ContextDecorator, suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -35,6 +37,38 @@ from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index, Mask
 
+
+class OneThread(ContextDecorator):
+    """Lets the linear algebra of the process use one thread while any of its threads is within.
+
+    For matrices of some hundred rows, OpenBLAS's threads wait for each other: a walk takes two to five times as long.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._within, self._limiter = Lock(), 0, None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._within += 1
+            if self._within == 1:
+                self._limiter = _libraries().limit(limits=1)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._within -= 1
+            if not self._within and self._limiter is not None:
+                self._limiter.restore_original_limits()
+
+
+@cache
+def _libraries() -> Any:
+    """The libraries of linear algebra that are loaded."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+one_thread = OneThread()
 RESCUING = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)  # damping of a system that is indeterminate by rounding errors
 
 
@@ -396,6 +430,7 @@ class Factorization:
         return x[:-1]
 
     @cached_property
+    @one_thread
     def inverse(self) -> Array:
         """Blocks ``(s, 3, 3)`` of the inverse matrix, in the slots of ``elimination``."""
         elimination, size = self.elimination, 3 * len(self.elimination.root)

@@ -11,7 +11,7 @@ from pdr_graph.estimation.ambiguity.bank import contradictions, paths, probabili
 from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, joint_solutions, localized
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
-from pdr_graph.estimation.linear_system import covariance_of_ends
+from pdr_graph.estimation.linear_system import covariance_of_ends, one_thread
 from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
     calibration_of,
@@ -25,6 +25,7 @@ from pdr_graph.priors import INITIAL, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, Trajectory
 
 
+@one_thread
 def smooth(graph: WalkGraph) -> Estimate:
     """The most probable walk given all measurements in ``graph``, with the covariance of every step.
 

@@ -6,7 +6,6 @@ A `StepStream` is a sequence of `SegmentStream`s, one for each uninterrupted par
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -54,7 +53,9 @@ class StepStream:
     @property
     def health(self) -> dict[str, Health]:
         """Statistics of each sensor's samples."""
-        sensors = deepcopy(self._sensors)  # packets are validated together when they are due, whatever is asked before
+        sensors = {
+            name: replace(sensor, arrived=[*sensor.arrived]) for name, sensor in self._sensors.items()
+        }  # packets are validated together when they are due, whatever is asked before
         _ingest(*sensors.values())
         return {name: sensor.health for name, sensor in sensors.items()}
 

@@ -71,15 +71,19 @@ class SensorUnit:
 
     def watch(self, time: Array, values: Array) -> None:
         """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
-        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
-        if self.note or not usable.any():
+        if self.note or not len(time):
             return
-        self.time.append(time[usable])
-        self.values.append(values[usable])
+        self.time.append(time)
+        self.values.append(values)
         if abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
             return
-        window, notes = Signal(np.concatenate(self.time), np.concatenate(self.values)), list[str]()
-        self.time, self.values = [], []
+        time, values = np.concatenate(self.time), np.concatenate(self.values)
+        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
+        window, notes = Signal(time[usable], values[usable]), list[str]()
+        complete = len(window) > 0 and abs(window.time[-1] - window.time[0]) >= WINDOW
+        self.time, self.values = ([], []) if complete or not len(window) else ([window.time], [window.values])
+        if not complete:
+            return
         try:
             kind, factor = unit_of("", self.sensor, window, notes)
         except InputError as error:

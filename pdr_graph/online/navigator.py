@@ -8,10 +8,12 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -73,6 +75,12 @@ UPSIDE_DOWN = "accelerometer: the magnetic field points up: are the signs those 
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
 
+@cache
+def shared_thread() -> Executor | None:
+    """A thread for all navigators of this process; None if it has one core."""
+    return ThreadPoolExecutor(1, "pdr-graph") if (os.cpu_count() or 1) > 1 else None
+
+
 class Navigator:
     """Estimator of a walk under way.
 
@@ -82,8 +90,9 @@ class Navigator:
     start_floor: label of the floor where the walk begins, for a building of several floors; start_heading,
     start_heading_sigma: direction of the first step, counter-clockwise from +x of the frame, and its sigma [rad];
     epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; executor: computes long answers beside
-    the walk, of which each is used at a fixed later time of the walk; without, `review` or the push that needs it does,
-    with equal results.
+    the walk, of which each is used at a fixed later time of the walk; by default a thread that all navigators of the
+    process share, if it has several cores. With None, `review` or the push that needs an answer computes it, with equal
+    results.
     """
 
     def __init__(
@@ -100,7 +109,7 @@ class Navigator:
         start_heading: float | None = None,
         start_heading_sigma: float = INITIAL.heading_sigma,
         epoch: float | None = None,
-        executor: Executor | None = None,
+        executor: Executor | Literal["thread"] | None = "thread",
     ):
         expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
         if lag is not None and not lag > 0:
@@ -112,7 +121,7 @@ class Navigator:
         labels = self.building.labels if self.building else ()
         self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else start_floor or "")
         self._gait = StepStream(self.walker, self._compass.update, self._compass.preview)
-        prior = prior or prior_of(self.walker.profile)
+        prior, executor = prior or prior_of(self.walker.profile), shared_thread() if executor == "thread" else executor
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
         self._alone: FixesAlone | None = None
         self._away = Away()

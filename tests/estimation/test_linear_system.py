@@ -4,10 +4,11 @@ import gtsam
 import numpy as np
 import pytest
 from derivatives import linear_graph
+from threadpoolctl import threadpool_info, threadpool_limits
 from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver, straight
 
 from pdr_graph import WalkGraph
-from pdr_graph.estimation.linear_system import Factorization
+from pdr_graph.estimation.linear_system import Factorization, one_thread
 from pdr_graph.types import Closures
 
 LONG = 1500  # steps: several rounds, and a root
@@ -94,3 +95,16 @@ def test_graphs_with_the_same_factors_share_the_places_of_their_blocks():
     assert graph.rotated(1.0).normal_equations(at) is equations
     fewer = WalkGraph(steps, fixes[:-3])
     assert not equations.fits(fewer.evaluate(fewer.start))
+
+
+def test_linear_algebra_uses_one_thread_within_and_as_many_as_before_after():
+    def threads():
+        return {library["filepath"]: library["num_threads"] for library in threadpool_info()}
+
+    with threadpool_limits(limits=2):
+        before = threads()
+        with one_thread:
+            with one_thread:
+                assert set(threads().values()) == {1}
+            assert set(threads().values()) == {1}
+        assert threads() == before

@@ -1,5 +1,7 @@
 """The current pose of a live walk: the expectation over the ways that remain, in the walkable area, without jumps."""
 
+import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -11,6 +13,7 @@ import shapely
 from simulated import scenario
 from walks import part, straight
 
+from pdr_graph.estimation.live.live_ambiguity import Deferred
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
@@ -20,6 +23,7 @@ from pdr_graph.types import Fixes, Recording, Signal
 
 ROOT = Path(__file__).parents[2]
 INERTIAL = ("accelerometer", "gyroscope")
+PATIENCE = 30.0  # [s]
 WITHIN = 1.0  # [m] of the fix, without any direction
 FAR = 2.0  # [m] of a pose that jumps
 
@@ -218,15 +222,38 @@ class Counting(ThreadPoolExecutor):
 
 @pytest.mark.thorough
 def test_results_do_not_depend_on_the_timing(walked):
-    """The same poses bit by bit with a thread beside the walk, with a review after each event, and with neither."""
+    """The same poses bit by bit with a thread, the shared one, a review after each event, or none of these."""
     walk = arcade()[1]
     with Counting(1) as pool:
         threaded = poses(walk, floor=fresh_plan(), lag=60.0, executor=pool)
-    reviewed = poses(walk, Navigator.review, floor=fresh_plan(), lag=60.0)
+    reviewed = poses(walk, Navigator.review, floor=fresh_plan(), lag=60.0, executor=None)
+    alone = poses(walk, floor=fresh_plan(), lag=60.0, executor=None)
     assert pool.submitted > 3
     plain = [row(pose) for pose in walked if pose is not None]
     assert [row(pose) for pose in threaded if pose is not None] == plain
     assert [row(pose) for pose in reviewed if pose is not None] == plain
+    assert [row(pose) for pose in alone if pose is not None] == plain
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_question_that_a_thread_had_begun_is_answered_in_a_fork_too():
+    begun, go = threading.Event(), threading.Event()
+
+    def question():
+        begun.set()
+        return go.wait(PATIENCE) or True
+
+    with ThreadPoolExecutor(1) as pool:
+        deferred = Deferred(pool)
+        deferred.ask(question, 1.0)
+        begun.wait(PATIENCE)
+        if not (child := os.fork()):
+            go.set()
+            os._exit(0 if deferred.collect(1.0) else 1)
+        status = os.waitpid(child, 0)[1]
+        go.set()
+        assert (status, deferred.collect(1.0)) == (0, True)
 
 
 @pytest.mark.thorough

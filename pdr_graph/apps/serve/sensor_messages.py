@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -119,8 +120,8 @@ def tables_of(payload: Sequence[Sample]) -> tuple[dict[str, Array], dict[str, in
         if name not in USED_COLUMNS:
             ignored[one_line(name)[:40]] = len(samples)
             continue
-        rows = [[sample.time, *(getattr(sample.values, column) for column in USED_COLUMNS[name])] for sample in samples]
-        table = _numbers(rows) * ([NANOSECOND] + [1.0] * len(USED_COLUMNS[name]))
+        of = attrgetter("time", *(f"values.{column}" for column in USED_COLUMNS[name]))
+        table = _numbers([of(sample) for sample in samples]) * ([NANOSECOND] + [1.0] * len(USED_COLUMNS[name]))
         tables[name] = table[np.argsort(table[:, 0], kind="stable")]
     return tables, ignored
 
@@ -130,7 +131,7 @@ def from_android(payload: Sequence[Sample]) -> bool:
     return any(sample.accuracy is not None for sample in payload)
 
 
-def _numbers(rows: list[list[Any]]) -> Array:
+def _numbers(rows: Sequence[Sequence[Any]]) -> Array:
     """The rows as an array, NaN for what is no number."""
     try:
         return np.array(rows, dtype=float)

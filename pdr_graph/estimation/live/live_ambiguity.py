@@ -8,8 +8,10 @@ the same however it was computed.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Generic, TypeVar
@@ -25,6 +27,7 @@ from pdr_graph.estimation.factors.registry import kind_of_type, made_from
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import OF_POSITION, GaussianMixture, measured
+from pdr_graph.estimation.linear_system import one_thread
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import (
     LiveOutput,
@@ -51,18 +54,19 @@ class Deferred(Generic[Result]):
 
     So no push waits for it, and the walk is the same whether it was computed in an idle moment, by another thread, or
     only when it was due. due: time of the walk [s] from which the answer is used; executor: computes the answers; by
-    default `work` does, or `collect` when the answer is due.
+    default `work` does. `collect` computes an answer that is due and that nobody has begun.
     """
 
     def __init__(self, executor: Executor | None = None) -> None:
         self.executor, self.due = executor, np.inf
-        self._future: Future[Result] | None = None
-        self._question: Callable[[], Result] | None = None  # that no executor computes
+        self._question: Callable[[], Result] | None = None
+        self._future: Future[Result] | None = None  # None while nobody computes the answer
+        self._process = 0  # that asked
 
     @property
     def idle(self) -> bool:
         """True if there is no question."""
-        return self._future is None
+        return self._question is None
 
     def ask(self, question: Callable[[], Result], due: float) -> None:
         """Ask a question about data that do not change any more, whose answer is used from ``due`` [s] on.
@@ -70,24 +74,25 @@ class Deferred(Generic[Result]):
         An open question is dropped.
         """
         self.cancel()
-        self.due = due
-        if self.executor is None:
-            self._future, self._question = Future(), question
-        else:
-            self._future = self.executor.submit(question)
+        self.due, self._question, self._process = due, question, os.getpid()
+        if self.executor is not None:
+            with suppress(RuntimeError):  # the interpreter ends
+                self._future = self.executor.submit(one_thread(question))
 
     def work(self) -> None:
         """Compute the answer now, if no executor does."""
-        if self._future is not None and self._question is not None:
+        if self._question is not None and self._future is None:
+            self._future = Future()
             self._future.set_result(self._question())
-            self._question = None
 
     def collect(self, now: float) -> Result | None:
         """The answer if it is due at ``now`` [s], once; else None."""
-        if self._future is None or now < self.due:
+        if self._question is None or now < self.due:
             return None
-        self.work()
-        answer = self._future.result()
+        if self._future is None or self._future.cancel() or (self._process != os.getpid() and not self._future.done()):
+            answer = self._question()  # nobody has begun, or a thread that this process is a fork without
+        else:
+            answer = self._future.result()
         self.cancel()
         return answer
 

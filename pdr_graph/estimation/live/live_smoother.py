@@ -18,6 +18,7 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import Findings
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.linear_system import one_thread
 from pdr_graph.estimation.live.live_ambiguity import LiveAmbiguity
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
@@ -55,6 +56,7 @@ class LiveSmoother:
         """True if position and direction of the walk are certain."""
         return self.output.sure
 
+    @one_thread
     def extend(self, steps: Steps, floor: str | None = None) -> None:
         """Append the next steps of the walk. floor: label of their floor, by default that of the steps before."""
         window = self.graph.window
@@ -82,6 +84,7 @@ class LiveSmoother:
         if self.graph.window.set_goings(goings):
             self.graph.log.version += 1
 
+    @one_thread
     def append(self, data: Any) -> None:
         """Append measurements of any type in `KINDS`; those from before the window are dropped and counted as late."""
         times, window = self.graph.append(data), self.graph.window
@@ -103,6 +106,7 @@ class LiveSmoother:
         else:
             self.graph.log.remove(Headings, number)
 
+    @one_thread
     def finish(self) -> None:
         """End the walk.
 
@@ -123,6 +127,7 @@ class LiveSmoother:
         ambiguity.compare_sources(0.0, Findings())
         graph.solve(SCHEDULE.final_rounds)
 
+    @one_thread
     def review(self) -> None:
         """Answer the open questions in an idle moment; else the push that needs an answer does, with equal results."""
         self.ambiguity.work()
