@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2640),
+    ".": (15, 2650),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -83,7 +83,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
-    "online": (7, 871),
+    "online": (7, 875),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
