@@ -1001,6 +1001,13 @@ class StandPriors(Table):
 
 
 @dataclass(frozen=True)
+class MovementPriors(Table):
+    """Movement in which no step is recognised."""
+
+    longest: float = number(20.0, "s", "longest one without a doubt: the phone is lifted, tapped, put away")
+
+
+@dataclass(frozen=True)
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
@@ -1068,5 +1075,5 @@ PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()
 LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
 TRAVEL, TRACK = TravelPriors(), TrackPriors()
 SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()
-FIXES_ALONE, STAND, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), LiveFloorPriors()
+FIXES_ALONE, STAND, MOVEMENT, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), MovementPriors(), LiveFloorPriors()
 REPORTS, VERDICTS = ReportPriors(), VerdictPriors()

@@ -83,7 +83,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
-    "online": (7, 871),
+    "online": (7, 880),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
@@ -268,7 +268,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 28, 47, 28
+TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 29
 
 
 def passed(call):

@@ -82,7 +82,7 @@ def typing():
     """Four minutes of taps on the screen, five a second, in a hand that wanders."""
     random, n = np.random.default_rng(3), round(240 * RATE)
     tap, wander = np.zeros(n), gaussian_filter1d(random.normal(size=n), 0.5 * RATE)
-    tap[np.cumsum(random.integers(5, 16, n // 16))] = random.uniform(2, 8, n // 16)
+    tap[np.cumsum(random.integers(5, 16, n // 16))] = random.uniform(0.5, 2, n // 16)
     return in_hand(gaussian_filter1d(tap, 0.6) + 0.05 * wander / wander.std())
 
 
