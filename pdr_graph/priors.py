@@ -78,14 +78,17 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 # Steps
 
 
+BOUNCES = "strides, RIDI, Microsoft: 0.013 to 0.04 m at 0.5 to 1.7 m/s, 0.023 to 0.03 m below"
+SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
+
+
 @dataclass(frozen=True)
 class StepPriors(Table):
     """Durations of steps."""
 
     shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 2))
-    longest: float = number(
-        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", still=(1, 1)
-    )
+    longest: float = number(2.2, "s", "longest duration of a step", "strides: 1.0 to 1.6 s at 0.3 to 0.5 m/s")
+    pause: float = number(2.2, "steps", "interval between landings from which it is a stop: 1.2 s at a usual pace")
     usual: float = number(0.54, "s", "typical duration of a step", still=(1, 1))
 
 
@@ -112,6 +115,17 @@ class CandidatePriors(Table):
         "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15",
         still=(1, 2),
     )
+    usual_bounce: float = number(0.014, "m", "vertical motion below which a usual step is doubted", BOUNCES)
+    slow_factor: float = number(2.0, "factor", "length of the filters for slow steps, of those for usual ones")
+    slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
+    slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
+    bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
+    bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
+    rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps")
+    sway_weight: float = number(0.8, "correlation", "weight of the sway from foot to foot, in slow steps", SWAYS)
+    sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS)
+    limb_weight: float = number(0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings")
+    slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
     tilt_window: float = number(1.5, "s", "over which that direction is averaged")
     steadiest_tilt: float = number(
@@ -125,6 +139,7 @@ class BoutPriors(Table):
 
     closest_share: float = number(0.55, "steps", "least interval between two landings", still=(0.5, 1))
     start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start")
+    slow_start: float = number(0.6, "correlation", "least mean regularity of the first slow steps, to start")
     go_on: float = number(0.1, "correlation", "the same to go on")
     vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing")
     vigorous_start: float = number(
@@ -135,8 +150,8 @@ class BoutPriors(Table):
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
     late: float = number(6.0, "s", "after which it is too late to report a step")
-    past: float = number(8.0, "s", "samples before a landing on which it may depend")
-    future: float = number(3.0, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
+    past: float = number(9.0, "s", "samples before a landing on which it may depend")
+    future: float = number(4.5, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
 
 
 @dataclass(frozen=True)
@@ -152,14 +167,8 @@ class StridePriors(Table):
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
-    k0: float = number(
-        0.34,
-        "m",
-        "constant part of a step: half of it",
-        "fit: 15 walks in two malls, scripts/reproduce steps",
-        still=(1, 1),
-    )
-    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
+    k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps")
+    k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``")
 
 
 @dataclass(frozen=True)
@@ -1009,6 +1018,13 @@ class StandPriors(Table):
 
 
 @dataclass(frozen=True)
+class MovementPriors(Table):
+    """Movement in which no step is recognised."""
+
+    longest: float = number(20.0, "s", "longest one without a doubt: the phone is lifted, tapped, put away")
+
+
+@dataclass(frozen=True)
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
@@ -1076,5 +1092,5 @@ PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()
 LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
 TRAVEL, TRACK = TravelPriors(), TrackPriors()
 SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()
-FIXES_ALONE, STAND, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), LiveFloorPriors()
+FIXES_ALONE, STAND, MOVEMENT, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), MovementPriors(), LiveFloorPriors()
 REPORTS, VERDICTS = ReportPriors(), VerdictPriors()

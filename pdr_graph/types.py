@@ -471,6 +471,7 @@ class Steps(Rows):
     pause_turn: ``(n,)`` the part of ``turn`` made while standing, before the step began [rad].
     sigma_length: ``(n,)`` [m]; sigma_turn: ``(n,)`` [rad]. Errors of different steps are independent.
     final_turn: heading change from the last step to ``end`` [rad].
+    stepless: time in which the device moved as a carried one does, and no step was recognised [s].
     unknown: quantities that the sensors do not determine, one line each.
 
     A row of length 0 is a gap in the recording (`is_gap`): the displacement is 0 ± ``sigma_length`` per axis.
@@ -487,6 +488,7 @@ class Steps(Rows):
     sigma_turn: Array
     final_turn: float = 0.0
     unknown: tuple[str, ...] = ()
+    stepless: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""

@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2650),
+    ".": (15, 2660),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -77,18 +77,18 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
-    "gait": (9, 1281),
+    "gait": (10, 1380),
     "inertial": (6, 518),
     "io": (18, 1564),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
-    "online": (7, 875),
+    "online": (7, 890),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5210),
-    "online.navigator": (64, 11612),
+    "estimation.smoother": (30, 5230),
+    "online.navigator": (66, 11700),
 }
 
 
@@ -268,7 +268,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 27, 46, 28
+TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 29
 
 
 def passed(call):

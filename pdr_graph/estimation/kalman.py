@@ -41,7 +41,14 @@ from pdr_graph.estimation.factors.chain import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.results import calibration_of, plan_contradictions, stated_probability, warnings
+from pdr_graph.estimation.results import (
+    calibration_of,
+    movement_contradictions,
+    plan_contradictions,
+    stated_probability,
+    time_on_steps,
+    warnings,
+)
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
 from pdr_graph.priors import FIXES, KALMAN, PRICES, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
@@ -257,7 +264,10 @@ def _estimate(graph: WalkGraph, means: Array, covariances: Array, met: list[Meet
         converged=True,
         probability=probability,
         warnings=warned,
-        contradictions=plan_contradictions(graph),
+        contradictions=(
+            *plan_contradictions(graph),
+            *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
+        ),
     )
     return replace(estimate, probability=stated_probability(estimate, graph.floor))
 

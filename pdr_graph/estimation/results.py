@@ -31,11 +31,13 @@ from pdr_graph.types import (
     Estimate,
     FixReport,
     Index,
+    Steps,
     Trajectory,
 )
 
 REPEATED = "a better fix at the same time: not used"  # reason in reports
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
+MOVED = "it moved for {:.0f} s, and no steps were recognised"
 MOST_LISTED = 3  # rejected fixes that a warning names
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
@@ -191,6 +193,22 @@ def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *
     track = estimate.trajectory
     crossed = int(building.crosses_wall(track.position, track.floor).sum())
     return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - REPORTS.crossed_anyway * len(track))))
+
+
+def movement_contradictions(stepless: float, walked: float) -> tuple[Contradiction, ...]:
+    """Contradiction of steps with an accelerometer that moved for longer without steps than on steps.
+
+    stepless: time of movement without a step [s]; walked: time on steps [s].
+    """
+    if not stepless > walked:
+        return ()
+    text, check = MOVED.format(stepless), "how the phone was carried; a ride? shuffling steps?"
+    return (Contradiction("steps", "accelerometer", stepless, "s", text, check),)
+
+
+def time_on_steps(steps: Steps) -> float:
+    """Time on steps, without gaps. [s]"""
+    return float(steps.duration[~steps.is_gap].sum())
 
 
 def plan_contradictions(graph: WalkGraph, trajectory: Trajectory | None = None) -> tuple[Contradiction, ...]:

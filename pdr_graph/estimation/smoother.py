@@ -16,8 +16,10 @@ from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
     calibration_of,
     contradiction_warnings,
+    movement_contradictions,
     plan_contradictions,
     stated_probability,
+    time_on_steps,
     warnings,
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
@@ -90,6 +92,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         contradictions=(
             *plan_contradictions(graph, trajectory if best.graph.walled else None),
             *contradictions(optima, share),
+            *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
         ),
         routes=tuple(routes),
         assumed=tuple(claim.label for claim in best.assumed),

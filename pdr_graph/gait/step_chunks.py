@@ -61,7 +61,8 @@ def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
             turned = 0.0
         row, turned = row + len(chunk), turned + chunk.final_turn
     unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
-    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown)
+    stepless = sum(chunk.stepless for chunk in chunks)
+    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown, stepless=stepless)
 
 
 def shifted(steps: Steps, by: float) -> Steps:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
-from pdr_graph.priors import BOUT, CANDIDATE, STEP
+from pdr_graph.gait.rhythm import DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
+from pdr_graph.priors import BOUT, CANDIDATE, MOVEMENT, STAND, STEP
 from pdr_graph.types import Array, Index, Mask
 
 
@@ -43,9 +43,11 @@ class Landings:
         intervals = np.diff(time, prepend=start)
         walking = np.clip(intervals, STEP.shortest, STEP.longest)
         walking[:1] = walking[:2][-1:]
-        rows = np.flatnonzero((intervals >= STEP.longest) | (np.arange(len(intervals)) == 0))
-        beside = np.clip(rows[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
-        intervals[rows] = np.median(walking[beside], axis=1)
+        beside = np.clip(np.arange(len(walking))[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
+        usual = np.median(walking[beside], axis=1) if len(walking) else walking
+        stopped = intervals > STEP.pause * np.maximum(usual, STEP.usual)
+        stopped[:1] = True
+        intervals[stopped] = usual[stopped]
         return cls(time, intervals, amplitude)
 
     def __len__(self) -> int:
@@ -63,9 +65,6 @@ class Landings:
         leads_to = np.searchsorted(self.time, time)
         within = np.minimum(leads_to, len(self) - 1)
         return (leads_to < len(self)) & (time >= self.time[within] - self.period[within])
-
-
-DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
 
 
 @dataclass(frozen=True)
@@ -87,6 +86,7 @@ class Candidates:
         return Candidates(**{name: values[which] for name, values in vars(self).items()})
 
 
+SHORTEST = 2.5  # [s] of samples in which steps are sought
 NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
 
 
@@ -98,19 +98,26 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     """
     stride = decimation(period)
     sampling = period * stride
-    if sampling > CANDIDATE.slowest or len(acceleration) * period < 2.5 * DURATIONS[-1]:
+    if sampling > CANDIDATE.slowest or len(acceleration) * period < SHORTEST:
         return NO_CANDIDATES
-    signals = np.vstack([acceleration.T, _lengths(acceleration.T)])
+    signals = np.vstack([acceleration.T, lengths_of(acceleration.T)])
     *gravity, smooth = gaussian_filter1d(signals, CANDIDATE.smoothing / period, axis=1)[:, ::stride]
+    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
+    steady = gaussian_filter1d(np.stack(gravity), width / sampling, axis=1)
+    mean = np.vstack([steady, lengths_of(steady)])
+    mean = uniform_filter1d(mean, max(1, round(CANDIDATE.tilt_window / sampling)), axis=1)
+    steadiness = lengths_of(mean[:3]) / np.maximum(mean[3], 1e-9)  # 1 if the device does not tilt
+
+    # Slow steps are soft: the filters of |a| are as long as their steps
+    softer = gaussian_filter1d(smooth, np.sqrt(CANDIDATE.slow_factor**2 - 1) * CANDIDATE.smoothing / sampling)
     level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
-    which, regularity = _rhythm(level, sampling)
-    available = np.maximum(np.arange(len(level)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
+    slow_level = softer - gaussian_filter1d(softer, CANDIDATE.slow_factor * CANDIDATE.level / sampling)
+    which, regularity = rhythm_of(level, slow_level, steady, sampling)
+    available = np.maximum(np.arange(len(smooth)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
     which, regularity = which[available], regularity[available]
 
     # The maxima of the analytic signal at the frequency of the steps: samples before them, and interpolated times
-    kernels = _kernels(sampling)
-    windows = sliding_window_view(np.pad(level, kernels.shape[2] // 2), kernels.shape[2])
-    wave = np.vecdot(windows[:, None], kernels[which]).view(complex)[:, 0]
+    wave = _wave(level, slow_level, which, sampling)
     before, after = wave.imag[:-1], wave.imag[1:]
     peaks = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
     time = (peaks + before[peaks] / (before[peaks] - after[peaks])) * sampling
@@ -122,11 +129,6 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
     strong = (amplitude > CANDIDATE.weakest) & (amplitude > CANDIDATE.weakest_share * around)
     peaks, time = peaks[strong[peaks]], time[strong[peaks]]
-    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
-    steady = gaussian_filter1d(np.stack(gravity), width / sampling, axis=1)
-    mean = np.vstack([steady, _lengths(steady)])
-    mean = uniform_filter1d(mean, max(1, round(CANDIDATE.tilt_window / sampling)), axis=1)
-    steadiness = _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)  # 1 if the device does not tilt
     step = DURATIONS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
     bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
@@ -138,56 +140,43 @@ def decimation(period: float) -> int:
     return max(1, int(CANDIDATE.sampling / period + 1e-6))
 
 
-def _rhythm(level: Array, sampling: float) -> tuple[Index, Array]:
-    """The index in DURATIONS that fits best at each sample, and the correlation of |a| with itself, both ``(n,)``.
-
-    The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
-    half and double the true duration. An unusual duration must fit better.
-    """
-    lags = np.concatenate([DURATIONS, 2 * DURATIONS])
-    apart = np.maximum(1, np.round(lags / sampling)).astype(int)[:, None]
-    before, after = apart // 2, apart - apart // 2
-    margin, at = int(after.max()), np.arange(len(level))
-    padded = np.pad(level, margin)
-    earlier, later = padded[at + margin - before], padded[at + margin + after]
-    power = (earlier**2 + later**2) / 2 * ((at >= before) & (at < len(level) - after))
-    window = max(1, round(CANDIDATE.window / sampling))
-    product = uniform_filter1d(earlier * later, window, axis=1, mode="constant")
-    power = uniform_filter1d(power, window, axis=1, mode="constant")
-    once, twice = np.split(product / (power + 1e-4), 2)
-    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
-    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
-    return which, np.maximum(once[which, at], twice[which, at])
+def _wave(level: Array, slow_level: Array, which: Index, sampling: float) -> Array:
+    """The analytic signal of |a| ``(n,)`` at the durations of a step with the indices ``which (n,)`` in DURATIONS."""
+    wave, kernels = np.zeros(len(which), dtype=complex), _kernels(sampling)
+    for number in np.flatnonzero(np.bincount(which)):
+        rows, kernel = np.flatnonzero(which == number), kernels[number]
+        padded = np.pad(level if number < len(USUAL) else slow_level, kernel.shape[1] // 2)
+        padded = padded[rows[0] : rows[-1] + kernel.shape[1]]
+        real, imaginary = (np.correlate(padded, part)[rows - rows[0]] for part in kernel)
+        wave[rows] = real + 1j * imaginary
+    return wave
 
 
 @lru_cache(maxsize=64)
-def _kernels(sampling: float) -> Array:
-    """Gabor kernels ``(k, 2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part."""
-    widest = 2.5 * CANDIDATE.kernel
-    reach = round(widest * DURATIONS[-1] / sampling)
-    at = np.arange(-reach, reach + 1) * sampling / DURATIONS[:, None]
-    window = np.exp(-((at / CANDIDATE.kernel) ** 2) / 2) * (np.abs(at) < widest + sampling / DURATIONS[:, None] / 2)
-    kernel = 2 / window.sum(axis=1, keepdims=True) * window * np.exp(2j * np.pi * at)
-    return np.stack([kernel.real, -kernel.imag], axis=1)
-
-
-def _lengths(vectors: Array) -> Array:
-    """Lengths ``(n,)`` of vectors ``(3, n)``; `np.linalg.norm` takes three times as long for a few of them."""
-    x, y, z = vectors
-    return np.sqrt(x * x + y * y + z * z)
+def _kernels(sampling: float) -> list[Array]:
+    """Gabor kernels ``(2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part."""
+    kernels = []
+    for number, duration in enumerate(DURATIONS.tolist()):
+        width = CANDIDATE.kernel if number < len(USUAL) else CANDIDATE.slow_kernel
+        reach = round(2.5 * width * duration / sampling)
+        at = np.arange(-reach, reach + 1) * sampling / duration
+        window = np.exp(-((at / width) ** 2) / 2)
+        kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
+        kernels.append(np.stack([kernel.real, -kernel.imag]))
+    return kernels
 
 
 @dataclass
 class Bout:
     """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
 
-    walking: True within a bout; last: time of the last candidate [s]; waiting: times and amplitudes of the candidates
-    before the bout starts.
+    walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes and regularities of
+    the candidates before the bout starts.
     """
 
     walking: bool = False
     last: float = -np.inf
-    waiting: list[tuple[float, float]] = field(default_factory=list)
+    waiting: list[tuple[float, float, float]] = field(default_factory=list)
 
     def steps(self, following: Candidates) -> tuple[Array, Array]:
         """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
@@ -199,17 +188,20 @@ class Bout:
                 continue
             if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
                 continue
-            if time - self.last > STEP.longest:
+            if time - self.last > STEP.pause * max(step, STEP.usual):
                 self.walking, self.waiting = False, []
             self.last = time
-            self.waiting = [(t, a) for t, a in self.waiting if t > time - BOUT.late] + [(time, amplitude)]
+            self.waiting = [w for w in self.waiting if w[0] > time - BOUT.late] + [(time, amplitude, regularity)]
             regular = regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start)
+            if step >= SLOW[0]:
+                last = [each for *_, each in self.waiting[-BOUT.fewest :]]
+                regular = sum(last) > BOUT.slow_start * len(last)
             if not self.walking and regular and len(self.waiting) >= BOUT.fewest:
-                usual = float(np.median([a for _, a in self.waiting]))
+                usual = float(np.median([a for _, a, _ in self.waiting]))
                 self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
                 self.walking = True
             if self.walking:
-                certain += self.waiting
+                certain += [w[:2] for w in self.waiting]
                 self.waiting = []
         time, amplitude = np.array(certain).reshape(-1, 2).T
         return time, amplitude
@@ -220,8 +212,8 @@ class StepDetector:
     """Detects steps as samples arrive.
 
     period: between samples [s]; start: time of the first sample [s]; look_ahead: duration of the samples after a
-    landing that are used for its rhythm and amplitude [s]. A step is certain 3 s after that. A shorter look-ahead than
-    the default misses or adds a step now and then.
+    landing that are used for its rhythm and amplitude [s]. A step is certain 4.5 s after that. A shorter look-ahead
+    than the default misses or adds a step now and then.
 
     samples: ``(n, 3)`` the last ones; first: number of the first of them; decided: time since the start up to which
     steps are certain [s]; pending: candidates after it.
@@ -239,7 +231,8 @@ class StepDetector:
     def update(self, acceleration: Array) -> tuple[Array, Array]:
         """Add samples ``(n, 3)``; returns times ``(m,)`` [s] and amplitudes of newly certain steps."""
         needed = int(max(0.0, self.decided - BOUT.past) / self.period)
-        drop = needed // decimation(self.period) * decimation(self.period) - self.first
+        grid = 4 * decimation(self.period)  # of the sway of slow steps
+        drop = needed // grid * grid - self.first
         self.samples, self.first = np.concatenate([self.samples[drop:], acceleration]), self.first + drop
         found = candidates(self.samples, self.period, self.look_ahead)
         found = replace(found, time=found.time + self.first * self.period)
@@ -258,7 +251,7 @@ class StepDetector:
     @property
     def earliest(self) -> float:
         """Earliest time at which a new landing can still be found. [s]"""
-        late = [time for time, _ in self.bout.waiting if time > self.decided - BOUT.late]
+        late = [time for time, *_ in self.bout.waiting if time > self.decided - BOUT.late]
         return self.start + min([self.decided, *late])
 
     def _decide(self, until: float) -> tuple[Array, Array]:
@@ -277,7 +270,46 @@ def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDAT
     """
     start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
     detector = StepDetector(period, start, look_ahead)
-    size = round(120.0 / period)  # two minutes at once are quickest, and the memory does not grow
+    size = round(300.0 / period)  # five minutes at once are quickest, and the memory does not grow
     blocks = [detector.update(acceleration[first : first + size]) for first in range(0, len(time), size)]
     landed, amplitude = (np.concatenate(column) for column in zip(*blocks, detector.finish(), strict=True))
     return Landings.at(landed, amplitude, start)
+
+
+PARTS = 10  # of a second, whose means are compared: vehicles and taps shake a device faster
+
+
+@dataclass
+class UnrecognisedMovement:
+    """Adds up the time of long movements without a step. A step ends a movement, and so do `STAND.seconds` of rest.
+
+    period: between samples [s]; lasting: time for which the present movement without a step has lasted [s]; rest: time
+    since it was last seen [s]; magnitude, walking: ``(m,)`` the samples that do not fill a second yet.
+    """
+
+    period: float
+    lasting: float = 0.0
+    rest: float = 0.0
+    magnitude: Array = field(default_factory=lambda: np.empty(0))
+    walking: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+    def update(self, acceleration: Array, walking: Mask) -> float:
+        """Add samples ``(n, 3)`` [m/s²]; returns the time that long movements without a step gained [s].
+
+        walking: ``(n,)`` True during a step.
+        """
+        magnitude = np.append(self.magnitude, np.linalg.norm(acceleration, axis=1))
+        walking = np.append(self.walking, walking)
+        size = PARTS * max(1, round(1.0 / PARTS / self.period))
+        whole, second = len(magnitude) // size * size, size * self.period
+        spread = magnitude[:whole].reshape(-1, PARTS, size // PARTS).mean(axis=2).std(axis=1)
+        stepped = walking[:whole].reshape(-1, size).any(axis=1)
+        self.magnitude, self.walking = magnitude[whole:], walking[whole:]
+        gained = 0.0
+        for moves, steps in np.column_stack([spread > STAND.quiet, stepped]).tolist():
+            before, self.rest = self.lasting, 0.0 if moves else self.rest + second
+            goes_on = not steps and self.rest < STAND.seconds and (moves or before > 0)
+            self.lasting = before + second if goes_on else 0.0
+            if self.lasting >= MOVEMENT.longest:
+                gained += self.lasting - (before if before >= MOVEMENT.longest else 0.0)
+        return gained

@@ -12,13 +12,13 @@ import numpy as np
 
 from pdr_graph.gait.heading import Direction, HeadingStream
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.gait.step_detection import Landings, StepDetector, decimation
+from pdr_graph.gait.step_detection import Landings, StepDetector, UnrecognisedMovement, decimation
 from pdr_graph.gait.steps import GaitSignals, steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeStream
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
 from pdr_graph.inertial.units import GravityRestorer
-from pdr_graph.priors import REST, STAND, STEP
+from pdr_graph.priors import MOVEMENT, REST, STAND, STEP
 from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 
 
@@ -65,6 +65,12 @@ class StepStream:
         accelerometer = self._sensors["accelerometer"]
         recent = accelerometer.values[accelerometer.time > accelerometer.last - SENSOR_VALIDATION.history]
         return not len(recent) or bool(np.linalg.norm(recent, axis=1).std() < STAND.quiet)
+
+    @property
+    def stepless(self) -> float:
+        """Time for which the device has moved lately while no step was recognised [s]; 0 if not for long."""
+        lasting = 0.0 if self._segment is None else self._segment.movement.lasting
+        return lasting if lasting >= MOVEMENT.longest else 0.0
 
     def push(self, sensor: str, time: Array, values: Array) -> None:
         """Add samples of a sensor, by its name in ``Recording.signals``, at times ``(n,)`` [s], as in `Signal`.
@@ -175,6 +181,7 @@ class SegmentStream:
         self.attitude = AttitudeStream(period, bias)
         self.detector = StepDetector(period, origin)
         self.direction = HeadingStream(origin, period)
+        self.movement = UnrecognisedMovement(period)
         self.end = origin
         self.count = 0  # of samples so far
         self.landed = np.empty((0, 2))  # times and amplitudes of the last certain landings
@@ -236,10 +243,12 @@ class SegmentStream:
                 rest[name][:1] -= turned
             final = steps.final_turn if len(steps) > count else steps.final_turn - turned
             self._provisional = replace(steps, start=end, final_turn=final, **rest)
+        part = slice(*(self._sample_after(moment) for moment in (first.start, first.end)))
+        amplitude = self.landed[self.reported : self.reported + count, 1]
+        signals = self._signals(part, Landings(first.time, first.duration, amplitude))
+        first = replace(first, stepless=self.movement.update(signals.attitude.acceleration, signals.walking))
         if self.listener is not None:
-            part = slice(*(self._sample_after(moment) for moment in (first.start, first.end)))
-            amplitude = self.landed[self.reported : self.reported + count, 1]
-            self.listener(self._signals(part, Landings(first.time, first.duration, amplitude)))
+            self.listener(signals)
 
         # Drop what later steps do not depend on: four landings determine the duration of the next step
         self.end = end

@@ -14,7 +14,7 @@ import numpy as np
 from pdr_graph.errors import InputError, count, expect, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_chunks import join
-from pdr_graph.gait.step_detection import Landings, walking_steps
+from pdr_graph.gait.step_detection import Landings, UnrecognisedMovement, walking_steps
 from pdr_graph.gait.walker import MODELS, StepFeatures, Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
 from pdr_graph.priors import MOTION, REST
@@ -36,7 +36,7 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
     expect("detect_steps, recording", recording, Recording, list, instead="load(path)")
     expect("detect_steps, walker", walker, Walker, None, instead="Walker(height=1.72)")
     walker = walker or Walker()
-    steps = join([steps_of(part, walker) for part in gait_signals(recording)])
+    steps = join([_with_movement(steps_of(part, walker), part) for part in gait_signals(recording)])
     return walker.profile.corrected(steps) if walker.profile else steps
 
 
@@ -78,6 +78,12 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         final_turn=float(heading[-1] - (landed[-1] if len(landed) else np.interp(start, attitude.time, heading))),
         unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
+
+
+def _with_movement(steps: Steps, gait: GaitSignals) -> Steps:
+    """The steps with the time in which the device moved and none was recognised."""
+    movement = UnrecognisedMovement(gait.attitude.period)
+    return replace(steps, stepless=movement.update(gait.attitude.acceleration, gait.walking))
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:

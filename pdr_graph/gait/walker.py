@@ -106,15 +106,16 @@ Lengths = tuple[Array, Array]
 
 
 def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
-    """The default: the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum), L = k₀ + k₁ √A T.
+    """The default: the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum), L = k₀ + k₁ √(A T).
 
-    A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and the
-    pendulum's chord grows with √h. k₁ is fitted between the surveyed waypoints of 15 walks in two malls
-    (``scripts/reproduce steps``). k₀ is half a step, in agreement with a free fit: how hard a foot lands also depends
-    on shoes, floor and pocket, so that only half of the length follows it. Both scale with stature. In bends steps are
-    shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce steps``).
+    A is the peak-to-peak amplitude of |a| at the frequency of the steps, T the duration of a step. A pendulum's chord
+    grows with √A T. But who walks slowly sways and lands softly, so that √A T is the same at 0.4 and at 1.5 m/s; with
+    √(A T) lengths hold from 0.3 to 1.5 m/s, whichever walker the fit leaves out (``scripts/reproduce steps``). k₀ is
+    most of a step: how hard a foot lands also depends on shoes, floor and pocket. Both scale with stature. In bends
+    steps are shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce
+    steps``).
     """
-    straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude) * steps.period
+    straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude * steps.period)
     return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
 
 

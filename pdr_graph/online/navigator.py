@@ -28,6 +28,7 @@ from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window
+from pdr_graph.estimation.results import MOVED, movement_contradictions, time_on_steps
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
@@ -137,6 +138,7 @@ class Navigator:
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._checks = EventChecks()
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
+        self._on_steps, self._stepless = 0.0, 0.0  # [s] on certain steps, and of movement without one
         self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
         common_frame = frame or (self.building.floors[0].frame if self.building else None)
         if radio_map is not None:
@@ -238,6 +240,11 @@ class Navigator:
         return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
     @property
+    def _moved_without_steps(self) -> float:
+        """Time of movement without a step, lately or in most of the walk [s]; 0 if there is no such problem."""
+        return self._gait.stepless or (self._stepless if self._stepless > self._on_steps else 0.0)
+
+    @property
     def _walked(self) -> float:
         """Distance walked so far, with the provisional steps [m]."""
         tail = 0.0 if self._tail is None else float(self._tail.length.sum())
@@ -263,6 +270,7 @@ class Navigator:
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
                 *issues_of(self._gait.health, located and not walking, self._away_by),
+                *((MOVED.format(moved),) if (moved := self._moved_without_steps) else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
@@ -313,6 +321,7 @@ class Navigator:
             contradictions=(
                 *contradictions_of(smoother, self.building, rows, reports),
                 *contradiction_of_fixes(self._away_by),
+                *movement_contradictions(self._stepless, self._on_steps),
             ),
             placed=smoother.graph.finalized.anchored,
             assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
@@ -368,6 +377,8 @@ class Navigator:
             start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
             self._graph.graph.append(start, np.array([-(2**31)]))
         self._certain += int((~steps.is_gap).sum())
+        self._on_steps += time_on_steps(steps)
+        self._stepless += steps.stepless
         self._gaps += int(steps.is_gap.sum())
         self._unknown |= dict.fromkeys(steps.unknown)
         self._floors.add_steps(steps)

@@ -59,6 +59,33 @@ def test_every_step_is_found_once(cadence, amplitude, rate):
     assert np.median(landings.amplitude) == pytest.approx(2 * amplitude, rel=0.4)
 
 
+def slow_walking(duration, count=24, spread=0.1, seed=0):
+    """A slow walk in the hand: soft landings of 1 m/s² that vary, and a sway of 0.7 m/s² from foot to foot."""
+    random = np.random.default_rng(seed)
+    landed = 3 + np.cumsum(duration * (1 + spread * random.normal(size=count)))
+    t = np.arange(0, landed[-1] + 4, 1 / RATE)
+    up = np.sum(random.uniform(0.8, 1.2, count) * np.exp(-(((t[:, None] - landed) / 0.15) ** 2) / 2), axis=1)
+    walked = np.interp(t, landed, np.arange(count), left=0, right=count - 1)
+    sway = 0.7 * np.sin(np.pi * walked) * ((t > landed[0]) & (t < landed[-1]))
+    noise = random.normal(0, 0.15, (len(t), 3))
+    return t, np.array([0.5, 3.0, 9.3]) + up[:, None] * [0.0, 0.3, 0.95] + sway[:, None] * [1.0, 0, 0] + noise
+
+
+@pytest.mark.parametrize("duration", [0.8, 1.0, 1.2, 1.4, 1.6])
+def test_slow_steps_are_neither_lost_nor_counted_twice(duration):
+    """As the old, the ill and those who browse walk: 38 to 75 steps a minute, each 10 % off the rhythm; within 10 %."""
+    found = [len(walking_steps(*slow_walking(duration, seed=seed))) for seed in range(4)]
+    assert sum(found) == pytest.approx(4 * 24, rel=0.1)
+
+
+def typing():
+    """Four minutes of taps on the screen, five a second, in a hand that wanders."""
+    random, n = np.random.default_rng(3), round(240 * RATE)
+    tap, wander = np.zeros(n), gaussian_filter1d(random.normal(size=n), 0.5 * RATE)
+    tap[np.cumsum(random.integers(5, 16, n // 16))] = random.uniform(0.5, 2, n // 16)
+    return in_hand(gaussian_filter1d(tap, 0.6) + 0.05 * wander / wander.std())
+
+
 @pytest.mark.parametrize("hold", HOLDS)
 def test_steps_are_found_in_every_hold(hold):
     """From normal walking to browsing, with a stop; within 2 % over four walkers."""
@@ -104,11 +131,11 @@ def test_live_steps_equal_those_of_the_whole_recording(chunks, look_ahead):
 
 
 def test_live_steps_are_certain_in_time():
-    """A step is certain 3 s after the look-ahead."""
+    """A step is certain 4.5 s after the look-ahead."""
     _, a = walking(2.0, 3.0, seconds=20)
     detector = StepDetector(1 / RATE, look_ahead=0.5)
     found, _ = detector.update(a[: round(15 * RATE)])
-    assert found[-1] == pytest.approx(15 - 3.5, abs=0.6)
+    assert found[-1] == pytest.approx(15 - 5.0, abs=0.6)
 
 
 def standing():
@@ -134,7 +161,7 @@ def shaking():
     return signal.time, signal.values
 
 
-@pytest.mark.parametrize("motion", [standing, gestures, shaking])
+@pytest.mark.parametrize("motion", [standing, gestures, shaking, typing])
 def test_other_motion_gives_no_steps(motion):
     assert len(walking_steps(*motion())) == 0
 

@@ -37,6 +37,7 @@ def peak_pairs(attitude: Attitude, threshold: float = 1.0) -> Landings:
     return _landings(attitude, peaks[height > threshold], height[height > threshold])
 
 
+LONGEST = 1.2  # [s] interval between the landings of a walk
 RISE = 0.7  # [m/s²] of |a| from a trough; [calibration-walk] states no value
 
 
@@ -63,7 +64,7 @@ def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE)
     candidates = trough_to_peak(attitude, threshold)
     shapes = forward_shapes(attitude, forward, candidates)
     walking, together = templates().T
-    on = np.diff(candidates.time, append=np.inf) < STEP.longest
+    on = np.diff(candidates.time, append=np.inf) < LONGEST
     for n in np.flatnonzero(~on):  # one shape may be ahead of the other by two points
         to_walking, to_closing = (
             dtw.distance(shapes[n], template, window=2, use_c=True) for template in (walking, together)

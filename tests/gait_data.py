@@ -1,0 +1,96 @@
+"""Walks with true steps and lengths: the data sets ``strides`` (foot-mounted sensor) and ``ridi`` (visual-inertial)."""
+
+import re
+import zipfile
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, filtfilt, find_peaks
+
+from pdr_graph.types import Recording, Signal
+
+CELL = re.compile(r'<c r="([A-Z]+)\d+"([^>/]*)><v>([^<]*)</v>')
+GRID = 0.02  # [s] of the visual-inertial positions
+HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
+
+
+@dataclass(frozen=True)
+class TrueWalk:
+    """A recording with its true number of steps and length [m], by another sensor."""
+
+    name: str
+    recording: Recording
+    steps: int
+    length: float
+
+
+def strides(data):
+    """Yield the walks of ``strides``: 0.3 to 1.5 m/s, in the hand. Strides that the foot sensor merged are counted."""
+    for path in sorted((data / "strides").glob("*.txt")):
+        with path.open() as file:
+            rows = np.array([line.split()[1:] for line in file if line.startswith("test")], dtype=float)
+        rows = rows[np.append(True, np.diff(rows[:, 9]) > 0)]
+        first = np.flatnonzero(np.diff(rows[:, 11]) > 0) + 1
+        length = rows[first, 10]
+        usual = np.median(length)
+        whole = sum(max(1, round(each / usual)) for each in length[:-1].tolist())
+        last = 2 if length[-1] > 0.75 * usual else 1
+        time = (rows[:, 9] - rows[0, 9]) / 1000
+        yield TrueWalk(
+            path.stem.removeprefix("PDR_Raw_2018-10-"),
+            recording_of(path.name, time, rows[:, :3], rows[:, 3:6]),
+            2 * whole + last,
+            float(rows[:, 12].max()),
+        )
+
+
+def ridi(data):
+    """Yield the walks of ``ridi``: pocket, bag, hand, body. Steps are maxima of |a| about its strongest frequency."""
+    for path in sorted((data / "ridi").glob("*.xlsx")):
+        column = columns(path)
+        time = column["time"] - column["time"][0]
+        acceleration, rate, position = (
+            np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("acce", "gyro", "pos")
+        )
+        yield TrueWalk(
+            path.stem,
+            recording_of(path.name, time, acceleration, rate),
+            *visual_inertial(time, position, np.linalg.norm(acceleration, axis=1)),
+        )
+
+
+def recording_of(name, time, acceleration, rate):
+    """A recording of accelerometer and gyroscope."""
+    return Recording(name, 0.0, None, accelerometer=Signal(time, acceleration), gyroscope=Signal(time, rate))
+
+
+def visual_inertial(time, position, magnitude):
+    """True number of steps and length [m] of a walk with known positions ``(n, 3)`` [m]."""
+    grid = np.arange(0, time[-1], GRID)
+    x, y = (np.interp(grid, time, position[:, axis]) for axis in (0, 1))
+    speed = np.hypot(np.gradient(x, GRID), np.gradient(y, GRID))
+    moving = gaussian_filter1d(speed, 0.5 / GRID) > 0.25
+    level = np.interp(grid, time, magnitude)
+    level -= gaussian_filter1d(level, 0.8 / GRID)
+    frequency = np.fft.rfftfreq(8 * len(grid), GRID)
+    power = np.abs(np.fft.rfft(level * np.hanning(len(grid)), 8 * len(grid)))
+    walked = (frequency > 1.2) & (frequency < 2.6)
+    strongest = frequency[walked][np.argmax(power[walked])]
+    band = butter(2, [0.7 * strongest, 1.35 * strongest], fs=1 / GRID, btype="band")
+    landed, _ = find_peaks(filtfilt(*band, level), height=0.2)
+    x, y = (gaussian_filter1d(values, HEAD_SWAY / GRID)[::5] for values in (x, y))
+    return int(moving[landed].sum()), float(np.hypot(np.diff(x), np.diff(y)).sum())
+
+
+def columns(path):
+    """The columns of numbers of a workbook's first sheet, by name."""
+    with zipfile.ZipFile(path) as book:
+        sheet = book.read("xl/worksheets/sheet1.xml").decode()
+        shared = book.read("xl/sharedStrings.xml").decode() if "xl/sharedStrings.xml" in book.namelist() else ""
+    texts = re.findall(r"<si>.*?<t[^>]*>([^<]*)</t>.*?</si>", shared, re.DOTALL)
+    head, *rows = re.findall(r"<row [^>]*>(.*?)</row>", sheet, re.DOTALL)
+    inline = re.findall(r'<c r="([A-Z]+)\d+"[^>]*><is><t[^>]*>([^<]*)', head)
+    names = {column: texts[int(value)] for column, kind, value in CELL.findall(head) if 't="s"' in kind} | dict(inline)
+    cells = [{column: float(value) for column, kind, value in CELL.findall(row) if 't="s"' not in kind} for row in rows]
+    return {name: np.array([row.get(column, np.nan) for row in cells]) for column, name in names.items()}
