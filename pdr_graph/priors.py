@@ -261,17 +261,16 @@ class GripPriors(Table):
 
     tilting: float = number(0.25, "rad/s", "rate of the vertical in the device above that of a carried phone")
     new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change")
-    fast: float = number(0.7, "rad", "turn within ``within`` that is a corner or a wrist")
-    within: float = number(1.0, "s", "time of such a turn")
-    steps_beside: int = number(8, "steps", "before and after a turn, to determine the forward axis")
-    clear_change: float = number(
-        1.1, "rad", "change of the forward axis that is clear", "up to 1.0 on real walks without one"
+    fast: float = number(0.8, "rad", "turn of the phone for which a clear axis of the gait is waited for")
+    steps_beside: int = number(8, "steps", "before and after a turn, and in a window, to determine the forward axis")
+    noise: float = number(
+        0.5, "rad", "deviation from the usual axis that is noise", "up to 0.6 in 1029 of 1031 windows in two malls"
     )
-    turned: float = number(0.6, "rad", "least turn of the walker by gait; less counts as straight on")
-    coherent: float = number(0.65, "share", "least coherence to decide whether the phone turned")
-    less_coherent: float = number(0.45, "share", "least coherence to determine the walker's turn")
+    clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
+    windows: int = number(60, "windows", "each a step after the other, of the usual axis")
+    off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
+    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation")
     sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
-    longest_undecided: float = number(14.0, "s", "after a turn began, when phone or walker is decided, live")
 
 
 @dataclass(frozen=True)

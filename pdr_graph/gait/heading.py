@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.priors import CANDIDATE, FORWARD, GRIP, MOTION, STEP
-from pdr_graph.types import Array, Complex, Mask
+from pdr_graph.types import INSTANT, Array, Complex, Index, Mask
 
 
 @dataclass(frozen=True)
@@ -127,14 +127,18 @@ def push(level: Complex, vertical: Complex) -> Complex:
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level (complex, ahead real) and analytic vertical acceleration at the step frequency, both ``(n,)``. [m/s²]"""
-    level, up = level_and_vertical(attitude, heading)
-    count = fft.next_fast_len(len(up)) or len(up)
-    ratio = np.fft.fftfreq(count, attitude.period) * step
+    return harmonic(*level_and_vertical(attitude, heading), step / attitude.period)
+
+
+def harmonic(level: Complex, up: Array, step: float) -> tuple[Complex, Complex]:
+    """Level and vertical acceleration ``(…, n)`` at the step frequency, the latter analytic. step: in samples."""
+    count = fft.next_fast_len(up.shape[-1]) or up.shape[-1]
+    ratio = np.fft.fftfreq(count) * step
     window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / FORWARD.band, -1, 1)) ** 2
 
     def filtered(signal: Complex | Array, response: Array) -> Complex:
-        spectrum = np.asarray(fft.fft(signal - signal.mean(), count))
-        return np.asarray(fft.ifft(response * spectrum))[: len(signal)]
+        spectrum = np.asarray(fft.fft(signal - signal.mean(axis=-1, keepdims=True), count))
+        return np.asarray(fft.ifft(response * spectrum))[..., : signal.shape[-1]]
 
     return filtered(level, window), filtered(up, 2 * window * (ratio > 0))
 
@@ -181,7 +185,8 @@ def turns_about_vertical(quaternion: Array) -> Array:
 
 
 FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
-SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading", "course", "variance")
+SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading")
+SERIES += ("straight", "doubt", "course", "variance")
 Spans = list[tuple[int, int]]  # first and last samples
 
 
@@ -191,8 +196,12 @@ class HeadingStream:
     The turn of the phone's attitude, averaged over a stride, is the walker's turn: an elliptic swing changes the
     integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
     a stride the rate about gravity is more accurate: a centred mean over one step removes most of the sway and does not
-    lag. During a grip change the phone does not measure the walker, whose turn then comes from the gait, or is
-    0 ± 0.35 rad, or ± 1.2 where they stand meanwhile.
+    lag. While the phone is tilted it does not measure the walker, whose turn then is 0 ± 0.35 rad, or ± 1.2 where they
+    stand meanwhile, until the gait shows it.
+
+    Who walks sideways or backwards, or turns the phone in the hand, turns the phone and not the walk. The gait shows
+    it: its axis in the device (`push`) deviates from that of the last minute by the angle of the turn. The walk takes
+    over a clear deviation, at the moment at which the phone turns or is tilted.
 
     origin: time of sample 0 [s]; period [s]; first: number of the first stored sample; step: typical duration [s].
     quaternion ``(n, 4)``, of signs that do not jump, and acceleration ``(n, 3)``; measured: ``(n,)`` True where the
@@ -200,15 +209,21 @@ class HeadingStream:
     rate_integral, turned: ``(n,)`` integrated rate about the vertical, and turn of the mean attitude [rad].
     up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` ignoring grip changes [rad]; both are final
         for the first ``heading_final`` samples.
+    straight, doubt: ``(n,)`` the heading without grip changes [rad] and its variance [rad²], final for the first
+        ``straight_final`` samples.
     course, variance: ``(n,)`` the walker's heading [rad] and its variance [rad²], final for the first ``course_final``
-        samples.
+        samples; aside: its last deviation from `straight` [rad].
+    axis: mean push of the last minute, of so many windows; next_window: number of the first sample of the next.
     """
 
     def __init__(self, origin: float, period: float, step: float = STEP.usual):
         self.origin, self.period, self.step = origin, period, step
-        self.first = self.heading_final = self.course_final = 0
+        self.first = self.heading_final = self.straight_final = self.course_final = self.next_window = 0
+        self.aside, self.axis, self.windows = 0.0, 0.0j, 0
+        self._beyond = 0.0  # variance of the deviations so far [rad²]
         self.quaternion, self.acceleration, self.up = (np.empty((0, columns)) for columns in (4, 3, 3))
-        self.rate_integral, self.turned, self.heading, self.course, self.variance = (np.empty(0) for _ in range(5))
+        self.rate_integral, self.turned, self.heading = (np.empty(0) for _ in range(3))
+        self.straight, self.doubt, self.course, self.variance = (np.empty(0) for _ in range(4))
         self.measured = np.empty(0, dtype=bool)
 
     @property
@@ -275,105 +290,103 @@ class HeadingStream:
         drop = max(0, final - round((2 * GRIP.steps_beside + FILTER_EDGE) * self.step / self.period))
         self.first += drop
         self.heading_final -= drop
+        self.straight_final -= drop
         self.course_final -= drop
         for name in SERIES:
             setattr(self, name, getattr(self, name)[drop:])
 
     def _correct(self, last: bool) -> None:
-        """Update the walker's heading; it is final up to the first undecided grip change."""
+        """Update the heading without grip changes; it is final up to the first that lasts."""
         step, now = self.step / self.period, len(self.quaternion)
-        begin, end = max(0, self.course_final - 1), max(1, self.heading_final)
+        begin, end = max(0, self.straight_final - 1), max(1, self.heading_final)
 
-        # Spans after which the vertical has another direction in the device, and other turns that a wrist could make
-        tilted, fast = Spans(), Spans()
-        up, heading, beside = self.up[begin:end], self.heading[begin:end], max(1, round(step))
-        within = max(1, round(GRIP.within / self.period))
+        # Spans after which the vertical has another direction in the device
+        tilted, up, beside = Spans(), self.up[begin:end], max(1, round(step))
         if end - begin >= 3:
             tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > GRIP.tilting * self.period
             for first, after in np.transpose(runs(tilting)).tolist():
                 before, behind = max(0, first - beside), min(len(up) - 1, after - 1 + beside)
                 if np.arccos(np.clip(up[before] @ up[behind], -1, 1)) > GRIP.new_tilt:
                     tilted.append((begin + before, begin + behind))
-            turning = runs(np.abs(heading[within:] - heading[:-within]) > GRIP.fast)
-            spans = [(begin + first, begin + after - 1 + within) for first, after in np.transpose(turning).tolist()]
-            fast = [s for s in spans if not any(s[0] < other[1] and other[0] < s[1] for other in tilted)]
 
-        # The first sample at which grip changes are undecided
-        until = now
+        # The first sample at which grip changes are undecided: they last, or it is not known who walks on
+        until, two = now, 2 * beside
         if not last:
-            until = self.heading_final - round(GRIP.within / self.period) - round(step) - 2
-            follow = [(*span, 2 * GRIP.steps_beside + FILTER_EDGE) for span in tilted]
-            follow += [(*span, GRIP.steps_beside + FILTER_EDGE) for span in fast]
-            for first, after, steps in sorted(follow, reverse=True):
-                if after >= min(until, self.heading_final - 2) or after + steps * step > now:
-                    until = min(until, first)
-            until = max(until, now - round(GRIP.longest_undecided / self.period), self.course_final)
-        decided = [span for span in tilted if last or span[1] < until]
-        maybe = [span for span in fast if last or span[1] < until]
+            until = self.heading_final - beside - 2
+            until = min([until, *(first for first, after in tilted if after + two > until)])
+            until = max(until, now - 2 * GRIP.steps_beside * beside, self.straight_final)
 
-        # The walker's turn during each, judged by the steps before and after
-        undecided = [span for span in tilted if span[0] >= until]
+        # The walker's turn during each is unknown
         turn, variances = np.diff(self.heading, prepend=self.heading[:1]), np.zeros(len(self.heading))
-        if decided or maybe or undecided:
-            context = round((2 * GRIP.steps_beside + FILTER_EDGE) * step)
-            gait = _StepHarmonic(self, max(0, min(span[0] for span in decided + maybe + undecided) - context))
-            maybe = [span for span in maybe if gait.phone_turned(span)]
-            changes = [(span, gait.walkers_turn(span)) for span in decided + maybe]
-            for (first, final), walkers in [*changes, *((span, 0.0) for span in undecided)]:
-                sigma = GRIP.sigma if gait.walks_beside((first, final)) else MOTION.gap_turn
-                turn[first + 1 : final + 1] = walkers / (final - first)
-                variances[first + 1 : final + 1] = sigma**2 / (final - first)
+        for first, final in tilted:
+            walks = self._walks(first - two, first) and self._walks(final, final + two)
+            turn[first + 1 : final + 1] = 0.0
+            variances[first + 1 : final + 1] = (GRIP.sigma if walks else MOTION.gap_turn) ** 2 / (final - first)
 
-        kept, known = self.course_final, bool(len(self.course))
-        course = (self.course[begin] if known else 0.0) + np.append(0.0, np.cumsum(turn[begin + 1 :]))
-        variance = (self.variance[begin] if known else 0.0) + np.append(0.0, np.cumsum(variances[begin + 1 :]))
-        self.course = np.append(self.course[:kept], course[kept - begin :])
-        self.variance = np.append(self.variance[:kept], variance[kept - begin :])
-        self.course_final = max(kept, until)
+        kept, known = self.straight_final, bool(len(self.straight))
+        straight = (self.straight[begin] if known else 0.0) + np.append(0.0, np.cumsum(turn[begin + 1 :]))
+        doubt = (self.doubt[begin] if known else 0.0) + np.append(0.0, np.cumsum(variances[begin + 1 :]))
+        self.straight = np.append(self.straight[:kept], straight[kept - begin :])
+        self.doubt = np.append(self.doubt[:kept], doubt[kept - begin :])
+        self.straight_final = max(kept, until)
+        self._follow_gait(last)
 
+    def _follow_gait(self, last: bool) -> None:
+        """Update how far the walking direction deviates from the usual one in the device."""
+        step = max(1, round(self.step / self.period))
+        size, edge, kept, now = GRIP.steps_beside * step, FILTER_EDGE * step, self.course_final, len(self.straight)
+        begins = np.arange(self.next_window - self.first, self.straight_final - size + 1, step)
+        course = np.append(self.course[:kept], self.straight[kept:] + self.aside)
+        variance = np.append(self.variance[:kept], self.doubt[kept:] + self._beyond)
+        gripped = np.diff(self.doubt, prepend=self.doubt[:1])
+        turned = np.abs(np.diff(self.straight, prepend=self.straight[:1])) + gripped / GRIP.sigma**2 + INSTANT
+        for begin, of_window in zip(begins.tolist(), self._pushes(begins, size, edge).tolist(), strict=True):
+            middle = begin + size // 2
+            moved = slice(self.course_final, max(middle, self.course_final))
+            if of_window:
+                self.axis = self.axis or of_window
+                off = float(np.angle(of_window * np.conj(self.axis)))
+                off *= 1 - np.exp(-((off / GRIP.clear) ** 4)) if abs(off) > GRIP.noise else 0.0
+                self.windows += 1
+                share = max(1 / self.windows, 1 / GRIP.windows)
+                self.axis = (1 - share) * self.axis + share * of_window * np.exp(-1j * off)
+                change, before = float(wrap_angle(off - self.aside)), variance[max(moved.start - 1, 0)]
+                along, known = np.cumsum(turned[moved]) / max(turned[moved].sum(), INSTANT), gripped[moved].sum()
+                doubt = (GRIP.off_sigma * (1.0 if known else min(1.0, abs(change) / GRIP.clear))) ** 2
+                course[moved] += change * along
+                course[moved.stop :] += change
+                variance[moved] = before + doubt * along  # the gait has shown how the grip changed
+                variance[moved.stop :] += doubt - known
+                self.aside, self._beyond = self.aside + change, self._beyond + doubt - known
+                self.course_final = moved.stop
+            elif turned[moved].sum() < GRIP.fast:
+                self.course_final = moved.stop
+            else:
+                self.course_final = max(self.course_final, middle - 2 * size)
+        self.next_window += len(begins) * step
+        self.course, self.variance = course, variance
+        self.course_final = now if last else self.course_final
 
-class _StepHarmonic:
-    """Accelerations at the step frequency, from a stored sample of a `HeadingStream` on."""
+    def _walks(self, begin: int, end: int) -> bool:
+        """True if the gait is seen between two samples, or if none of them is stored."""
+        begin, end = max(0, begin), min(end, len(self.heading))
+        if end - begin < self.step / self.period:
+            return True
+        _, up = level_and_vertical(self.attitude(slice(begin, end)), self.heading[begin:end])
+        return float(np.ptp(up)) > 2 * CANDIDATE.weakest
 
-    def __init__(self, stream: HeadingStream, begin: int):
-        self.begin, self.heading, self.step = begin, stream.heading, round(stream.step / stream.period)
-        attitude = stream.attitude(slice(begin, None))
-        self.level, self.vertical = at_step_frequency(attitude, self.heading[begin:], stream.step)
-
-    def moved(self, span: tuple[int, int], steps: int, coherent: float) -> float:
-        """Rotation of the forward axis in the device from before to after a span; NaN if unclear. [rad]
-
-        steps: number of steps to either side; coherent: least coherence with the gait.
-        """
-        first, last = span[0] - self.begin, span[1] - self.begin
-        if first < GRIP.steps_beside * self.step or last + GRIP.steps_beside * self.step > len(self.level):
-            return np.nan
-        parts = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
-        before, after = (push(self.level[part], self.vertical[part]) for part in parts)
-        if min(abs(before), abs(after)) < coherent:
-            return np.nan
-        return float(np.angle(after * np.conj(before)))
-
-    def walks_beside(self, span: tuple[int, int]) -> bool:
-        """True if the walker walks just before a span and just after it, as far as there are samples."""
-        first, last, two = span[0] - self.begin, span[1] - self.begin, 2 * self.step
-        parts = self.vertical[max(0, first - two) : first], self.vertical[last : last + two]
-        return all(2 * np.median(np.abs(part)) > CANDIDATE.weakest for part in parts if len(part) >= self.step)
-
-    def walkers_turn(self, span: tuple[int, int]) -> float:
-        """The walker's turn during a grip change; 0 unless the gait before and after shows a turn. [rad]"""
-        turned = self.heading[span[1]] - self.heading[span[0]]
-        turn = float(wrap_angle(turned + self.moved(span, 2 * GRIP.steps_beside, GRIP.less_coherent)))
-        return turn if abs(turn) > GRIP.turned else 0.0
-
-    def phone_turned(self, span: tuple[int, int]) -> bool:
-        """True if the forward axis rotates in the device by the angle of the turn: the phone turned, not the walker.
-
-        At a corner the gait may be misread, but seldom by just the angle of the corner.
-        """
-        turned = self.heading[span[1]] - self.heading[span[0]]
-        moved = self.moved(span, GRIP.steps_beside, GRIP.coherent)
-        return -moved * np.sign(turned) > GRIP.clear_change and abs(turned + moved) < GRIP.turned
+    def _pushes(self, begins: Index, size: int, edge: int) -> Complex:
+        """The `push` of the windows of ``size`` samples from ``begins (k,)`` on; 0 where the gait does not show it."""
+        if not len(begins):
+            return np.empty(0, dtype=complex)
+        rows = np.maximum(begins[:, None] + np.arange(-edge, size), 0)
+        part = slice(int(rows.min()), int(rows.max()) + 1)
+        level, up = level_and_vertical(self.attitude(part), self.straight[part])
+        rows, inside = rows - part.start, slice(edge, edge + size)
+        ahead, vertical = (each[:, inside] for each in harmonic(level[rows], up[rows], self.step / self.period))
+        found = push(ahead, vertical)
+        clear = (np.abs(found) > GRIP.coherent) & (2 * np.median(np.abs(vertical), axis=1) > CANDIDATE.weakest)
+        return np.where(clear & self.measured[part][rows].all(axis=1), found, 0.0)
 
 
 def walking_direction(attitude: Attitude, step: float) -> Direction:
