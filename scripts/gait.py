@@ -1,10 +1,12 @@
 """The front end: step counts and lengths on real recordings, and headings of the compass."""
 
+import re
 import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from conditions import percentiles
 from scipy.optimize import least_squares
 from tables import publish, table
 
@@ -12,6 +14,7 @@ from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
 from pdr_graph.gait import walker
 from pdr_graph.gait.compass import LiveCompass
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.steps import gait_signals
@@ -20,6 +23,7 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
+from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
@@ -49,6 +53,7 @@ HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
 LIVE_WALKS = 12  # per hold
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
+ASIDE = re.compile("_side|hang_body_test")  # RIDI's walks with steps sideways or backwards
 
 
 def steps(data):
@@ -57,6 +62,7 @@ def steps(data):
     quiet(data)
     paces = list(true_walks(data))
     pace(paces)
+    carried(data)
     walks = measured(data)
     strides(walks)
     left_out(walks, paces)
@@ -136,6 +142,24 @@ def pace(walks):
         rows.append([name, *cells, f"{walk.way:.1f}", off])
     header = ["walk", "mean speed [m/s]", "step [s]", "steps: true", "found", "length [m]: true", "uncalibrated model"]
     publish("results/steps.md", "pace", table(header, rows))
+
+
+def carried(data):
+    """Positions of the RIDI walks, which are given where they begin and where they are after a quarter of the time."""
+    rows, walks = [], list(gait_data.ridi(data))
+    for carry, name in {"leg": "trouser pocket", "bag": "bag", "handheld": "hand", "body": "body"}.items():
+        scores = [(walk, *gait_data.scored(walk)) for walk in walks if carry in walk.name]
+        for which, group in (
+            (name, [s for s in scores if not ASIDE.search(s[0].name)]),
+            (f"{name}, sideways or backwards", [s for s in scores if ASIDE.search(s[0].name)]),
+        ):
+            if group:
+                errors, inside = (np.concatenate([s[n] for s in group]) for n in (1, 2))
+                least = min(float(s[2].mean()) for s in group)
+                cells = [percentiles(errors), f"{np.sqrt(np.mean(errors**2)):.2f}"]
+                rows.append([which, len(group), *cells, f"{100 * inside.mean():.0f} %", f"{100 * least:.0f} %"])
+    header = ["carried", "walks", "error [m]", "rms [m]", "in 90 %", "of the worst walk"]
+    publish("results/steps.md", "carried", table(header, rows))
 
 
 def left_out(walks, paces):
@@ -269,6 +293,47 @@ def compass(data):
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
     publish("results/compass.md", "compass", table(header, rows))
     live_compass(groups)
+    grips(groups["Microsoft"])
+
+
+def grips(paths):
+    """Directions after the grip has changed: a quarter turn of the hand put into real walks, and simulated pockets."""
+    rows, quarter = [], []
+    for path in paths:
+        walk = load(path)
+        attitude = attitude_of(walk)
+        landed = walking_steps(attitude.time, attitude.acceleration)
+        if len(landed) < 60:
+            continue
+        at, plain = float(landed.time[len(landed) // 2]), walking_direction(attitude, landed.usual_step)
+        up = attitude.R_world_device[int(np.searchsorted(attitude.time, at))].inv().apply([0.0, 0.0, 1.0])
+        for angle in (np.pi / 2, -np.pi / 2):
+            turned = attitude_of(with_grip_change(walk, up, at, angle))
+            quarter.append(walking_direction(turned, landed.usual_step).heading[-1] - plain.heading[-1])
+    rows.append(["a quarter turn of a real hand", *direction_cells(quarter)])
+    for name, angle in {"straight on": 0, "aside": 90, "back": 180}.items():
+        put_away = [pocketed(angle, seed) for seed in range(40)]
+        rows.append([f"stands, into a pocket, then {name}", *direction_cells(put_away)])
+    header = ["the grip changes", "walks", "error [deg]: median", "90 %", "within 40°"]
+    publish("results/compass.md", "grips", table(header, rows))
+
+
+def direction_cells(errors):
+    """Number, median, 90 % and share within 40° of errors [rad]."""
+    size = np.degrees(np.abs(wrap_angle(np.array(errors))))
+    return [len(size), f"{np.median(size):.0f}", f"{np.percentile(size, 90):.0f}", f"{100 * np.mean(size < 40):.0f} %"]
+
+
+def pocketed(angle, seed):
+    """Error of the direction after a simulated walker stood, turned by an angle [deg] and put the phone away [rad]."""
+    onwards = {0: [50, 0], 90: [25, 25], 180: [0, 0]}[angle]
+    stand = {"stand": 1, "turn": angle} if angle else {"stand": 1}
+    route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, stand, {"hold": "trouser pocket"}, {"to": [onwards]}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}))
+    attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
+    found = walking_direction(attitude, 1 / walk.walker.cadence).heading
+    true = np.interp(attitude.time, walk.body.time, walk.body.heading)
+    return found[-1] - found[0] - (true[-1] - true[0])
 
 
 def heading_errors(path):

@@ -8,8 +8,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, filtfilt, find_peaks
 
-from pdr_graph.types import Recording, Signal
+from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import Fixes, Recording, Signal, Trajectory
 
+CHI_SQUARE_90 = 4.605  # of two degrees
 CELL = re.compile(r'<c r="([A-Z]+)\d+"([^>/]*)><v>([^<]*)</v>')
 GRID = 0.02  # [s] of the visual-inertial positions
 HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
@@ -17,12 +20,13 @@ HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not lon
 
 @dataclass(frozen=True)
 class TrueWalk:
-    """A recording with its true number of steps and length [m], by another sensor."""
+    """A recording with its true number of steps and length [m], by another sensor; track: true path, if known."""
 
     name: str
     recording: Recording
     steps: int
     length: float
+    track: Trajectory | None = None
 
 
 def strides(data):
@@ -57,7 +61,23 @@ def ridi(data):
             path.stem,
             recording_of(path.name, time, acceleration, rate),
             *visual_inertial(time, position, np.linalg.norm(acceleration, axis=1)),
+            track=Trajectory(time, position[:, :2], np.full(len(time), np.nan)),
         )
+
+
+def given_start(walk, share=0.25, sigma=0.2):
+    """Fixes at the start of a walk with a true path, and after a share of its time, which tell the direction."""
+    time = np.array([0.2, share * walk.track.time[-1]])
+    return Fixes(time, interpolate(time, walk.track.time, walk.track.position), np.full(2, sigma))
+
+
+def scored(walk, every=0.5):
+    """Errors ``(n,)`` [m] of a walk with a true path, smoothed with `given_start`, and True where its region has it."""
+    found = smooth(WalkGraph(detect_steps(walk.recording), given_start(walk))).trajectory
+    time = np.arange(every, walk.track.time[-1] - every, every)
+    off = interpolate(time, found.time, found.position) - interpolate(time, walk.track.time, walk.track.position)
+    covariance = found.covariance[np.minimum(np.searchsorted(found.time, time), len(found) - 1), :2, :2]
+    return np.hypot(*off.T), np.vecdot(off, np.linalg.solve(covariance, off[:, :, None])[:, :, 0]) < CHI_SQUARE_90
 
 
 def recording_of(name, time, acceleration, rate):

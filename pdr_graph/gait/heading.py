@@ -385,7 +385,8 @@ class HeadingStream:
         rows, inside = rows - part.start, slice(edge, edge + size)
         ahead, vertical = (each[:, inside] for each in harmonic(level[rows], up[rows], self.step / self.period))
         found = push(ahead, vertical)
-        clear = (np.abs(found) > GRIP.coherent) & (2 * np.median(np.abs(vertical), axis=1) > CANDIDATE.weakest)
+        sizes = np.median(np.abs(ahead), axis=1), np.median(np.abs(vertical), axis=1)
+        clear = (np.abs(found) > GRIP.coherent) & (sizes[0] > GRIP.weak * sizes[1]) & (2 * sizes[1] > CANDIDATE.weakest)
         return np.where(clear & self.measured[part][rows].all(axis=1), found, 0.0)
 
 
