@@ -270,7 +270,7 @@ class GripPriors(Table):
     windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
     coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation")
-    weak: float = number(0.1, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
+    weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
     sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
 
 
