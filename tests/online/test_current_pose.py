@@ -15,11 +15,12 @@ from walks import part, straight
 
 from pdr_graph.estimation.live.live_ambiguity import Deferred
 from pdr_graph.floor.plan_files import FloorPlan
+from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Pose, events_of
 from pdr_graph.online.navigator import Display, Navigator
-from pdr_graph.types import Fixes, Recording, Signal
+from pdr_graph.types import Fixes, Recording, Signal, Trajectory
 
 ROOT = Path(__file__).parents[2]
 INERTIAL = ("accelerometer", "gyroscope")
@@ -343,3 +344,25 @@ def test_before_any_position_a_pose_has_no_sigma_and_no_region():
     assert not last.placed
     assert np.isnan(last.sigma)
     assert last.region().is_empty
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_who_stands_turns_and_puts_the_phone_away_is_found_again(seed):
+    """The direction is open until the gait shows it; without any further fix the region holds throughout."""
+    route = [[0, 0], {"stand": 2}, {"to": [[40, 0]]}, {"stand": 20, "turn": 90}, {"hold": "trouser pocket"}]
+    route += [{"to": [[40, 25]]}, {"stand": 2}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}))
+    time = np.array([0.5, 12.0, 24.0])
+    truth = Trajectory(walk.truth.time, walk.truth.position, walk.truth.heading)
+    fixes = Fixes(time, interpolate(time, truth.time, truth.position), np.full(3, 0.5))
+    navigator, ways, errors, last = Navigator(), set[int](), list[float](), 30.0
+    for event in events_of(replace(walk.recording("accelerometer", "gyroscope"), fixes=fixes)):
+        navigator.push(event)
+        pose = navigator.pose
+        if pose is not None and pose.time > last + 1.0:
+            last, place = pose.time, interpolate(np.array([pose.time]), truth.time, truth.position)[0]
+            ways.add(len(pose.modes))
+            assert pose.region(0.9).distance(shapely.Point(place)) < 0.01, pose.time
+            errors.append(np.hypot(pose.x - place[0], pose.y - place[1]))
+    assert max(ways) > 2
+    assert np.percentile(errors, 90) < 4.0
