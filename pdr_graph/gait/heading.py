@@ -185,6 +185,7 @@ def turns_about_vertical(quaternion: Array) -> Array:
 
 
 FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
+AT_ONCE = 200  # windows of samples that are filtered together
 SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading")
 SERIES += ("straight", "doubt", "course", "variance")
 Spans = list[tuple[int, int]]  # first and last samples
@@ -332,40 +333,48 @@ class HeadingStream:
         self._follow_gait(last)
 
     def _follow_gait(self, last: bool) -> None:
-        """Update how far the walking direction deviates from the usual one in the device."""
+        """Update how far the walking direction deviates from the usual one in the device.
+
+        It is taken over between two windows that show it, in proportion to the turn of the phone meanwhile, and the
+        doubt of a grip change there ends. Without a clear window the last deviation goes on; where the phone turned or
+        was tilted, one is waited for.
+        """
         step = max(1, round(self.step / self.period))
-        size, edge, kept, now = GRIP.steps_beside * step, FILTER_EDGE * step, self.course_final, len(self.straight)
+        size, kept, now = GRIP.steps_beside * step, self.course_final, len(self.straight)
         begins = np.arange(self.next_window - self.first, self.straight_final - size + 1, step)
-        course = np.append(self.course[:kept], self.straight[kept:] + self.aside)
-        variance = np.append(self.variance[:kept], self.doubt[kept:] + self._beyond)
+        course, variance = (np.append(each[:kept], np.empty(now - kept)) for each in (self.course, self.variance))
         gripped = np.diff(self.doubt, prepend=self.doubt[:1])
         turned = np.abs(np.diff(self.straight, prepend=self.straight[:1])) + gripped / GRIP.sigma**2 + INSTANT
-        for begin, of_window in zip(begins.tolist(), self._pushes(begins, size, edge).tolist(), strict=True):
-            middle = begin + size // 2
-            moved = slice(self.course_final, max(middle, self.course_final))
-            if of_window:
-                self.axis = self.axis or of_window
-                off = float(np.angle(of_window * np.conj(self.axis)))
-                off *= 1 - np.exp(-((off / GRIP.clear) ** 4)) if abs(off) > GRIP.noise else 0.0
-                self.windows += 1
-                share = max(1 / self.windows, 1 / GRIP.windows)
-                self.axis = (1 - share) * self.axis + share * of_window * np.exp(-1j * off)
-                change, before = float(wrap_angle(off - self.aside)), variance[max(moved.start - 1, 0)]
-                along, known = np.cumsum(turned[moved]) / max(turned[moved].sum(), INSTANT), gripped[moved].sum()
+        for begin, shown in zip(begins.tolist(), self._pushes(begins, size).tolist(), strict=True):
+            middle, first = begin + size // 2, self.course_final
+            change, known = 0.0, 0.0
+            until = middle if shown or turned[first:middle].sum() < GRIP.fast else middle - 2 * size
+            part = slice(first, max(until, first))
+            course[part], variance[part] = self.straight[part] + self.aside, self.doubt[part] + self._beyond
+            if shown:
+                change, known = float(wrap_angle(self._deviation(shown) - self.aside)), gripped[part].sum()
+            if change or known:
+                along = np.cumsum(turned[part]) / turned[part].sum() if part.stop > first else np.empty(0)
                 doubt = (GRIP.off_sigma * (1.0 if known else min(1.0, abs(change) / GRIP.clear))) ** 2
-                course[moved] += change * along
-                course[moved.stop :] += change
-                variance[moved] = before + doubt * along  # the gait has shown how the grip changed
-                variance[moved.stop :] += doubt - known
+                course[part] += change * along
+                variance[part] = (variance[first - 1] if first else 0.0) + doubt * along
                 self.aside, self._beyond = self.aside + change, self._beyond + doubt - known
-                self.course_final = moved.stop
-            elif turned[moved].sum() < GRIP.fast:
-                self.course_final = moved.stop
-            else:
-                self.course_final = max(self.course_final, middle - 2 * size)
+            self.course_final = part.stop
+        rest = slice(self.course_final, now)
+        course[rest], variance[rest] = self.straight[rest] + self.aside, self.doubt[rest] + self._beyond
         self.next_window += len(begins) * step
         self.course, self.variance = course, variance
         self.course_final = now if last else self.course_final
+
+    def _deviation(self, shown: complex) -> float:
+        """The deviation of a window's push from the usual one, which it updates; 0 if it may be noise. [rad]"""
+        self.axis = self.axis or shown
+        off = float(np.angle(shown * np.conj(self.axis)))
+        off *= 1 - np.exp(-((off / GRIP.clear) ** 4)) if abs(off) > GRIP.noise else 0.0
+        self.windows += 1
+        share = max(1 / self.windows, 1 / GRIP.windows)
+        self.axis = (1 - share) * self.axis + share * shown * np.exp(-1j * off)
+        return off
 
     def _walks(self, begin: int, end: int) -> bool:
         """True if the gait is seen between two samples, or if none of them is stored."""
@@ -375,18 +384,21 @@ class HeadingStream:
         _, up = level_and_vertical(self.attitude(slice(begin, end)), self.heading[begin:end])
         return float(np.ptp(up)) > 2 * CANDIDATE.weakest
 
-    def _pushes(self, begins: Index, size: int, edge: int) -> Complex:
+    def _pushes(self, begins: Index, size: int) -> Complex:
         """The `push` of the windows of ``size`` samples from ``begins (k,)`` on; 0 where the gait does not show it."""
+        if len(begins) > AT_ONCE:
+            return np.concatenate([self._pushes(begins[n : n + AT_ONCE], size) for n in range(0, len(begins), AT_ONCE)])
         if not len(begins):
             return np.empty(0, dtype=complex)
+        edge = FILTER_EDGE * size // GRIP.steps_beside
         rows = np.maximum(begins[:, None] + np.arange(-edge, size), 0)
         part = slice(int(rows.min()), int(rows.max()) + 1)
         level, up = level_and_vertical(self.attitude(part), self.straight[part])
-        rows, inside = rows - part.start, slice(edge, edge + size)
-        ahead, vertical = (each[:, inside] for each in harmonic(level[rows], up[rows], self.step / self.period))
+        rows = rows - part.start
+        ahead, vertical = (each[:, edge:] for each in harmonic(level[rows], up[rows], self.step / self.period))
         found = push(ahead, vertical)
-        sizes = np.median(np.abs(ahead), axis=1), np.median(np.abs(vertical), axis=1)
-        clear = (np.abs(found) > GRIP.coherent) & (sizes[0] > GRIP.weak * sizes[1]) & (2 * sizes[1] > CANDIDATE.weakest)
+        horizontal, high = (np.median(np.abs(each), axis=1) for each in (ahead, vertical))
+        clear = (np.abs(found) > GRIP.coherent) & (horizontal > GRIP.weak * high) & (2 * high > CANDIDATE.weakest)
         return np.where(clear & self.measured[part][rows].all(axis=1), found, 0.0)
 
 
