@@ -12,6 +12,7 @@ returns a `Forward`. A direction method takes an `Attitude` and the typical dura
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -222,6 +223,7 @@ class HeadingStream:
         self.first = self.heading_final = self.straight_final = self.course_final = self.next_window = 0
         self.aside, self.axis, self.windows = 0.0, 0.0j, 0
         self._beyond = 0.0  # variance of the deviations so far [rad²]
+        self.asides = deque[float](maxlen=2 * GRIP.steps_beside)  # of the last windows [rad]
         self.quaternion, self.acceleration, self.up = (np.empty((0, columns)) for columns in (4, 3, 3))
         self.rate_integral, self.turned, self.heading = (np.empty(0) for _ in range(3))
         self.straight, self.doubt, self.course, self.variance = (np.empty(0) for _ in range(4))
@@ -352,7 +354,10 @@ class HeadingStream:
             part = slice(first, max(until, first))
             course[part], variance[part] = self.straight[part] + self.aside, self.doubt[part] + self._beyond
             if shown:
-                change, known = float(wrap_angle(self._deviation(shown) - self.aside)), gripped[part].sum()
+                lately = slice(max(middle - 2 * size, 0), middle)
+                turn = float(self.straight[middle] - self.straight[lately.start])
+                off = self._deviation(shown, None if gripped[lately].any() else turn)
+                change, known = float(wrap_angle(off - self.aside)), gripped[part].sum()
             if change or known:
                 along = np.cumsum(turned[part]) / turned[part].sum() if part.stop > first else np.empty(0)
                 doubt = (GRIP.off_sigma * (1.0 if known else min(1.0, abs(change) / GRIP.clear))) ** 2
@@ -366,11 +371,19 @@ class HeadingStream:
         self.course, self.variance = course, variance
         self.course_final = now if last else self.course_final
 
-    def _deviation(self, shown: complex) -> float:
-        """The deviation of a window's push from the usual one, which it updates; 0 if it may be noise. [rad]"""
+    def _deviation(self, shown: complex, turn: float | None) -> float:
+        """The deviation of a window's push from the usual one, which it updates. [rad]
+
+        It counts if it is no noise, and if the phone has turned lately as far the other way: ``turn`` [rad], None if the
+        grip has changed; else the last goes on. On stairs the gait has another phase, and no turn comes with it.
+        """
         self.axis = self.axis or shown
         off = float(np.angle(shown * np.conj(self.axis)))
         off *= 1 - np.exp(-((off / GRIP.clear) ** 4)) if abs(off) > GRIP.noise else 0.0
+        change = float(wrap_angle(off - (self.asides[0] if self.asides else 0.0)))
+        if turn is not None and -np.sign(change) * turn < abs(change) - GRIP.sigma:
+            off = self.aside
+        self.asides.append(off)
         self.windows += 1
         share = max(1 / self.windows, 1 / GRIP.windows)
         self.axis = (1 - share) * self.axis + share * shown * np.exp(-1j * off)
@@ -399,7 +412,8 @@ class HeadingStream:
         found = push(ahead, vertical)
         horizontal, high = (np.median(np.abs(each), axis=1) for each in (ahead, vertical))
         clear = (np.abs(found) > GRIP.coherent) & (horizontal > GRIP.weak * high) & (2 * high > CANDIDATE.weakest)
-        return np.where(clear & self.measured[part][rows].all(axis=1), found, 0.0)
+        held = self.doubt[begins + size - 1] == self.doubt[begins]  # the grip does not change meanwhile
+        return np.where(clear & held & self.measured[part][rows].all(axis=1), found, 0.0)
 
 
 def walking_direction(attitude: Attitude, step: float) -> Direction:
