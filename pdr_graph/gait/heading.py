@@ -374,8 +374,8 @@ class HeadingStream:
     def _deviation(self, shown: complex, turn: float | None) -> float:
         """The deviation of a window's push from the usual one, which it updates. [rad]
 
-        It counts if it is no noise, and if the phone has turned lately as far the other way: ``turn`` [rad], None if the
-        grip has changed; else the last goes on. On stairs the gait has another phase, and no turn comes with it.
+        It counts if it is no noise, and if the phone has turned lately as far the other way; else the last goes on: on
+        stairs the gait has another phase, and no turn comes with it. turn: of the phone [rad], None if the grip changed.
         """
         self.axis = self.axis or shown
         off = float(np.angle(shown * np.conj(self.axis)))
