@@ -375,7 +375,7 @@ class HeadingStream:
         """The deviation of a window's push from the usual one, which it updates. [rad]
 
         It counts if it is no noise, and if the phone has turned lately as far the other way; else the last goes on: on
-        stairs the gait has another phase, and no turn comes with it. turn: of the phone [rad], None if the grip changed.
+        stairs the gait has another phase, and no turn comes with it. turn: of the phone [rad], None if it was tilted.
         """
         self.axis = self.axis or shown
         off = float(np.angle(shown * np.conj(self.axis)))
