@@ -77,7 +77,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
-    "gait": (10, 1380),
+    "gait": (10, 1400),
     "inertial": (6, 518),
     "io": (18, 1564),
     "lab": (2, 0),
