@@ -152,11 +152,12 @@ def fill_unknown(record: Any, *names: str) -> None:
     """Store NaN per row if a column of numbers was left empty; raise ValueError if its length is wrong."""
     rows = len(record.time)
     for name in names:
-        values = np.atleast_1d(_stored_array(record, name) if np.ndim(getattr(record, name)) else getattr(record, name))
-        values = np.asarray(values, dtype=np.float64) if len(values) else np.full(rows, np.nan)
-        if len(values) != rows:
+        if not np.ndim(getattr(record, name)):
+            object.__setattr__(record, name, [getattr(record, name)])
+        values = _stored_array(record, name)
+        if len(values) not in (0, rows):
             raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}")
-        object.__setattr__(record, name, values)
+        object.__setattr__(record, name, values if len(values) else np.full(rows, np.nan))
 
 
 class Sensor(StrEnum):

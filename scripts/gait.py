@@ -312,8 +312,8 @@ def grips(paths):
             quarter.append(walking_direction(turned, landed.usual_step).heading[-1] - plain.heading[-1])
     rows.append(["a quarter turn of a real hand", *direction_cells(quarter)])
     for name, angle in {"straight on": 0, "aside": 90, "back": 180}.items():
-        put_away = [pocketed(angle, seed) for seed in range(40)]
-        rows.append([f"stands, into a pocket, then {name}", *direction_cells(put_away)])
+        errors = [gait_data.put_away(angle, seed)[1] for seed in range(40)]
+        rows.append([f"stands, into a pocket, then {name}", *direction_cells(errors)])
     header = ["the grip changes", "walks", "error [deg]: median", "90 %", "within 40°"]
     publish("results/compass.md", "grips", table(header, rows))
 
@@ -322,18 +322,6 @@ def direction_cells(errors):
     """Number, median, 90 % and share within 40° of errors [rad]."""
     size = np.degrees(np.abs(wrap_angle(np.array(errors))))
     return [len(size), f"{np.median(size):.0f}", f"{np.percentile(size, 90):.0f}", f"{100 * np.mean(size < 40):.0f} %"]
-
-
-def pocketed(angle, seed):
-    """Error of the direction after a simulated walker stood, turned by an angle [deg] and put the phone away [rad]."""
-    onwards = {0: [50, 0], 90: [25, 25], 180: [0, 0]}[angle]
-    stand = {"stand": 1, "turn": angle} if angle else {"stand": 1}
-    route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, stand, {"hold": "trouser pocket"}, {"to": [onwards]}]
-    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}))
-    attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
-    found = walking_direction(attitude, 1 / walk.walker.cadence).heading
-    true = np.interp(attitude.time, walk.body.time, walk.body.heading)
-    return found[-1] - found[0] - (true[-1] - true[0])
 
 
 def heading_errors(path):

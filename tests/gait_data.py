@@ -1,19 +1,21 @@
-"""Walks with true steps and lengths: the data sets ``strides`` (foot-mounted sensor) and ``ridi`` (visual-inertial)."""
+"""Walks whose steps, lengths or directions are known: ``strides`` (foot sensor), ``ridi`` (camera), simulated ones."""
 
-import re
-import zipfile
 from dataclasses import dataclass
 
 import numpy as np
+from python_calamine import CalamineWorkbook
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, filtfilt, find_peaks
 
 from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Recording, Signal, Trajectory
 
-CHI_SQUARE_90 = 4.605  # of two degrees
-CELL = re.compile(r'<c r="([A-Z]+)\d+"([^>/]*)><v>([^<]*)</v>')
 GRID = 0.02  # [s] of the visual-inertial positions
 HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
 
@@ -75,9 +77,23 @@ def scored(walk, every=0.5):
     """Errors ``(n,)`` [m] of a walk with a true path, smoothed with `given_start`, and True where its region has it."""
     found = smooth(WalkGraph(detect_steps(walk.recording), given_start(walk))).trajectory
     time = np.arange(every, walk.track.time[-1] - every, every)
-    off = interpolate(time, found.time, found.position) - interpolate(time, walk.track.time, walk.track.position)
-    covariance = found.covariance[np.minimum(np.searchsorted(found.time, time), len(found) - 1), :2, :2]
-    return np.hypot(*off.T), np.vecdot(off, np.linalg.solve(covariance, off[:, :, None])[:, :, 0]) < CHI_SQUARE_90
+    place = interpolate(time, walk.track.time, walk.track.position)
+    pairs = pair(found, Trajectory(time, place, np.full(len(time), np.nan)))
+    return circular_error(pairs), in_region(pairs, stated_covariance(found, pairs.time))
+
+
+def put_away(angle, seed):
+    """The direction of a simulated walker who stands, turns by an angle [deg], puts the phone into a pocket and goes on
+    for 25 m; and its error at the end [rad].
+    """
+    onwards = {0: [50, 0], 90: [25, 25], 180: [0, 0]}[angle]
+    stand = {"stand": 1, "turn": angle} if angle else {"stand": 1}
+    route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, stand, {"hold": "trouser pocket"}, {"to": [onwards]}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}))
+    attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
+    direction = walking_direction(attitude, 1 / walk.walker.cadence)
+    true = np.interp(attitude.time, walk.body.time, walk.body.heading)
+    return direction, direction.heading[-1] - direction.heading[0] - (true[-1] - true[0])
 
 
 def recording_of(name, time, acceleration, rate):
@@ -105,12 +121,7 @@ def visual_inertial(time, position, magnitude):
 
 def columns(path):
     """The columns of numbers of a workbook's first sheet, by name."""
-    with zipfile.ZipFile(path) as book:
-        sheet = book.read("xl/worksheets/sheet1.xml").decode()
-        shared = book.read("xl/sharedStrings.xml").decode() if "xl/sharedStrings.xml" in book.namelist() else ""
-    texts = re.findall(r"<si>.*?<t[^>]*>([^<]*)</t>.*?</si>", shared, re.DOTALL)
-    head, *rows = re.findall(r"<row [^>]*>(.*?)</row>", sheet, re.DOTALL)
-    inline = re.findall(r'<c r="([A-Z]+)\d+"[^>]*><is><t[^>]*>([^<]*)', head)
-    names = {column: texts[int(value)] for column, kind, value in CELL.findall(head) if 't="s"' in kind} | dict(inline)
-    cells = [{column: float(value) for column, kind, value in CELL.findall(row) if 't="s"' not in kind} for row in rows]
-    return {name: np.array([row.get(column, np.nan) for row in cells]) for column, name in names.items()}
+    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
+    return {
+        name: np.array(column, dtype=float) for name, column in zip(head, zip(*rows, strict=True), strict=True) if name
+    }

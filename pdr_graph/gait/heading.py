@@ -185,11 +185,10 @@ def turns_about_vertical(quaternion: Array) -> Array:
     return k * np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
 
 
-FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
+FILTER_EDGE = 3  # [steps] before a window, from which the filter at the step frequency is accurate
 AT_ONCE = 200  # windows of samples that are filtered together
 SERIES = ("quaternion", "acceleration", "measured", "rate_integral", "up", "turned", "heading")
 SERIES += ("straight", "doubt", "course", "variance")
-Spans = list[tuple[int, int]]  # first and last samples
 
 
 class HeadingStream:
@@ -209,10 +208,10 @@ class HeadingStream:
     quaternion ``(n, 4)``, of signs that do not jump, and acceleration ``(n, 3)``; measured: ``(n,)`` True where the
     gyroscope ran.
     rate_integral, turned: ``(n,)`` integrated rate about the vertical, and turn of the mean attitude [rad].
-    up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` ignoring grip changes [rad]; both are final
-        for the first ``heading_final`` samples.
-    straight, doubt: ``(n,)`` the heading without grip changes [rad] and its variance [rad²], final for the first
-        ``straight_final`` samples.
+    up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` turned as the phone [rad]; both are final for
+        the first ``heading_final`` samples.
+    straight, doubt: ``(n,)`` that heading if nobody turns while the phone is tilted [rad], and its variance [rad²],
+        final for the first ``straight_final`` samples.
     course, variance: ``(n,)`` the walker's heading [rad] and its variance [rad²], final for the first ``course_final``
         samples; aside: its last deviation from `straight` [rad].
     axis: mean push of the last minute, of so many windows; next_window: number of the first sample of the next.
@@ -300,11 +299,11 @@ class HeadingStream:
 
     def _correct(self, last: bool) -> None:
         """Update the heading without grip changes; it is final up to the first that lasts."""
-        step, now = self.step / self.period, len(self.quaternion)
+        now, beside = len(self.quaternion), max(1, round(self.step / self.period))
         begin, end = max(0, self.straight_final - 1), max(1, self.heading_final)
 
-        # Spans after which the vertical has another direction in the device
-        tilted, up, beside = Spans(), self.up[begin:end], max(1, round(step))
+        # Spans, first and last samples, after which the vertical has another direction in the device
+        tilted, up = list[tuple[int, int]](), self.up[begin:end]
         if end - begin >= 3:
             tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > GRIP.tilting * self.period
             for first, after in np.transpose(runs(tilting)).tolist():

@@ -285,7 +285,7 @@ def test_another_unit_is_recognised_within_five_seconds_of_walking_and_converted
     for event in events_of(recording):
         in_order.push(event)
     assert abs(nav.steps - in_order.steps) <= 6, "of the first seconds"
-    assert np.hypot(nav.pose.x - in_order.pose.x, nav.pose.y - in_order.pose.y) < 1.2
+    assert np.hypot(nav.pose.x - in_order.pose.x, nav.pose.y - in_order.pose.y) < 1.0
 
 
 def test_the_pose_follows_fixes_that_go_away_while_no_step_is_recognised():

@@ -389,7 +389,7 @@ class RowStream:
             self.rows[tag if tag in self.rows or len(self.rows) < 100 else "other"] += number
         rows = rows_by_tag("the trial", [line for line in lines if len(line) <= MAXIMUM_LINE])
         tables = {tag: _readable(partial(samples, tag), rows[tag]) for tag in SENSOR_TAGS if tag in rows}
-        tables["GNSS"] = _readable(epochs, rows["GNSS"]) if "GNSS" in rows else np.empty((0, 8))
+        tables["GNSS"] = _readable(epochs, rows.get("GNSS", TextRows("the trial", b"")))
         radios = {tag: sightings(rows[tag]) for tag in RADIOS if tag in rows}
 
         times = np.concatenate([*(table[:, 0] for table in tables.values()), *(s.time for s in radios.values())])

@@ -247,7 +247,8 @@ class GnssBias(Measurement):
         rows = self.courses.row[which]
         node, share, lag = self.node[rows], self.share[rows], at.state[self.symbol][:, 2]
         lags = ((self.symbol, node), (self.symbol, node + 1))
-        return [self.courses.block(at, which, (1 - share) * lag[node] + share * lag[node + 1], lags, share)]
+        number, late = self.fixes.number[self.fix[rows]], (1 - share) * lag[node] + share * lag[node + 1]
+        return [self.courses.block(at, which, number, late, lags, share)]
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:
         """Factors of g, which varies about o, and of o."""
@@ -351,9 +352,9 @@ class Courses:
         )
 
     def block(
-        self, at: Evaluation, which: Index, lag: Array, lags: Sequence[tuple[str, Index]], share: Array
+        self, at: Evaluation, which: Index, number: Index, lag: Array, lags: Sequence[tuple[str, Index]], share: Array
     ) -> FactorBlock:
-        """Factors of the courses ``which (w,)``.
+        """Factors of the courses ``which (w,)``, of fixes with permanent numbers ``(w,)``.
 
         lag: of each ``(w,)`` [s]; lags: the two variables between which it lies, share: how far ``(w,)``.
         """
@@ -371,7 +372,7 @@ class Courses:
 
         value, variables = (wrap_angle(off) * root)[:, None], (("x", keyframe), *lags)
         loss = RobustLoss(np.zeros(len(which), dtype=bool))
-        return FactorBlock.uniform(COURSE, value, variables, jacobian, self.row[which], loss=loss)
+        return FactorBlock.uniform(COURSE, value, variables, jacobian, number, loss=loss)
 
     def _place(self, time: Array) -> Complex:
         """Mean place ``(n,)`` of the steps in the second before each time, so that the lag moves it smoothly. [m]"""
@@ -385,11 +386,15 @@ class Courses:
         return np.interp(time, self.moment, self.track)
 
     def _area(self, time: Array) -> Complex:
-        """Integral of the track from its start. [m s]"""
-        moment, track = self.moment, self.track
-        area = np.append(0.0, np.cumsum(np.diff(moment) * (track[1:] + track[:-1]) / 2))
-        before = np.clip(np.searchsorted(moment, time) - 1, 0, len(moment) - 1)
-        return area[before] + (time - moment[before]) * (track[before] + self._at(time)) / 2
+        """Integral ``(n,)`` of the track from its start to each time. [m s]"""
+        before = np.clip(np.searchsorted(self.moment, time) - 1, 0, len(self.moment) - 1)
+        since = (time - self.moment[before]) * (self.track[before] + self._at(time)) / 2
+        return self._areas[before] + since
+
+    @cached_property
+    def _areas(self) -> Complex:
+        """That integral ``(m + 1,)`` at each moment. [m s]"""
+        return np.append(0.0, np.cumsum(np.diff(self.moment) * (self.track[1:] + self.track[:-1]) / 2))
 
 
 @wording_of(GnssBias.name)

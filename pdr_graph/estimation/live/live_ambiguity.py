@@ -408,8 +408,8 @@ class LiveAmbiguity:
 
     def open_direction(self, steps: Steps) -> None:
         """Leave the direction open from an unknown turn in new steps on, until the batch is certain again."""
-        output, window, turned = self.output, self.graph.window, unknown_turns(whole_pieces(steps))
-        if not (output.sure and len(turned)):
+        output, window = self.output, self.graph.window
+        if not output.sure or not len(turned := unknown_turns(whole_pieces(steps))):
             return
         begin, end, past = window.times[-1], float(turned[-1]), window.steps
         fixes = output.fixes_between(begin, end)
