@@ -201,6 +201,8 @@ class MotionPriors(Table):
     steps_per_segment: int = number(
         100, "steps", "for which the calibration is constant", "design, section 3", still=(0.5, 2)
     )
+    pace_steps: int = number(12, "steps", "before and after a change of pace, whose median durations are compared")
+    pace_change: float = number(0.12, "ratio", "change of these from which it is another pace")
 
 
 # Directions
@@ -440,6 +442,11 @@ class WalkerPriors(Table):
     )
     change: tuple[float, float, float] = number(
         (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
+    )
+    pace: float = number(
+        1.0,
+        "ratio",
+        "sigma of the change of R_s by that of the pace, in logarithms: 0.5 in real malls, 1.5 for who browses",
     )
     between_walks: tuple[float, float, float] = number(
         (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person"

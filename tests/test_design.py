@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2660),
+    ".": (15, 2665),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -71,9 +71,9 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1001),
     "apps/report": (8, 1372),
     "apps/serve": (13, 2436),
-    "estimation": (17, 2830),
+    "estimation": (17, 2835),
     "estimation/ambiguity": (6, 388),
-    "estimation/factors": (15, 2370),
+    "estimation/factors": (15, 2385),
     "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),

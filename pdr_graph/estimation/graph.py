@@ -32,7 +32,7 @@ from pdr_graph.estimation.factors.base import (
     State,
     initial_state,
 )
-from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut, pace_changes, whole_pieces
 from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
@@ -98,16 +98,18 @@ class WalkGraph:
 
         # Keyframes at measurements and gaps, and the calibration segments
         kinds = measurements_of_walk(self.data, steps, self.prior)
-        lost = steps.is_gap
-        gaps = [steps.time[lost] - steps.duration[lost], steps.time[lost]]
-        pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *gaps]))
-        segment = segments(pieces, steps)
+        lost, (changed, pace) = steps.is_gap, pace_changes(whole_pieces(steps), round(steps.start, DECIMALS))
+        bounds = [steps.time[lost] - steps.duration[lost], steps.time[lost], changed]
+        pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *bounds]))
+        segment = segments(pieces, steps, changed)
         starts = np.searchsorted(pieces.keyframe_time[:-1], np.round([time for time, _ in others], DECIMALS))
         begins = dict(zip(segment[starts].tolist(), [prior for _, prior in others], strict=True)) | {0: self.prior}
         first = np.array(sorted(begins))
         means = np.array([begins[s].mean for s in first.tolist()])
         c = means[np.searchsorted(first, np.arange(int(segment[-1]) + 1), side="right") - 1]
-        self.chain = Chain.of(pieces, segment, c)
+        paces = np.zeros(len(c))
+        paces[segment[np.searchsorted(pieces.keyframe_time[:-1], np.round(changed, DECIMALS))]] = pace
+        self.chain = Chain.of(pieces, segment, c, paces)
         self.floors = _labels(floor, floors, len(steps) + 2)
 
         # The initial walk
@@ -355,13 +357,16 @@ class WalkGraph:
         return other
 
 
-def segments(pieces: Pieces, steps: Steps) -> Index:
-    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps."""
+def segments(pieces: Pieces, steps: Steps, changed: Array) -> Index:
+    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps and paces.
+
+    changed: times at which the pace changes [s].
+    """
     walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
     count = max(1, round(len(steps) / MOTION.steps_per_segment))
     segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
-    gaps = np.searchsorted(np.round(steps.time[steps.is_gap], DECIMALS), pieces.keyframe_time[:-1], side="right")
-    return np.unique(segment + gaps, return_inverse=True)[1]
+    bounds = np.round(np.sort(np.append(steps.time[steps.is_gap], changed)), DECIMALS)
+    return np.unique(segment + np.searchsorted(bounds, pieces.keyframe_time[:-1], side="right"), return_inverse=True)[1]
 
 
 def _associated(

@@ -38,7 +38,7 @@ import numpy as np
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors.base import huber_cost, huber_weight
 from pdr_graph.estimation.factors.chain import SIGMA_STILL
-from pdr_graph.estimation.factors.start import FRAME_SIGMA
+from pdr_graph.estimation.factors.start import FRAME_SIGMA, change_sigma
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import (
@@ -347,7 +347,9 @@ def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
     Q = np.zeros_like(F)
     Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
 
-    changes = np.square(graph.prior.change) if i > 0 and graph.segment[i] != graph.segment[i - 1] else np.zeros(3)
+    begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
+    sigma = change_sigma(graph.prior.change, graph.chain.pace[graph.segment[i : i + 1]])[0]
+    changes = np.square(sigma) if begins else np.zeros(3)
     rows, P, moments_of_pieces = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), changes)), []
     for m, motion in enumerate(F):
         P = motion @ P @ motion.swapaxes(1, 2) + Q[m]

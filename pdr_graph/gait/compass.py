@@ -309,7 +309,9 @@ class LiveCompass:
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
         if variance > LIVE_COMPASS.least_added**2:
             return self._retract()
-        moment = min(moment, self.end)  # of certain steps
+        if moment > self.end:  # of certain steps; how far a turn has come within a pause between them is unknown
+            certain = time[walking & (time <= self.end)]
+            moment = float(certain[-1]) if len(certain) else self.end
         self.current = _Known(moment, 1 / (earlier + 1 / variance), turn_variance)
         direction = float(wrap_angle(offset + np.interp(moment, time, heading) + self._east))
         self._found.append(LiveHeading(self.stretch, moment, direction, float(np.sqrt(variance))))

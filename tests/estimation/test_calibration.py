@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plans import MAPS
+from walks import PERIOD, fixes_at, pushing, straight
 
 from pdr_graph import InputError, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import calibrate, posterior_profile, prior_of
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.priors import WALKER
+from pdr_graph.priors import MOTION, TREADS, WALKER
 from pdr_graph.types import Fixes, Steps
 
 EIGHT = MAPS / "figure_eight.geojson"
@@ -173,3 +175,44 @@ def test_a_correlated_prior_has_the_stated_covariance():
     assert np.sqrt(np.diag(prior.covariance)) == pytest.approx(sigma)
     assert prior.covariance[0, 1] == pytest.approx(0.5 * sigma[0] * sigma[1])
     assert prior.covariance == pytest.approx(prior.covariance.T)
+
+
+BROWSED = 0.72  # of the model's stride, where the walker browses
+
+
+def paces(slower, sigma_length=0.07):
+    """A straight walk of 60 steps as the model has them, then 60 short ones of another pace and sigma; five fixes."""
+    steps, later = straight(120), np.arange(120) >= 60
+    duration = np.where(later, PERIOD + slower, PERIOD)
+    time = np.cumsum(duration)
+    sigma = np.where(later, sigma_length, steps.sigma_length)
+    walked = dead_reckon(replace(steps, length=np.where(later, BROWSED, 1.0) * steps.length))
+    steps = replace(steps, end=time[-1] + 0.4, time=time, duration=duration, sigma_length=sigma)
+    at = np.array([0, 30, 60, 90, 119])
+    return steps, fixes_at(time[at], walked.position[1:][at], sigma=0.5)
+
+
+def test_a_change_of_pace_frees_the_stride():
+    """Of a walker who browses, from the step on at which the pace changes; as fast as before it may change little."""
+    scale = smooth(WalkGraph(*paces(slower=0.15))).calibration.value[:, 0]
+    assert scale == pytest.approx([1.0, BROWSED], abs=0.04)
+    (shared,) = smooth(WalkGraph(*paces(slower=0.0))).calibration.value[:, 0]
+    assert BROWSED + 0.08 < shared < 0.92, "a control: a mean of both"
+
+
+def test_stairs_are_no_change_of_pace():
+    """Slower too, but a tread is as deep at any pace."""
+    assert len(smooth(WalkGraph(*paces(slower=0.15, sigma_length=TREADS.sigma))).calibration.value) == 1
+
+
+def test_a_live_walk_notices_a_change_of_pace_within_two_keyframes():
+    """Of ten steps, after the twelve that show it; its strides are then those of the batch."""
+    steps, fixes = paces(slower=0.15)
+    live, found = LiveSmoother(), None
+    for n in pushing(live, steps, fixes):
+        if found is None and len(live.graph.window.segments) > 1:
+            found = n
+    assert found is not None
+    assert found <= 60 + MOTION.pace_steps + 2 * MOTION.steps_per_keyframe
+    window = live.graph.window
+    assert [window.c[n][0] for n in window.segments][-1] == pytest.approx(BROWSED, abs=0.06)

@@ -19,10 +19,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import find_peaks
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
-from pdr_graph.priors import MOTION, RECEIVERS
+from pdr_graph.priors import MOTION, RECEIVERS, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
@@ -112,6 +113,23 @@ def cut(steps: Steps, at: Array) -> Pieces:
     interval, first = _intervals(np.searchsorted(required, end))
     row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
     return _pieces(whole, start, end, interval, first, row_end)
+
+
+def pace_changes(whole: Array, start: float) -> tuple[Array, Array]:
+    """Times ``(k,)`` [s] at which the walker changes pace, and logarithms ``(k,)`` of how much longer steps last then.
+
+    whole: ``(m, ≥4)``, see `whole_pieces`; start: of the first piece [s]. Stairs change the pace, but not the length of
+    their treads.
+    """
+    n, duration = MOTION.pace_steps, np.diff(whole[:, 0], prepend=start)
+    step = np.flatnonzero((whole[:, 1] > 0) & (whole[:, 3] != TREADS.sigma**2))
+    if len(step) < 2 * n:
+        return np.empty(0), np.empty(0)
+    pace = np.median(np.lib.stride_tricks.sliding_window_view(np.log(duration[step]), n), axis=1)
+    change = np.concatenate([[0.0], pace[n:] - pace[:-n], [0.0]])  # between steps n - 1, n, …
+    at, _ = find_peaks(np.abs(change), height=MOTION.pace_change, distance=n)
+    first = step[n - 1 + at]
+    return np.append(start, whole[:, 0])[first], change[at]
 
 
 def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
@@ -299,7 +317,8 @@ class Chain:
     prior mean of the calibration; segment: ``(k,)`` the calibration of each, as row of the state.
     number: ``(k + 1,)`` of each keyframe, segment_number: ``(s,)`` of each calibration, in GTSAM's keys; begins,
     ends: True if the walk begins or ends with this chain; led: `lead` of its first keyframe, x forward [m];
-    heading: ``(k + 1,)`` of the keyframes by an estimate [rad], None before there is one.
+    heading: ``(k + 1,)`` of the keyframes by an estimate [rad], None before there is one; pace: ``(s,)`` by how much
+    longer steps last from the beginning of each segment on, see `pace_changes`.
     """
 
     pieces: Pieces
@@ -308,24 +327,27 @@ class Chain:
     segment: Index
     number: Index
     segment_number: Index
+    pace: Array
     begins: bool = True
     ends: bool = True
     led: complex = 0.0
     heading: Array | None = None
 
     @classmethod
-    def of(cls, pieces: Pieces, segment: Index, c: Array) -> Chain:
+    def of(cls, pieces: Pieces, segment: Index, c: Array, pace: Array) -> Chain:
         """A chain whose variables are numbered 0, 1, …; c: ``(s, 3)`` prior means."""
         increments = preintegrate(pieces, c[segment])
         delta = increments.delta[pieces.last]
         numbers = np.arange(len(segment) + 1), np.arange(segment[-1] + 1)
-        return cls(pieces, bridge(pieces, increments), delta, segment, *numbers)
+        return cls(pieces, bridge(pieces, increments), delta, segment, *numbers, pace)
 
     @classmethod
     def keyframe_alone(cls, time: float, number: int, segment: int) -> Chain:
         """A chain of a single keyframe at a time [s], with no steps; segment: number of its calibration."""
         numbers = np.array([number]), np.array([segment])
-        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers)
+        return cls(
+            Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers, np.zeros(1)
+        )
 
     def after(self, first: int) -> Chain:
         """The part of the chain from keyframe ``first`` on, by its place in order."""
@@ -338,6 +360,7 @@ class Chain:
             segment=self.segment[first:] - row,
             number=self.number[first:],
             segment_number=self.segment_number[row:],
+            pace=self.pace[row:],
             begins=self.begins and first == 0,
             ends=self.ends,
             led=complex(self.lead[first] * np.exp(-1j * self._direction[first])) if first else self.led,

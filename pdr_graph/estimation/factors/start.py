@@ -124,11 +124,11 @@ class CalibrationFactor(Measurement):
         follows = np.arange(len(c)) > 0
         follows[first] = False
         later = np.flatnonzero(follows)
-        number, sigma = at.state.number("c"), np.array(self.change)
+        number, sigma = at.state.number("c"), change_sigma(self.change, at.chain.pace[later])
         mean, _, root = self._priors
         begun, by_begun = scaled(c[first], mean)
         moved, by_moved = scaled(c, np.array([[1.0, 0.0, 0.0]]))
-        diagonal = np.eye(3) / sigma
+        diagonal = np.eye(3) / sigma[:, None]
         return [
             FactorBlock.uniform(
                 f"{self.name}.begin",
@@ -145,6 +145,16 @@ class CalibrationFactor(Measurement):
                 number[later],
             ),
         ]
+
+
+def change_sigma(change: tuple[float, float, float], pace: Array) -> Array:
+    """Standard deviations ``(s, 3)`` of the change to each segment; pace: ``(s,)``, see `Chain`.
+
+    The model of strides is calibrated at one pace of a walker, and errs otherwise at another.
+    """
+    sigma = np.tile(change, (len(pace), 1))
+    sigma[:, 0] = np.hypot(sigma[:, 0], WALKER.pace * pace)
+    return sigma
 
 
 def scaled(c: Array, mean: Array) -> tuple[Array, Array]:

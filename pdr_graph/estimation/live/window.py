@@ -17,6 +17,7 @@ from pdr_graph.estimation.factors.chain import (
     Pieces,
     bridge,
     intervals,
+    pace_changes,
     preintegrate,
     whole_pieces,
 )
@@ -45,6 +46,7 @@ from pdr_graph.types import (
 )
 
 Rows = TypeVar("Rows", Fixes, Headings)
+RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
@@ -212,14 +214,14 @@ class Window:
     """Keyframes in order of time; their numbers may be in another order.
 
     steps: of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals: between
-    consecutive keyframes; c: estimate ``(3,)`` of each segment; floor: label of the present floor; led: of
-    the first keyframe, see `Chain`.
+    consecutive keyframes; c, pace: estimate ``(3,)`` and change of pace of each segment; floor: label of the present
+    floor; led: of the first keyframe, see `Chain`.
     """
 
     def __init__(self, prior: Prior, plan: Building | None, floor: str):
         self.prior, self.plan, self.floor, self.steps = prior, plan, floor, StepBuffer()
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
-        self.intervals, self.c = list[Interval](), dict[int, Array]()
+        self.intervals, self.c, self.pace = list[Interval](), dict[int, Array](), dict[int, float]()
         self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
         self.led: complex = 0.0
         self._chain: Chain | None = None  # of the last intervals, None if it must be built again
@@ -263,9 +265,29 @@ class Window:
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
-        if self._chain is not None and new:
-            self._chain = _extended(self._chain, new)
+        if new and self._chain is not None:
+            self._chain = _extended(self._chain, new, self.pace)
+        self._change_pace()
         return new
+
+    def _change_pace(self) -> None:
+        """Begin another segment at the keyframe nearest to where the pace last changed within the present one."""
+        begin = min((interval.begin for interval in self.intervals if interval.segment == self.segment), default=np.inf)
+        recent = np.flatnonzero(self.steps.whole[:, END] > begin + CLOSE)[-RECENT:]
+        if not len(recent):
+            return
+        before = np.append(self.steps.start, self.steps.whole[:, END])[recent[0]]
+        changed, pace = pace_changes(self.steps.whole[recent], float(before))
+        if not len(changed):
+            return
+        first = int(np.argmin(np.abs(np.array(self.times[:-1]) - changed[-1])))
+        if first and self.times[first] > begin + CLOSE:  # the segment before it stays in the window
+            self.segment += 1
+            self.c[self.segment], self.pace[self.segment] = self.c[self.segment - 1], float(pace[-1])
+            for interval in self.intervals[first:]:
+                interval.segment = self.segment
+            self.in_segment = len(self.steps.rows(self.times[first], self.times[-1]))
+            self._chain = None
 
     def split(self, time: float) -> None:
         """Insert a keyframe at ``time`` [s] into a closed interval, if it has none; its pose is interpolated."""
@@ -304,7 +326,7 @@ class Window:
         """The intervals from the ``first`` on, as a chain for the factors."""
         if self._chain is None:
             at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
-            self._chain = _extended(at, self.intervals)
+            self._chain = _extended(at, self.intervals, self.pace)
         whole = replace(self._chain, heading=self.pose[:, 2], led=self.led)
         return replace(whole.after(first), begins=first == 0, ends=self.finished)
 
@@ -408,11 +430,13 @@ class Window:
         self.steps.forget(self.times[0])
         kept = {*self.segments, self.segment}
         self.c = {segment: value for segment, value in self.c.items() if segment in kept}
+        self.pace = {segment: value for segment, value in self.pace.items() if segment in kept}
 
     def copy(self) -> Window:
         """An independent window in the same state."""
         other = copy(self)
-        other.keyframes, other.times, other.c = list(self.keyframes), list(self.times), dict(self.c)
+        other.keyframes, other.times = list(self.keyframes), list(self.times)
+        other.c, other.pace = dict(self.c), dict(self.pace)
         other.intervals, other.steps = [copy(each) for each in self.intervals], copy(self.steps)
         return other
 
@@ -435,8 +459,8 @@ class Window:
         return self.count - 1
 
 
-def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
-    """A chain with new intervals appended."""
+def _extended(chain: Chain, new: Sequence[Interval], pace: Mapping[int, float]) -> Chain:
+    """A chain with new intervals appended; pace: changes at the beginnings of segments, by number."""
     if not new:
         return chain
     of_segment = [*chain.segment_number[chain.segment].tolist(), *(interval.segment for interval in new)]
@@ -448,6 +472,7 @@ def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
         segment=segment.astype(np.intp),
         number=np.append(chain.number, [interval.j for interval in new]),
         segment_number=segment_number,
+        pace=np.array([pace.get(number, 0.0) for number in segment_number.tolist()]),
     )
 
 
