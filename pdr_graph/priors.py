@@ -546,6 +546,7 @@ class FixPriors(Table):
     suspicious: float = number(
         0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small"
     )
+    same_scatter: float = number(0.2, "log", "of a factor of sigmas, within which it stays as it is")
     fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least")
     seconds: float = number(3.0, "s", "longest time of such a triple")
 

@@ -73,7 +73,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (13, 2436),
     "estimation": (17, 2835),
     "estimation/ambiguity": (6, 388),
-    "estimation/factors": (15, 2385),
+    "estimation/factors": (15, 2390),
     "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
@@ -87,7 +87,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5250),
+    "estimation.smoother": (30, 5280),
     "online.navigator": (66, 11700),
 }
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from walks import PERIOD, dead_reckon, fixes_at, steps_of
+from walks import PERIOD, dead_reckon, fixes_at, pushing, steps_of
 
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.factors.fixes import FixFactor, drift
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.frames import enu
@@ -293,3 +294,17 @@ def test_receivers_as_they_state_need_no_decision():
     steps = meander()
     graph = WalkGraph(steps, named(fixes_at([1.0, 9.0], [[0.0, 0.0], [3.0, 0.0]], 3.0)))
     assert GnssBias.of(graph.positions, graph.steps).decisions() == {}
+
+
+def test_a_receiver_that_scatters_for_a_while_is_trusted_again():
+    """Live: twenty seconds of fixes as rough as a sigma of 12 m would be, then as stated, 3 m."""
+    steps, random = meander(), np.random.default_rng(3)
+    time = np.arange(1.0, 100.0, 1.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    errors = random.normal(0, 1, (len(time), 2)) * np.where(time < 20, 3.6, 0.6)[:, None]
+    live, wider = LiveSmoother(), [1.0]
+    for _ in pushing(live, steps, named(fixes_at(time, true + errors, 3.0))):
+        decided = live.graph.decisions.get("fixes", {})
+        wider += decided["widened"][-1:].tolist() if decided else []
+    assert max(wider) > 2.0
+    assert wider[-1] == pytest.approx(1.0, abs=0.2)

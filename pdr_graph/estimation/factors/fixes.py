@@ -155,9 +155,9 @@ class FixFactor(Measurement):
 
         Approximate fixes, used only for the start, are released. Receivers that state too little get wider sigmas.
         """
-        too_small = self._too_small(at)
-        if (too_small > 1).any():
-            return self._wider(too_small).refined(at)
+        factor = self._by_scatter(at)
+        if (factor != 1).any():
+            return self._wider(factor).refined(at)
         far = self.used & (self.distance(at) > FIXES.outlier * self.sigma)
         # The rest of a run in a wrong place does not become right where the walk happens to pass it
         share = np.bincount(self.run + 1, far) / np.maximum(np.bincount(self.run + 1), 1)
@@ -172,22 +172,24 @@ class FixFactor(Measurement):
         sigma, independent = factor * self.sigma, factor * self.independent_sigma
         return replace(self, sigma=sigma, independent_sigma=independent, widened=factor * self.widened)
 
-    def _too_small(self, at: Evaluation) -> Array:
-        """The factors ``(f,)`` by which stated sigmas are too small, by the scatter of a receiver's fixes in a second.
+    def _by_scatter(self, at: Evaluation) -> Array:
+        """The factors ``(f,)`` by which sigmas should change, by the scatter of a receiver's fixes in a second.
 
         Most of a receiver's error stays the same from one second to the next, so that a larger scatter is a larger
         error. Only fixes of the consistent chain count: scattered outliers are no scatter of the receiver.
         """
-        factor, off = np.ones(len(self)), at.state.poses[self.keyframe, :2] - self.fixes.position
+        off, stated = at.state.poses[self.keyframe, :2] - self.fixes.position, self.sigma / self.widened
+        wider = self.widened * np.ones(len(self))
         for indices in by_source(self.fixes, self.used & (self.keyframe >= 0)):
             chain = indices[self.consistent[indices]]
             time, middle = self.fixes.time[chain], chain[1:-1]
             scatter = np.hypot(*(off[middle] - (off[chain[:-2]] + off[chain[2:]]) / 2).T) / np.sqrt(1.5)
             within = time[2:] - time[:-2] <= FIXES.seconds
             if within.sum() >= FIXES.fewest_scatter:
-                share = float(np.median((scatter / self.sigma[middle])[within])) / VERDICTS.fix_median
-                factor[indices] = share / RECEIVERS.white if share > FIXES.suspicious else 1.0
-        return factor
+                share = float(np.median((scatter / stated[middle])[within])) / VERDICTS.fix_median
+                wider[indices] = 1 + max(0.0, share - FIXES.suspicious) / RECEIVERS.white
+        factor = wider / self.widened
+        return np.where(np.abs(np.log(factor)) > FIXES.same_scatter, factor, 1.0)
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
@@ -207,9 +209,9 @@ class FixFactor(Measurement):
 
         Receivers that state too little get wider sigmas.
         """
-        too_small = self._too_small(at)
-        if (too_small > 1).any():
-            return self._wider(too_small).reclassified(at)
+        factor = self._by_scatter(at)
+        if (factor != 1).any():
+            return self._wider(factor).reclassified(at)
         far = self.distance(at) > FIXES.outlier * self.sigma
         reached = self.used & (self.keyframe >= 0)
         outlier = np.where(reached, far & (self.consistent | self.outlier), self.outlier)
