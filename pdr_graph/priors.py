@@ -1077,6 +1077,10 @@ class VerdictPriors(Table):
     heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
     distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
+    jump: float = number(
+        3.0, "σ", "of a receiver from the way of the steps; sound ones to 2.1", "36 walks, 3 of them real"
+    )
+    beside_jump: int = number(5, "fixes", "before and after a jump, whose medians are compared")
     seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
     strides: tuple[float, float] = number(

@@ -514,6 +514,12 @@ def jumping(fixes, random):
     return replace(fixes, position=position)
 
 
+def displaced(fixes, random):
+    """The right place at first, from half-way on another that stays as far off."""
+    half = fixes.time > (fixes.time[0] + fixes.time[-1]) / 2
+    return replace(fixes, position=fixes.position + half[:, None] * JUMP * any_direction(random))
+
+
 def frozen(fixes, random):
     """A place that the receiver holds while the walker walks on."""
     begin = random.uniform(0.1, 0.9) * (fixes.time[-1] - FROZEN)
@@ -538,6 +544,7 @@ def alternating(fixes):
 RECEIVER_LIES = {
     "10 m off": lambda fixes, random: replace(fixes, position=fixes.position + OFF * any_direction(random)),
     "jumping": jumping,
+    "20 m off from half-way on": displaced,
     "5 s late": lambda fixes, random: fixes.shifted(DELAY),
     "frozen for a minute": frozen,
     "half as far": lambda fixes, random: shrunk(fixes),

@@ -55,7 +55,8 @@ def rows_of(given, lies, without=None):
 
 
 LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building", "another phone")
-RECEIVER = ("10 m off", "jumping", "5 s late", "frozen for a minute", "3 times as sure", "half as far", "of two people")
+RECEIVER = ("10 m off", "jumping", "20 m off from half-way on", "5 s late", "frozen for a minute", "3 times as sure")
+RECEIVER += ("half as far", "of two people")
 USER = ("clock 2 s off", "of two people")
 PLAN = ("5 m shifted", "a door missing", "of another floor")
 NO_COMPASS = "compass: none"

@@ -70,6 +70,25 @@ def test_where_most_fixes_are_elsewhere_the_walk_has_failed(seed):
     assert "fixes" in sources(judged)
 
 
+def followed_by_a_receiver(seed, change):
+    """A square walk with a fix each second, within 2 m; ``change``: of its position by time."""
+    steps, random = square_walk(side=25, laps=3), np.random.default_rng(seed)
+    time, track = np.arange(1.0, steps.end), dead_reckon(steps)
+    place = interpolate(time, track.time, track.position) + random.normal(0, 1.0, (len(time), 2)) + change(time)
+    return pdr.smooth(pdr.WalkGraph(steps, replace(fixes_at(time, place, 3.0), source=("GNSS",) * len(time))))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("moment", [30.0, 80.0])
+def test_a_receiver_that_jumps_and_stays_there_is_doubtful(seed, moment):
+    """By 25 m: whether it was right before or after is unknown. One that comes back was right but for that time."""
+    jumps = followed_by_a_receiver(seed, lambda time: 25.0 * (time > moment)[:, None] * [0.6, 0.8])
+    assert "GNSS" in sources(pdr.verdict(jumps))
+    away = followed_by_a_receiver(seed, lambda time: 25.0 * (abs(time - moment) < 10)[:, None] * [0.6, 0.8])
+    assert pdr.verdict(away).ok
+    assert pdr.verdict(followed_by_a_receiver(seed, lambda time: 0.0)).ok
+
+
 def test_one_outlier_among_ten_fixes_is_no_reason():
     def moved(fixes):
         position = fixes.position.copy()

@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import find_peaks
 
 from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
-from pdr_graph.priors import PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
+from pdr_graph.geometry import interpolate
+from pdr_graph.priors import FIXES, PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
@@ -26,7 +29,7 @@ FIXES_COMPARED = 200  # among which the two farthest apart are searched
 
 def verdict(estimate: Estimate) -> Verdict:
     """The verdict on an estimate: the contradictions found when it was solved, and those that its reports show."""
-    found = (_place, _rejected_fixes, _distant_fixes, _beacons, _headings, _stride, _probability, _convergence)
+    found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _stride, _probability, _convergence)
     return Verdict.of((*estimate.contradictions, *(reason for rule in found for reason in rule(estimate))))
 
 
@@ -86,6 +89,28 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
             lie = f"the fix{of} lies" if len(own) == 1 else f"half of the fixes{of} lie more than"
             check = f"the sigmas and clock of the fixes{of}, and the {other}"
             yield Contradiction("fixes", other, median, "sigma", f"{lie} {away}, against the {other}", check)
+
+
+def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
+    """Receivers that from one fix to the next leave the way of the steps, and do not come back."""
+    n, track = VERDICTS.beside_jump, estimate.trajectory
+    used = [fix for fix in _evidence(estimate) if fix.source and track.time[0] <= fix.time <= track.time[-1]]
+    for source in dict.fromkeys(fix.source for fix in used):
+        own = np.array([(fix.time, fix.sigma, fix.x, fix.y) for fix in used if fix.source == source])
+        if len(own) < 2 * n:
+            continue
+        off = own[:, 2:] - interpolate(own[:, 0], track.time, track.position)
+        usual = np.median(sliding_window_view(np.column_stack([off, own[:, 1]]), n, axis=0), axis=-1)
+        jump = usual[n:, :2] - usual[:-n, :2]
+        sigmas = np.hypot(*jump.T) / np.fmax(usual[n:, 2], usual[:-n, 2])
+        sigmas[np.diff(own[:, 0])[n - 1 : 1 - n] > FIXES.seconds] = 0.0
+        at, _ = find_peaks(np.pad(sigmas, 1), height=VERDICTS.jump, distance=n)
+        stays = float(np.hypot(*jump[at - 1].sum(axis=0)))
+        if stays > VERDICTS.jump * np.median(own[:, 1]):
+            most = int(at[np.argmax(sigmas[at - 1])]) - 1
+            text = f"{source} jumps {stays:.0f} m from the way of the steps at {own[n + most, 0]:.0f} s and stays there"
+            check = "where the walk was before and after: one of both is wrong"
+            yield Contradiction(source, "steps", stays, "m", text, check)
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:

@@ -281,7 +281,7 @@ class Navigator:
             fixes=self._accepted,
             late=graph.graph.too_late,
             early=self._early,
-            restarts=graph.ambiguity.restarts,
+            restarts=len(graph.ambiguity.restarts),
             rebuilds=tuple(graph.graph.failures),
             judge=lambda: verdict(self._estimate()),
         )

@@ -136,6 +136,10 @@ def contradictions_of(
     rows: the walk so far; reports: of its measurements.
     """
     found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
+    if restarts := smoother.ambiguity.restarts:
+        text = f"the walk jumps to fixes that contradicted it, at {restarts[-1]:.0f} s"
+        check = "where the walk was before and after: one of both is wrong"
+        found = (*found, Contradiction("fixes", "steps", float(len(restarts)), "times", text, check))
     if graph.has_position and not smoother.sure:
         return (*found, Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"))
     if plan is None:

@@ -180,8 +180,8 @@ class LiveAmbiguity:
     """What is open about a walk, and the search for other answers.
 
     graph: of the walk, which answers change; output: has the modes that remain, and whether the walk is certain.
-    solved: the batch has solved it; batch_reviewed: it has done so once more since the walk is certain; restarts: how
-    often measurements contradicted the estimate; next_batch, next_search, next_comparison: times [s] before which a
+    solved: the batch has solved it; batch_reviewed: it has done so once more since the walk is certain; restarts: times
+    [s] at which measurements contradicted the estimate; next_batch, next_search, next_comparison: times [s] before which a
     question is not asked again; findings: what the sources get wrong; history: the recent past in which they are
     compared.
     """
@@ -195,7 +195,7 @@ class LiveAmbiguity:
         self.solved, self.batch_reviewed = False, False
         self._restarting = False  # the past is dropped at the next solution, but for its calibration
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
-        self.restarts = 0
+        self.restarts = list[float]()
         self.history, self.findings = History(), Findings()
         graph.log.longer = self.history.log
 
@@ -258,7 +258,7 @@ class LiveAmbiguity:
 
     def restart(self) -> None:
         """Solve the window anew, since measurements contradict the walk; of the past only the calibration is kept."""
-        self.restarts += 1
+        self.restarts.append(self.graph.window.times[-1])
         self._restarting, self.output.sure, self.solved = True, False, False
         self.batch.cancel()
         self.trial.cancel()
