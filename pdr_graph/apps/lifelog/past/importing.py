@@ -36,6 +36,7 @@ PAST_FORMATS = (
     tracks.OWNTRACKS,
     tracks.GPX_TRACKS,
     tracks.KML,
+    tracks.TCX,
 )
 HEAD_BYTES = 65_536  # [bytes] of a file by which it is recognised
 LARGEST_UNPACKED = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
