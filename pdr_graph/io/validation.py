@@ -91,6 +91,15 @@ def build_recording(
     )
 
 
+def fullest(rows: Mapping[str, int]) -> str:
+    """The name of the table of a sensor to use: the first with at least half of the rows of the longest.
+
+    rows: number of rows by name, in order of preference.
+    """
+    most = max(rows.values())
+    return next(name for name, number in rows.items() if 2 * number >= most)
+
+
 def _since(origin: float, part: Timed | None) -> Timed | None:
     """`part` with times relative to ``origin`` [s]; None without rows."""
     return replace(part, time=part.time - origin) if part is not None and len(part) else None
