@@ -71,7 +71,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1001),
     "apps/report": (8, 1372),
     "apps/serve": (13, 2436),
-    "estimation": (17, 2830),
+    "estimation": (17, 2855),
     "estimation/ambiguity": (6, 388),
     "estimation/factors": (15, 2370),
     "estimation/live": (10, 1730),
@@ -87,7 +87,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5250),
+    "estimation.smoother": (30, 5275),
     "online.navigator": (66, 11700),
 }
 
