@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2660),
+    ".": (15, 2685),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),

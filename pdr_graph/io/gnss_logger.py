@@ -29,9 +29,7 @@ PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the be
 def recognizes(source: Source) -> bool:
     """True if the header comment names the columns of fixes or raw measurements."""
     head = source.head(source.single, 16_384) if source.single else b""
-    return head.lstrip(b"\xef\xbb\xbf").startswith(b"#") and any(
-        f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel")
-    )
+    return head.startswith(b"#") and any(f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel"))
 
 
 def read(source: Source) -> Recording:

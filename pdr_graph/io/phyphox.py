@@ -25,7 +25,7 @@ NAME = "phyphox"
 SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyroscope", "t": "magnetometer"}
 SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
 WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column
-TIME_HEADER = re.compile(rb'^(?:\xef\xbb\xbf)?"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
+TIME_HEADER = re.compile(rb'^"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
 UNIT_PATTERN = re.compile(r"\(([^()]*)\)\s*$")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
 

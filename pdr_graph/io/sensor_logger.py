@@ -29,7 +29,7 @@ PLAIN_FILES = {
     "magnetometer": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
 }
 LOCATIONS = "Location.csv", "LocationGps.csv", "LocationNetwork.csv"
-NANOSECONDS_FIRST = re.compile(rb'\A(?:\xef\xbb\xbf)?"?time"?,[^\n]*\n"?\d{18,19}"?,')  # the header, the first row
+NANOSECONDS_FIRST = re.compile(rb'\A"?time"?,[^\n]*\n"?\d{18,19}"?,')  # the header, the first row
 KNOWN_FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
 
 

@@ -107,8 +107,8 @@ class Source(OneLineRepr):
         return None
 
     def head(self, name: str, size: int = 4096) -> bytes:
-        """The first `size` bytes of a file."""
-        return self._read(name, size)[:size]
+        """The first `size` bytes of a file, without a byte-order mark of UTF-8."""
+        return self._read(name, size)[:size].removeprefix(b"\xef\xbb\xbf")
 
     def content(self, name: str) -> bytes:
         """A whole file. Raises InputError if all files together exceed the limit, whatever the archive states."""

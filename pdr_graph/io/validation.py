@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.errors import InputError, slow_rate
+from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.units import IMPLAUSIBLE, check_one_unit, unit_of
 from pdr_graph.types import (
@@ -180,7 +180,7 @@ def _note_quality(signals: dict[str, Signal], notes: list[str]) -> None:
         gaps = interval[are_gaps(signal)]
         if len(gaps):
             place = signal.time[int(np.argmax(interval))] - signal.time[0]
-            notes.append(f"{sensor}: {len(gaps)} gaps, the longest of {gaps.max():.2f} s after {place:.1f} s")
+            notes.append(f"{sensor}: {count(len(gaps), 'gap')}, the longest of {gaps.max():.2f} s after {place:.1f} s")
 
 
 def are_gaps(signal: Signal) -> Mask:
@@ -315,3 +315,14 @@ def iso_time(value: Any) -> float:
         return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
+
+
+def in_seconds(time: Array) -> Array:
+    """Unix times ``(n,)`` [s], whatever of s, ms, µs and ns each is in."""
+    scale = np.ones(len(time))
+    for least, unit in TIME_UNITS:
+        scale = np.where((np.abs(time) >= least) & (scale == 1), unit, scale)
+    return time * scale

@@ -69,7 +69,7 @@ def test_reader_phyphox_restores_pauses(tmp_path, sampled):
     expected = np.where(sampled.time >= 8.0, sampled.time + 100.0, sampled.time)
     assert walk.accelerometer.time == pytest.approx(expected, abs=1e-6)
     assert np.diff(walk.fixes.time).max() == pytest.approx(101.0, abs=1e-6)
-    assert any("1 gaps, the longest of 100.02 s" in note for note in walk.notes)
+    assert any("1 gap, the longest of 100.02 s" in note for note in walk.notes)
 
 
 def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, sampled):

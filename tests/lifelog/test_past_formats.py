@@ -181,6 +181,28 @@ def test_a_damaged_point_is_left_out_and_the_rest_imported(tmp_path):
     assert "1 damaged <trkpt>, the first in line 1" in result.notes[-1]
 
 
+@pytest.mark.parametrize("name", ["overland", "owntracks", "records", "gpx"])
+def test_names_in_latin_1_cost_no_position(tmp_path, name):
+    text = FORMATS[name] if isinstance(FORMATS[name], str) else json.dumps(FORMATS[name])
+    text = (
+        text.replace('"lat":', '"desc":"Café","lat":')
+        .replace('"type"', '"name": "Café", "type"')
+        .replace("<time", "<name>é</name><time")
+    )
+    text = text.replace('"latitudeE7"', '"name": "Café", "latitudeE7"')
+    assert "é" in text
+    result = imported(tmp_path / "log", saved(tmp_path / "a", text.encode("latin-1")))
+    assert (result.positions.new, result.refused, result.notes) == (2, (), ())
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [(b"hello you", "'hello you'"), (bytes(range(40)), "the bytes 00 01 02 ")]
+)
+def test_what_a_file_is_instead_is_shown_as_text_or_digits(tmp_path, content, found):
+    [line] = imported(tmp_path / "log", saved(tmp_path / "a", content)).refused
+    assert f"found {found}" in line
+
+
 def test_xml_with_a_document_type_is_refused(tmp_path):
     bomb = '<!DOCTYPE kml [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>'
     for text in (kml("<Placemark><name>&b;</name></Placemark>"), gpx()):

@@ -23,7 +23,7 @@ from pdr_graph.apps.lifelog.past import google, tracks
 from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
 from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format
 from pdr_graph.apps.lifelog.store import Store
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, count, quoted
 from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
 from pdr_graph.io.source import Source
 
@@ -129,7 +129,7 @@ def _recognized(source: Source, name: str) -> PastFile:
     """The file with its format. Raises InputError, which says what else it is."""
     head = source.head(name, HEAD_BYTES)
     where = source.where(name)
-    known = next((form for form in PAST_FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
+    known = next((form for form in PAST_FORMATS if form.sign.search(head)), None)
     if known is not None:
         return PastFile(source, name, known, source.size(name))
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -137,7 +137,7 @@ def _recognized(source: Source, name: str) -> PastFile:
     other = next((what for sign, what in OTHER_FILES if sign.search(head)), "")
     if other:
         raise InputError(where, "", other, "a timeline")
-    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
+    raise InputError(where, "", quoted(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
 
 
 Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all

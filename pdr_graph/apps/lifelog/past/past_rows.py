@@ -28,7 +28,7 @@ from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
 from pdr_graph.errors import count
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
-from pdr_graph.io.validation import RECEIVER, float_of, iso_time
+from pdr_graph.io.validation import RECEIVER, float_of, in_seconds, iso_time
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
@@ -63,15 +63,6 @@ class Format:
 
 
 FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
-TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
-
-
-def in_seconds(time: Array) -> Array:
-    """Unix times ``(n,)`` [s], whatever of s, ms, µs and ns each is in."""
-    scale = np.ones(len(time))
-    for least, unit in TIME_UNITS:
-        scale = np.where((np.abs(time) >= least) & (scale == 1), unit, scale)
-    return time * scale
 
 
 def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source: Any) -> Batch:

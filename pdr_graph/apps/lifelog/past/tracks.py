@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import msgspec
 
 from pdr_graph.apps.lifelog.facts import Guess
-from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, at, items, lists_format
+from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, as_utf8, at, items, lists_format
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess
 from pdr_graph.errors import InputError, install
 from pdr_graph.io.gpx import GPX_ROOT, track_points
@@ -151,7 +151,7 @@ def _owntracks(stream: BinaryIO, where: str) -> Iterator[Batch]:
         points, left_out = list[Point](), Counter[str]()
         for line in lines:
             try:
-                message = msgspec.json.decode(line[line.index(b"{") :], type=dict[str, Any])
+                message = msgspec.json.decode(as_utf8(line[line.index(b"{") :]), type=dict[str, Any])
             except (ValueError, RecursionError):
                 left_out["unreadable"] += 1
                 continue
