@@ -79,7 +79,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "floor/formats": (16, 1771),
     "gait": (10, 1400),
     "inertial": (6, 518),
-    "io": (18, 1690),
+    "io": (18, 1720),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),

@@ -22,7 +22,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, float_of, iso_time, receiver_fixes
+from pdr_graph.io.validation import build_recording, float_of, iso_time, plausible_times, receiver_fixes
 from pdr_graph.io.xml_elements import XmlElements
 from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
 
@@ -63,13 +63,15 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     if len(times) < len(points):
         notes.append(f"GPX: {len(points) - len(times)} of {len(points)} track points have no time")
     table = np.column_stack([_unix_times(times), [place for time, *place in points if time]])
-    damaged = ~np.isfinite(table[:, :3]).all(axis=1)
+    damaged = ~(np.isfinite(table[:, :3]).all(axis=1) & plausible_times(table[:, 0]))
     if damaged.sum() > 0.2 * len(table):
         row = int(np.argmax(damaged))
         found = f"{int(damaged.sum())} of {len(table)} track points without a valid time, lat and lon, the first at"
         expected = "times as 2024-05-01T12:00:00Z, lat and lon in degrees"
         raise InputError(where, "<trkpt>", f"{found} {times[row][:40]!r}, {table[row, 1]}, {table[row, 2]}", expected)
-    return receiver_fixes(table, notes, NAME)
+    if damaged.any():
+        notes.append(f"GPX: {count(int(damaged.sum()), 'track point')} without a valid time and place left out")
+    return receiver_fixes(table[~damaged], notes, NAME)
 
 
 # 68 % radius [m] per unit of an element; names in lower case without underscores. docs/formats.md says which apps

@@ -7,6 +7,7 @@ appear among the warnings of ``summary.json``. The same rules hold for all recor
 from __future__ import annotations
 
 import math
+import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -55,6 +56,9 @@ def build_recording(
     """
     notes = list(notes)
     signals: dict[str, Signal] = {}
+    if fixes is not None and unix_zero is not None and not (valid := plausible_times(unix_zero + fixes.time)).all():
+        notes.append(f"position fixes: {int((~valid).sum())} with times before 1970 or after tomorrow left out")
+        fixes = fixes[valid]
     for sensor, table in tables.items():
         cleaned = _clean(path, sensor, table, notes)
         if len(cleaned):
@@ -293,6 +297,11 @@ def surveyed(
     """
     covariance = None if sigma is None else isotropic(np.full(len(time), sigma))
     return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), covariance, epsg)
+
+
+def plausible_times(time: Array) -> Mask:
+    """True for Unix times ``(n,)`` [s] from 1970 to tomorrow, by a clock here that may not be set: 2027 at least."""
+    return (time >= 0) & (time < max(clock.time(), 1.8e9) + DAY_LENGTH)
 
 
 def isotropic(sigma: Array) -> Array:

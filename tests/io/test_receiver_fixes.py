@@ -106,6 +106,20 @@ def test_reader_geolife(tmp_path):
     assert walk.fixes.position.tolist() == [[116.3, 39.9], [116.4, 39.9]]
 
 
+@pytest.mark.parametrize("year", ["5138", "9999", "2300", "1969"])
+def test_a_point_of_no_time_is_left_out(tmp_path, year):
+    """Of the year 5138, say: a lifelog would have a million days."""
+    whole = [point(f"2023-11-14T22:13:{n:02d}Z", lon=11 + n / 1e4) for n in range(20)]
+    bad = point(f"{year}-11-14T22:13:20Z")
+    walk = load(written(tmp_path, gpx([*whole, bad])))
+    assert len(walk.fixes) == 20
+    assert any("1 track point without a valid time and place" in note for note in walk.notes)
+    rows = "".join(f"39.9,116.3,0,492,{39747.1 + n / 86400:.10f},2008-10-26,02:41:52\n" for n in range(9))
+    days = {"5138": 1e13, "9999": 2958465.9, "2300": 146097.0 + 45000, "1969": 20000.0}[year]
+    walk = load(written(tmp_path, f"{PLT}{rows}39.9,116.3,0,492,{days},2008-10-26,02:41:52\n", "20081026024152.plt"))
+    assert len(walk.fixes) == 9
+
+
 def test_a_track_of_a_watch_can_be_the_fixes_of_a_phone(tmp_path):
     fixes = read_fixes(written(tmp_path, gpx([point("2023-11-14T22:13:30Z")])), WALK)
     assert fixes.time == pytest.approx([10.0])
