@@ -239,12 +239,14 @@ class DaySpill:
         cache.make_folder(folder)
         self._folder = Path(tempfile.mkdtemp(cache.PARTIAL, dir=folder))
         self._kind, self._waiting, self._size = kind, list[Rows](), 0
+        self.number = 0  # of rows added
 
     def add(self, rows: Rows) -> None:
         """Add rows, in any order."""
         if len(rows):
             self._waiting.append(rows)
             self._size += len(rows)
+            self.number += len(rows)
         if self._size > MOST_ROWS:
             self._write()
 
