@@ -232,11 +232,9 @@ def strangers(data):
             copytree(page.parent, folder, dirs_exist_ok=True)
             command = f'pdr-graph() {{ "{sys.executable}" -m pdr_graph "$@"; }}; {stated["command"].split("     (")[0]}'
             done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True)
-        said = [
-            line for line in (done.stdout + done.stderr).splitlines() if line.startswith(("ok", "doubtful", "failed"))
-        ]
-        said = said or [
-            line for line in (done.stdout + done.stderr).splitlines() if "new position" in line or ":" in line
+        lines = (done.stdout + done.stderr).splitlines()
+        said = [line for line in lines if line.startswith(("ok", "doubtful", "failed"))] or [
+            n for n in lines if ":" in n
         ]
         found = "; ".join(line.replace("|", "/") for line in said[:3])
         rows.append([page.parent.name, f"{found[:160]} (exit {done.returncode})", stated["expected"].replace("|", "/")])

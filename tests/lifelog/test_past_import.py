@@ -449,7 +449,7 @@ def test_an_import_for_which_the_disk_has_no_space_stores_nothing(tmp_path, monk
     usage = shutil.disk_usage(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=10_000))
-        with pytest.raises(OSError, match="MB needed"):
+        with pytest.raises(OSError, match="MB of rows"):
             imported(log, file)
     assert content(log) == before
     result = imported(log, file)

@@ -211,9 +211,9 @@ ROW_SIZE = 300  # [bytes] of a row on the disk: in its day's file, while that is
 
 
 def _check_space(folder: Path, size: int) -> None:
-    """Raise OSError if the disk has less space than an import needs [bytes]: a part of one is worse than none."""
+    """Raise OSError if the disk has less space than the rows of an import [bytes]: a part of one is worse than none."""
     if shutil.disk_usage(folder).free < size:
-        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {-(-size // MB)} MB needed", str(folder))
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {-(-size // MB)} MB of rows", str(folder))
 
 
 class _Reading:
