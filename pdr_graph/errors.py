@@ -69,6 +69,13 @@ def one_line(text: str) -> str:
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
 
 
+def quoted(content: bytes) -> str:
+    """The first bytes of a file as text in quotes, those of a binary one as hexadecimal digits."""
+    text = content.decode("utf-8", "ignore")
+    is_text = len(text.encode()) > len(content) - 4 and all(c.isprintable() or c.isspace() for c in text)
+    return repr(text) if is_text else f"the bytes {content[:16].hex(' ')}"
+
+
 def printable(text: str) -> str:
     """`text` with � for each character that is not printable: control characters, and bytes that are not UTF-8."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -653,6 +653,8 @@ class InitialPriors(Table):
     beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", still=(0.5, 2))
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
+    window: float = number(8.0, "s", "sigma of the weights of fixes about a pose without a gyroscope", still=(0.5, 1.5))
+    dense: float = number(3.0, "fixes", "about a pose, from which it follows them without a gyroscope")
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ from pdr_graph.inertial.barometer import with_stair_lengths
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import (
     ANCHOR_SIGMA,
+    CLOCK_MARGIN,
     SURVEY_SIGMA,
     beside,
     drawn_beacons,
@@ -499,7 +500,19 @@ def estimate(evidence: Evidence) -> Result:
         walk = replace(walk, reports={**walk.reports, "headings": reports})
     missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     causal = partial(_filter_track, graph) if method in SMOOTHED else dict
-    return Result(evidence, walk, (*graph.steps.unknown, *missing), graph, causal=causal)
+    missing = (*graph.steps.unknown, *without_acceleration(evidence.walk), *missing)
+    return Result(evidence, walk, missing, graph, causal=causal)
+
+
+def without_acceleration(recording: Recording) -> tuple[str, ...]:
+    """Where the gyroscope ran at an end of the recording and the accelerometer did not, for over 5 s, a line each."""
+    acceleration, gyroscope = recording.accelerometer, recording.gyroscope
+    acceleration = recording.linear_acceleration if acceleration is None else acceleration
+    if acceleration is None or gyroscope is None:
+        return ()
+    late, early = acceleration.time[0] - gyroscope.time[0], gyroscope.time[-1] - acceleration.time[-1]
+    ends = (late, "begins {:.0f} s after"), (early, "ends {:.0f} s before")
+    return tuple(f"steps: the accelerometer {text.format(by)} the gyroscope" for by, text in ends if by > CLOCK_MARGIN)
 
 
 def fixes_alone(evidence: Evidence, issues: tuple[str, ...] = ()) -> Result:

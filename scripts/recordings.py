@@ -1,7 +1,11 @@
 """Real recordings with a reference: Microsoft's fifteen walks by method, and every recording by every method."""
 
+import subprocess
+import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from shutil import copytree
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from conditions import (
@@ -217,3 +221,21 @@ def means(row, *methods):
     errors = np.array([row.errors[method] for method in methods])
     known = ~np.isnan(errors).any(axis=0)
     return errors[:, known].mean(axis=1) if known.any() else np.full(len(methods), np.nan)
+
+
+def strangers(data):
+    """What the commands say of each input after a public report, beside the right value that its README states."""
+    rows = []
+    for page in sorted(data.glob("found/*/README.md")):
+        stated = dict(line.split(": ", 1) for line in page.read_text().splitlines() if ": " in line)
+        with TemporaryDirectory() as folder:
+            copytree(page.parent, folder, dirs_exist_ok=True)
+            command = f'pdr-graph() {{ "{sys.executable}" -m pdr_graph "$@"; }}; {stated["command"].split("     (")[0]}'
+            done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True)
+        lines = (done.stdout + done.stderr).splitlines()
+        said = [line for line in lines if line.startswith(("ok", "doubtful", "failed"))] or [
+            n for n in lines if ":" in n
+        ]
+        found = "; ".join(line.replace("|", "/") for line in said[:3])
+        rows.append([page.parent.name, f"{found[:160]} (exit {done.returncode})", stated["expected"].replace("|", "/")])
+    publish("results/strangers.md", "strangers", table(["input", "found", "right"], rows))

@@ -47,6 +47,7 @@ def quick_settings():
 TABLES = {  # in the order of docs/results/index.md
     "microsoft": Made(lambda: recordings.microsoft(DATA), quick=True),
     "recordings": Made(lambda: recordings.every_recording(DATA)),
+    "strangers": Made(lambda: recordings.strangers(DATA), quick=True),
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True),
     "integrity-live": Made(integrity.integrity_live, some=True),

@@ -63,15 +63,15 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2665),
+    ".": (15, 2690),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5281),
-    "apps/lifelog/past": (8, 1001),
+    "apps/lifelog/past": (8, 1040),
     "apps/report": (8, 1372),
     "apps/serve": (13, 2436),
-    "estimation": (17, 2835),
+    "estimation": (17, 2910),
     "estimation/ambiguity": (6, 388),
     "estimation/factors": (15, 2390),
     "estimation/live": (10, 1730),
@@ -79,7 +79,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "floor/formats": (16, 1771),
     "gait": (10, 1400),
     "inertial": (6, 518),
-    "io": (18, 1564),
+    "io": (18, 1720),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1173),
@@ -87,7 +87,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5280),
+    "estimation.smoother": (30, 5305),
     "online.navigator": (66, 11700),
 }
 

@@ -97,6 +97,20 @@ def test_a_phone_without_a_gyroscope_finishes_without_turns(tmp_path, felt):
     assert summary["missing"] == ["turns: there is no gyroscope"]
 
 
+def test_a_walk_whose_accelerometer_ends_early_says_what_is_missing(tmp_path, felt):
+    """A table that was cut off: 40 % of the walk has no steps."""
+    tables = recorders.phyphox(felt)
+    [name] = [name for name in tables if name.startswith("Accel")]
+    rows = tables[name].splitlines()
+    tables[name] = "\n".join([*rows[: int(0.6 * len(rows))], rows[-1][:9]])
+    recording = recorders.in_zip(tmp_path / "walk.zip", tables)
+    gone = 0.4 * (felt.time[-1] - felt.time[0])
+    for verb in ("smooth", "replay"):
+        code, _, errors = run(verb, recording, "--no-report", "--out", tmp_path / verb)
+        assert code == 3
+        assert f"finished without steps: the accelerometer ends {gone:.0f} s before the gyroscope" in errors[0]
+
+
 def test_a_lifelog_is_shown_without_options(tmp_path, felt):
     """The timeline on the terminal, and a folder named after the store with the report."""
     walk = exported("phyphox", tmp_path, felt)

@@ -29,7 +29,17 @@ from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.priors import FIXES
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import OUTSIDE, Fixes, FixReport, Mask, Recording, Trajectory
-from pdr_graph.walk import LIVE, Evidence, Options, Result, fixes_alone, read, read_plan, read_radio_map
+from pdr_graph.walk import (
+    LIVE,
+    Evidence,
+    Options,
+    Result,
+    fixes_alone,
+    read,
+    read_plan,
+    read_radio_map,
+    without_acceleration,
+)
 from pdr_graph.whole_files import output_folder
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
@@ -234,5 +244,5 @@ def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:
     ]
     fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
     estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
-    missing = (*status.unknown, *missing_of(estimate, len(evidence.fixes)))
+    missing = (*status.unknown, *without_acceleration(evidence.walk), *missing_of(estimate, len(evidence.fixes)))
     return Result(evidence, estimate, missing, step_count=steps, issues=issues)

@@ -8,6 +8,8 @@ numbers z, rotation and scale are a product with one complex number a, and the c
     slow change:   a_{s+1} = a_s                          weak:    a_s = 0
 
 a banded least-squares problem, re-weighted a few times against outliers. It needs no start and has no local minima.
+
+Without a gyroscope the track has no shape that could be aligned: there the walk follows its fixes, if they are dense.
 """
 
 from __future__ import annotations
@@ -17,12 +19,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solveh_banded
+from scipy.ndimage import gaussian_filter1d
 
 from pdr_graph.estimation.factors.base import huber_weight, rotated
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
-from pdr_graph.priors import FIXES, INITIAL
-from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
+from pdr_graph.priors import FIXES, INITIAL, MOTION
+from pdr_graph.types import Array, Complex, Fixes, Index, Mask, Steps, Trajectory, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors import Directions, Positions
@@ -168,6 +171,10 @@ def initial_walk(
         if uncertain < INITIAL.ambiguous:
             c = c.copy()
             c[:, 0] = np.clip(scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
+        if (unmeasured := blind(steps, chain.time)).any():
+            place, direction = along_fixes(chain.time, fixes.fixes.time[used], fix, sigma**-2.0)
+            known = unmeasured & np.isfinite(direction)
+            track[known], heading[known] = place[known], direction[known]
     poses = np.stack([track.real, track.imag, heading], axis=1)
 
     chosen = np.flatnonzero(~headings.headings.stated | (uncertain >= INITIAL.ambiguous))
@@ -178,6 +185,32 @@ def initial_walk(
     apart = wrap_angle(measured.heading - poses[headings.keyframe[chosen], 2])
     turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
     return rotated(poses, turn, pivot(poses, fixes)), c, float(weight.sum() ** -0.5)
+
+
+def blind(steps: Steps, time: Array) -> Mask:
+    """True at times ``(n,)`` [s] about which most turns were not measured: dead reckoning has no shape there."""
+    row = np.searchsorted(steps.time, np.stack([time - INITIAL.window, time + INITIAL.window]))
+    unmeasured = np.append(0, np.cumsum(steps.sigma_turn >= MOTION.unmeasured_turn))
+    return 2 * np.diff(unmeasured[row], axis=0)[0] > np.diff(row, axis=0)[0]
+
+
+def along_fixes(time: Array, fix_time: Array, fix: Complex, weight: Array) -> tuple[Complex, Array]:
+    """Positions [m] and headings [rad] at times ``(n,)`` [s], on the straight line through the fixes about each.
+
+    fix_time, fix, weight: ``(f,)`` of the fixes. NaN where there are fewer than INITIAL.dense about a time.
+    """
+    begin = min(time[0], fix_time[0])
+    second = np.rint(fix_time - begin).astype(np.intp)
+    moments = np.zeros((6, max(int(second.max()), int(time[-1] - begin) + 1) + 1), dtype=complex)
+    since = fix_time - begin
+    np.add.at(moments.T, second, (weight * np.array([since**0, since, since**2, fix, since * fix, 1 / weight])).T)
+    about = gaussian_filter1d(moments, INITIAL.window, axis=1, mode="constant", truncate=3)
+    grid = np.arange(moments.shape[1])
+    one, first, square, place, rise, number = (np.interp(time - begin, grid, row) for row in about)
+    many = number.real * INITIAL.window * np.sqrt(2 * np.pi) > INITIAL.dense
+    determinant = np.where(many, (one * square - first**2).real, 1.0)
+    slope = np.where(many, (one * rise - first * place) / determinant, np.nan)
+    return (square * place - first * rise) / determinant + slope * (time - begin), np.angle(slope)
 
 
 def pivot(poses: Array, fixes: Positions) -> Array:

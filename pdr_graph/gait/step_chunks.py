@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.errors import count
 from pdr_graph.priors import MOTION
 from pdr_graph.types import STEP_COLUMNS, Steps
 
@@ -41,7 +42,7 @@ def join(parts: Sequence[Steps]) -> Steps:
     for part in parts[1:]:
         joined = append_steps(append_steps(joined, gap(joined.end, part.start)), part)
     if len(parts) > 1:
-        joined = replace(joined, unknown=(*joined.unknown, f"{len(parts) - 1} gaps in the recording"))
+        joined = replace(joined, unknown=(*joined.unknown, f"{count(len(parts) - 1, 'gap')} in the recording"))
     return joined
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.io.validation import build_recording, plausible_times, receiver_fixes
 from pdr_graph.types import DAY_LENGTH, Array, Fixes, Recording
 
 NAME = "GeoLife"
@@ -31,4 +31,5 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     rows = TextRows(source.where(name), (source.utf8(name).split(b"\n", 6) + [b""] * 7)[6], 7)  # after 6 header lines
     lat, lon, days = rows.floats((0, 1, 4)).T
     time: Array = np.round(days * DAY_LENGTH + EPOCH_1899)  # whole seconds; the decimals of a day are not exact
+    time[~plausible_times(time)] = np.nan
     return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

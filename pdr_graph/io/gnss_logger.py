@@ -13,7 +13,7 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.io.delimited import Table, rows_by_kind
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GnssLogger"
@@ -23,15 +23,13 @@ SENSOR_ROWS = {
     "magnetometer": ("Mag", "UncalMag"),
 }
 ROW_KINDS = ("Fix", *(kind for kinds in SENSOR_ROWS.values() for kind in kinds))
-PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the best first; one of them is used
+PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the best first; one is used
 
 
 def recognizes(source: Source) -> bool:
     """True if the header comment names the columns of fixes or raw measurements."""
     head = source.head(source.single, 16_384) if source.single else b""
-    return head.lstrip(b"\xef\xbb\xbf").startswith(b"#") and any(
-        f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel")
-    )
+    return head.startswith(b"#") and any(f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel"))
 
 
 def read(source: Source) -> Recording:
@@ -41,8 +39,8 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     sensors = {}
     for sensor, kinds in SENSOR_ROWS.items():
-        for kind in [kind for kind in kinds if kind in tables][:1]:
-            sensors[sensor] = _sensor(tables[kind])
+        if found := {kind: len(tables[kind].rows.numbers) for kind in kinds if kind in tables}:
+            sensors[sensor] = _sensor(tables[fullest(found)])
     fixes = _fixes(tables["Fix"], notes) if "Fix" in tables else None
     return build_recording(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
 
@@ -83,7 +81,8 @@ def _fixes(table: Table, notes: list[str]) -> Fixes:
     motion = [table.find(lambda n, w=w: n.startswith(w) and ("accuracy" in n) == ("accuracy" in w)) for w in begins]
     rows = table.columns((time, lat, lon, accuracy, *motion)) * (1e-3, *[1] * 7)
     providers = np.array([word.lower() for word in table.rows.words(1)[: len(rows)]])
-    best = next((p for p in PROVIDERS if p in providers), providers[0] if len(providers) else "")
+    named = [p for p in PROVIDERS if p in providers] or providers[:1].tolist()
+    best = fullest({p: int((providers == p).sum()) for p in named}) if named else ""
     others = int((providers != best).sum())
     if others:
         notes.append(f"GNSS: {others} fixes of other providers than {best!r} left out: they repeat the same receiver")

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -19,18 +21,20 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
-from pdr_graph.io.source import Source, parsed_xml
-from pdr_graph.io.validation import build_recording, float_of, receiver_fixes
+from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, float_of, iso_time, plausible_times, receiver_fixes
+from pdr_graph.io.xml_elements import XmlElements
 from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
 
 NAME = "GPX"
+GPX_ROOT = re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?gpx[\s>]")
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 EXTENSION = "urn:pdr_graph"  # namespace of the accuracy of a point, for which GPX has no element
 
 
 def recognizes(source: Source) -> bool:
-    """True if the root element is ``gpx``."""
-    return source.single is not None and b"<gpx" in source.head(source.single, 2048).replace(b"\0", b"")
+    """True if the root element is ``gpx``, with or without a prefix."""
+    return source.single is not None and GPX_ROOT.search(source.head(source.single).replace(b"\0", b"")) is not None
 
 
 def read(source: Source) -> Recording:
@@ -41,55 +45,71 @@ def read(source: Source) -> Recording:
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
-    """Read track points as fixes at Unix times [s].
+    """Read track points as fixes at Unix times [s]. Segments are joined; what is damaged is left out and noted.
 
-    The accuracy is that of an ``accuracy`` extension, else estimated from HDOP. Segments are joined. Raises InputError
-    if the XML is broken or no point has a time.
+    Raises InputError if no point has a time, or more than a fifth of them are damaged.
     """
     name = source.single or ""
     where = source.where(name)
-    root = parsed_xml(where, source.text(name).encode(), "a whole GPX file")
-    points = list(root.iter(root.tag[: root.tag.find("}") + 1] + "trkpt"))
-    times, lat, lon, accuracy = zip(*map(track_point, points), strict=True) if points else ([], [], [], [])
-    timed = np.array([bool(time) for time in times], dtype=bool)
-    if not timed.any():
-        raise InputError(where, "", f"{len(points)} track points, none with a time", "<trkpt> with <time>")
-    if not timed.all():
-        notes.append(f"GPX: {np.sum(~timed)} of {len(timed)} track points have no time")
-    for name, degrees in (("lat", lat), ("lon", lon)):
-        for row in np.flatnonzero(np.isnan(degrees))[:1]:
-            text = points[row].get(name)
-            found = f"no {name}" if text is None else repr(text[:40])
-            raise InputError(where, f"line {points[row].sourceline}", found, "lat and lon in degrees")
-    table = np.column_stack([lat, lon, accuracy])[timed]
-    time = _unix_times(where, [time for time in times if time])
-    return receiver_fixes(np.column_stack([time, table]), notes, "GPX")
+    elements = XmlElements(BytesIO(source.content(name)), where, "gpx", "trkpt")
+    points = list(track_points(elements))
+    notes += [f"GPX: {note}" for note in elements.notes]
+    if elements.is_cut:
+        notes.append("GPX: the file ends in the middle, it is read up to there")
+    times = [time for time, *_ in points if time]
+    if not times:
+        end = " before an end in the middle" if elements.is_cut else ""
+        raise InputError(where, "", f"{len(points)} track points{end}, none with a time", "<trkpt> with <time>")
+    if len(times) < len(points):
+        notes.append(f"GPX: {len(points) - len(times)} of {len(points)} track points have no time")
+    table = np.column_stack([_unix_times(times), [place for time, *place in points if time]])
+    damaged = ~(np.isfinite(table[:, :3]).all(axis=1) & plausible_times(table[:, 0]))
+    if damaged.sum() > 0.2 * len(table):
+        row = int(np.argmax(damaged))
+        found = f"{int(damaged.sum())} of {len(table)} track points without a valid time, lat and lon, the first at"
+        expected = "times as 2024-05-01T12:00:00Z, lat and lon in degrees"
+        raise InputError(where, "<trkpt>", f"{found} {times[row][:40]!r}, {table[row, 1]}, {table[row, 2]}", expected)
+    if damaged.any():
+        notes.append(f"GPX: {count(int(damaged.sum()), 'track point')} without a valid time and place left out")
+    return receiver_fixes(table[~damaged], notes, NAME)
 
 
-# 68 % radius [m] per unit of an extension, and of HDOP: a phone's range error of 5 m times HDOP is the rms distance
-ACCURACY_TAGS = {"accuracy": 1.0, "horizontalaccuracy": 1.0, "hdop": 5.3}
+# 68 % radius [m] per unit of an element; names in lower case without underscores. docs/formats.md says which apps
+ACCURACY = dict.fromkeys(("accuracy", "accuracyhorizontal", "horizontalaccuracy", "hacc", "haccuracy", "horaccur"), 1.0)
+# The same of <hdop> by the begin of the creator's name: these write Android's accuracy, the last a fourth of it
+HDOP_OF_APPS = {"OsmAnd": 1.0, "Locus": 1.0, "OSMTracker": 4.0}
+HDOP = 5.3  # of any other: a phone's range error of 5 m times HDOP is the rms distance
+CREATOR = re.compile(r"<gpx\b[^>]*?\screator\s*=\s*[\"'](\w+)")
+
+TrackPoint = tuple[str, float, float, float]
 
 
-def track_point(element: etree._Element) -> tuple[str, float, float, float]:
-    """Time as text, "" without one, latitude and longitude [deg] and 68 % radius [m] of a point, NaN if not stated."""
-    time, accuracy = "", math.nan
-    values: dict[str, str] = {}
-    for inner in element.iterdescendants():
-        name = _local_name(inner.tag)
-        if name == "time":
-            time = time or (inner.text or "").strip()
-        elif name in ACCURACY_TAGS:
-            values.setdefault(name, inner.text or "")
-    if values:
-        radii = (factor * float_of(values[name]) for name, factor in ACCURACY_TAGS.items() if name in values)
-        accuracy = next((radius for radius in radii if not math.isnan(radius)), math.nan)
-    return time, float_of(element.get("lat")), float_of(element.get("lon")), accuracy
+def track_points(elements: XmlElements) -> Iterator[TrackPoint]:
+    """Time as text, "" without one, latitude and longitude [deg] and 68 % radius [m] of each point, NaN if not stated.
+
+    The radius is that of an accuracy in metres, else estimated from HDOP.
+    """
+    tags: dict[str, float] = {}
+    for element in elements:
+        if not tags:
+            creator = CREATOR.search(elements.head)
+            apps = (of for app, of in HDOP_OF_APPS.items() if creator and creator[1].startswith(app))
+            tags = ACCURACY | {"hdop": next(apps, HDOP)}
+        time, values = "", dict[str, float]()
+        for inner in element.iterdescendants():
+            name = _local_name(inner.tag)
+            if name == "time":
+                time = time or (inner.text or "").strip()
+            elif name in tags:
+                values.setdefault(name, tags[name] * float_of(inner.text))
+        radii = (values[name] for name in tags if not math.isnan(values.get(name, math.nan))) if values else iter(())
+        yield time, float_of(element.get("lat")), float_of(element.get("lon")), next(radii, math.nan)
 
 
 @lru_cache(maxsize=256)
 def _local_name(tag: Any) -> str:
-    """The name of an element without its namespace, in lower case; that of a processing instruction is no text."""
-    return str(tag).rpartition("}")[2].lower()
+    """The name of an element without namespace and underscores, in lower case; that of a comment is no text."""
+    return str(tag).rpartition("}")[2].lower().replace("_", "")
 
 
 @dataclass(frozen=True)
@@ -156,12 +176,9 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
 PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
 
 
-def _unix_times(where: str, times: list[str]) -> Array:
-    """Unix times [s] of ISO 8601 texts; UTC if they have no zone, as the format requires."""
-    try:
+def _unix_times(times: list[str]) -> Array:
+    """Unix times [s] of ISO 8601 texts, UTC if they have no zone, as the format requires; NaN for others."""
+    with suppress(ValueError):
         if PLAIN_TIMES.fullmatch(" ".join([*times, ""])):
             return np.array([t[:-1] for t in times], dtype="datetime64[ms]").astype(float) / 1000
-        parsed = [datetime.fromisoformat(t) for t in times]
-        return np.array([(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in parsed])
-    except (ValueError, OverflowError) as error:
-        raise InputError(where, "<time>", str(error)[:80], "times as 2024-05-01T12:00:00Z") from None
+    return np.array([iso_time(time) for time in times])

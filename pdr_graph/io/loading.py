@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from pdr_graph.errors import InputError, expect
+from pdr_graph.errors import InputError, expect, quoted
 from pdr_graph.io import (
     geolife,
     get_sensor_data,
@@ -99,7 +99,7 @@ def description(source: Source, readers: str) -> tuple[str, str]:
     if text.lower().startswith("<?xml") or text.startswith("<"):
         return f"XML of another kind, {text[:QUOTED]!r}", expected
     if "\ufffd" in text[:200] or "\0" in text[:200]:
-        return f"the bytes {head[:24]!r}", expected
+        return quoted(head[:24]), expected
     first = text.split("\n", 1)[0].strip()
     ending = " named .zip" if source.path.suffix.lower() == ".zip" else ""
     names = {cell.strip().strip('"').lower() for cell in re.split(r"[,;\t]", first)}

@@ -18,14 +18,14 @@ from pdr_graph.errors import InputError
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "phyphox"
 SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyroscope", "t": "magnetometer"}
 SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
 WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column
-TIME_HEADER = re.compile(rb'^(?:\xef\xbb\xbf)?"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
+TIME_HEADER = re.compile(rb'^"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
 UNIT_PATTERN = re.compile(r"\(([^()]*)\)\s*$")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
 
@@ -39,22 +39,32 @@ def read(source: Source) -> Recording:
     """Read one experiment. Raises InputError if a table is damaged."""
     notes: list[str] = []
     clock = _clock(source)
-    tables: dict[str, Array] = {}
-    fixes: Fixes | None = None
+    found: dict[str, dict[str, Array]] = {}
     for name in _tables_named(source):
         table = delimited.table(source.where(name), source.utf8(name))
         for sensor, chosen in _sensors(name, table).items():
-            if sensor in tables or (sensor == "location" and fixes is not None):
-                notes.append(f"{sensor}: a second table, {PurePosixPath(name).name}, was left out")
-                continue
             values = table.columns([*chosen, *_of_receiver(table)] if sensor == "location" else chosen)
             values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns end in empty cells
             values[:, 0] = clock(values[:, 0])
-            if sensor == "location":
-                fixes = receiver_fixes(values, notes)
-            else:
-                tables[sensor] = values
+            found.setdefault(sensor, {})[name] = values
+    located = found.pop("location", None)
+    fixes = None if located is None else receiver_fixes(_chosen("location", located, None, notes), notes)
+    tables = {sensor: _chosen(sensor, candidates, fixes, notes) for sensor, candidates in found.items()}
     return build_recording(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
+
+
+def _chosen(sensor: str, tables: dict[str, Array], fixes: Fixes | None, notes: list[str]) -> Array:
+    """The table of a sensor with the most rows during the fixes, or of all where none has any; others are noted."""
+    rows = {name: len(values) for name, values in tables.items()}
+    if fixes is not None and len(fixes):
+        begin, end = fixes.time[[0, -1]]
+        during = {n: int(((v[:, 0] >= begin) & (v[:, 0] <= end)).sum()) for n, v in tables.items()}
+        rows = during if any(during.values()) else rows
+    name = fullest(rows)
+    for other in tables.keys() - {name}:
+        used, left_out = (f"{PurePosixPath(n).name} ({len(tables[n])} rows)" for n in (name, other))
+        notes.append(f"{sensor}: a second table, {left_out}, was left out; {used} is used")
+    return tables[name]
 
 
 def _tables_named(source: Source) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Exports of Sensor Logger (Kelvin Choi): a folder or a zip of one table per sensor, Android or iOS.
 
-Every table has ``time`` (Unix nanoseconds) and ``seconds_elapsed``; columns are found by name: their order varies.
+Every table has ``time`` (Unix nanoseconds) and, since 2022, ``seconds_elapsed``; columns are found by name: their order
+varies.
 ``Accelerometer`` is without gravity. On iOS ``Accelerometer``, ``Gravity`` and ``AccelerometerUncalibrated`` have the
 opposite sign, unless "Standardise Units & Frames" was set; ``Metadata.csv`` has that setting.
 Source: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger.
@@ -8,6 +9,7 @@ Source: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sens
 
 from __future__ import annotations
 
+import re
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -16,7 +18,7 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Recording, Sightings
 
 NAME = "Sensor Logger"
@@ -26,15 +28,18 @@ PLAIN_FILES = {
     "gyroscope": ("Gyroscope.csv", "GyroscopeUncalibrated.csv"),
     "magnetometer": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
 }
+LOCATIONS = "Location.csv", "LocationGps.csv", "LocationNetwork.csv"
+NANOSECONDS_FIRST = re.compile(rb'\A"?time"?,[^\n]*\n"?\d{18,19}"?,')  # the header, the first row
 KNOWN_FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
 
 
 def recognizes(source: Source) -> bool:
-    """True if one of the files has a header of Sensor Logger."""
+    """True if one of the files has a header of Sensor Logger; in 2021 that was ``time`` in nanoseconds alone."""
     candidates = (*(f"{name}.csv" for name in KNOWN_FILES), *PLAIN_FILES["gyroscope"])
     names = {name for file in candidates for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
-    names |= {source.single} if source.single else set()
-    return any(b"seconds_elapsed" in source.head(name, 512) for name in names)
+    heads = [source.head(name, 512) for name in names]
+    alone = source.head(source.single, 512) if source.single else b""
+    return b"seconds_elapsed" in alone or any(b"seconds_elapsed" in h or NANOSECONDS_FIRST.match(h) for h in heads)
 
 
 def read(source: Source) -> Recording:
@@ -42,12 +47,12 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     tables = _accelerations(source, notes)
     for sensor, files in PLAIN_FILES.items():
-        if (table := _samples(source, *files)) is not None:
+        if (table := _samples(source, *_longest_first(source, files, notes))) is not None:
             tables[sensor] = table
     if (table := _samples(source, "Barometer.csv", values=("pressure",))) is not None:
         tables["barometer"] = table
     fixes = None
-    if (location := _table(source, "Location.csv", "LocationGps.csv")) is not None:
+    if (location := _table(source, *_longest_first(source, LOCATIONS, notes))) is not None:
         optional = ("horizontalAccuracy", "speed", "bearing", "speedAccuracy", "bearingAccuracy")
         rows = location.floats("time", "latitude", "longitude", optional=optional)
         fixes = receiver_fixes(rows * (NANOSECOND, *[1] * 7), notes)
@@ -103,6 +108,17 @@ def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float
 def sign_by_gravity(z: Array) -> tuple[float, str]:
     """Sign of the accelerations, and the system that has it, by components ``(n,)`` of gravity out of the screen."""
     return (-1.0, "iOS") if np.median(z) < 0 else (1.0, "Android")
+
+
+def _longest_first(source: Source, files: tuple[str, ...], notes: list[str]) -> tuple[str, ...]:
+    """The files of one sensor, in the order in which they are preferred, but none before one of twice its size."""
+    sizes = {file: source.size(name) for file in files if (name := source.named(file)) is not None}
+    if not sizes:
+        return files
+    first, best = next(iter(sizes)), fullest(sizes)
+    if best != first:
+        notes.append(f"{best} is used: {first} has less than half of its size")
+    return (best, *files)
 
 
 def _table(source: Source, *files: str) -> Table | None:

@@ -107,8 +107,8 @@ class Source(OneLineRepr):
         return None
 
     def head(self, name: str, size: int = 4096) -> bytes:
-        """The first `size` bytes of a file."""
-        return self._read(name, size)[:size]
+        """The first `size` bytes of a file, without a byte-order mark of UTF-8."""
+        return self._read(name, size)[:size].removeprefix(b"\xef\xbb\xbf")
 
     def content(self, name: str) -> bytes:
         """A whole file. Raises InputError if all files together exceed the limit, whatever the archive states."""
@@ -266,8 +266,12 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
 
 
 def _folder_entries(folder: Path, most_files: int, deepest: int) -> dict[str, str]:
-    """The regular files in a folder, down to `deepest` levels; links to folders are not followed."""
+    """The regular files in a folder, down to `deepest` levels; links to folders are not followed.
+
+    Raises InputError for a link to a file elsewhere, whose content would be in results that are passed on.
+    """
     entries: dict[str, str] = {}
+    root = folder.resolve()
     for top, folders, files in os.walk(folder):
         inside = Path(top).relative_to(folder)
         if len(inside.parts) >= deepest or len(entries) > most_files:
@@ -275,6 +279,9 @@ def _folder_entries(folder: Path, most_files: int, deepest: int) -> dict[str, st
         for file in files:
             name = inside / file
             if not _is_clutter(name.parts) and (folder / name).is_file():
+                if (folder / name).is_symlink() and not (folder / name).resolve().is_relative_to(root):
+                    found = f"a link that leads elsewhere, {name.as_posix()[:60]!r}"
+                    raise InputError(folder, "", found, "a folder of plain files: copy it with cp -rL")
                 entries[name.as_posix()] = str(name)
     return entries
 

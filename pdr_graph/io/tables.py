@@ -17,7 +17,7 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import MOST_SPEED, float_of, iso_time, isotropic
+from pdr_graph.io.validation import MOST_SPEED, float_of, in_seconds, iso_time, isotropic
 from pdr_graph.types import (
     DAY_LENGTH,
     FARTHEST,
@@ -167,7 +167,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
     """Read a trajectory or truth ``time,x,y[,heading][,floor]``, or in TUM's format, rows in time order.
 
     recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
-    else times stay as in the file. If `geodetic`, columns ``lat,lon`` are read instead of ``x,y`` where they are there.
+    else times are those of the file, Unix times also in ms, µs or ns. If `geodetic`, columns ``lat,lon`` are read
+    instead of ``x,y`` where they are there.
     Covariance columns, as in ``trajectory.csv``, are read if they are all there; else ``sigma`` of the positions per
     axis [m], an empty cell as 0. Raises InputError naming the line.
     """
@@ -175,7 +176,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
     source = _one_file(Path(path))
     if is_tum(text := source.text(source.single or "")):
         poses = read_tum(str(path), text)
-        return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
+        time = in_seconds(poses.time) if recording is None else poses.time - recording.clock_origin
+        return replace(poses, time=time)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     columns = [("time", "lat", "lon"), ("time", "x", "y")] if geodetic else [("time", "x", "y")]
     numbers, words = read_table(Path(path), columns, (*optional, "sigma"), ("floor",), recording)
@@ -193,7 +195,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
     elif "sigma" in numbers:
         covariance = isotropic(np.nan_to_num(numbers["sigma"]))
     return Trajectory(
-        time=time if recording is None else time - recording.clock_origin,
+        time=in_seconds(time) if recording is None else time - recording.clock_origin,
         position=np.stack([numbers[name] for name in (("lon", "lat") if on_earth else ("x", "y"))], axis=1),
         heading=numbers.get("heading", np.full(len(time), np.nan)),
         floor=words["floor"],
@@ -305,7 +307,10 @@ def check_clock(path: str | Path, time: Array, recording: Recording, span: tuple
 
 
 COLUMNS = 8
-TUM_ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
+TUM_CELL = rf"(?:{NUMBER}|[-+]?(?i:nan|inf))"  # lost tracking is nan
+TUM_ROW = re.compile(
+    rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{TUM_CELL}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)"
+)
 
 
 def is_tum(text: str) -> bool:
@@ -321,9 +326,10 @@ def read_tum(where: str, text: str) -> Trajectory:
     lines = [" ".join(line.split()) for line in text.splitlines()]
     numbers = [n for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
     table = TextRows.of(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
-    wrong = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    wrong = np.flatnonzero(~np.isfinite(table[:, :3]).all(axis=1))
     if len(wrong):
-        raise InputError(where, f"line {numbers[wrong[0]]}", "a value that is no number", "time x y z qx qy qz qw")
+        found = f"{lines[numbers[wrong[0]] - 1][:60]!r}"
+        raise InputError(where, f"line {numbers[wrong[0]]}", found, "time x y z qx qy qz qw: leave out rows of nan")
     back = np.flatnonzero(np.diff(table[:, 0]) <= 0)
     if len(back):
         row = int(back[0]) + 1
@@ -331,7 +337,7 @@ def read_tum(where: str, text: str) -> Trajectory:
         raise InputError(where, f"line {numbers[row]}, time", found, "times that increase from row to row")
     x, y, z, w = table[:, 4:].T
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-    if np.abs(table[:, 4:7]).max(initial=0.0) < 1e-9:
+    if not np.nanmax(np.abs(table[:, 4:7]), initial=0.0) >= 1e-9:
         heading = np.full(len(table), np.nan)
     return Trajectory(table[:, 0], table[:, 1:3], heading, ("",) * len(table))
 

@@ -7,6 +7,7 @@ appear among the warnings of ``summary.json``. The same rules hold for all recor
 from __future__ import annotations
 
 import math
+import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.errors import InputError, slow_rate
+from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.units import IMPLAUSIBLE, check_one_unit, unit_of
 from pdr_graph.types import (
@@ -55,6 +56,9 @@ def build_recording(
     """
     notes = list(notes)
     signals: dict[str, Signal] = {}
+    if fixes is not None and unix_zero is not None and not (valid := plausible_times(unix_zero + fixes.time)).all():
+        notes.append(f"position fixes: {int((~valid).sum())} with times before 1970 or after tomorrow left out")
+        fixes = fixes[valid]
     for sensor, table in tables.items():
         cleaned = _clean(path, sensor, table, notes)
         if len(cleaned):
@@ -89,6 +93,15 @@ def build_recording(
         truth=_since(origin, truth),
         notes=tuple(notes),
     )
+
+
+def fullest(rows: Mapping[str, int]) -> str:
+    """The name of the table of a sensor to use: the first with at least half of the rows of the longest.
+
+    rows: number of rows by name, in order of preference.
+    """
+    most = max(rows.values())
+    return next(name for name, number in rows.items() if 2 * number >= most)
 
 
 def _since(origin: float, part: Timed | None) -> Timed | None:
@@ -171,7 +184,7 @@ def _note_quality(signals: dict[str, Signal], notes: list[str]) -> None:
         gaps = interval[are_gaps(signal)]
         if len(gaps):
             place = signal.time[int(np.argmax(interval))] - signal.time[0]
-            notes.append(f"{sensor}: {len(gaps)} gaps, the longest of {gaps.max():.2f} s after {place:.1f} s")
+            notes.append(f"{sensor}: {count(len(gaps), 'gap')}, the longest of {gaps.max():.2f} s after {place:.1f} s")
 
 
 def are_gaps(signal: Signal) -> Mask:
@@ -286,6 +299,11 @@ def surveyed(
     return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), covariance, epsg)
 
 
+def plausible_times(time: Array) -> Mask:
+    """True for Unix times ``(n,)`` [s] from 1970 to tomorrow, by a clock here that may not be set: 2027 at least."""
+    return (time >= 0) & (time < max(clock.time(), 1.8e9) + DAY_LENGTH)
+
+
 def isotropic(sigma: Array) -> Array:
     """Covariances ``(n, 3, 3)`` of (x, y, heading) from the sigmas ``(n,)`` [m] of positions per axis."""
     return sigma[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0])
@@ -306,3 +324,14 @@ def iso_time(value: Any) -> float:
         return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
+
+
+def in_seconds(time: Array) -> Array:
+    """Unix times ``(n,)`` [s], whatever of s, ms, µs and ns each is in."""
+    scale = np.ones(len(time))
+    for least, unit in TIME_UNITS:
+        scale = np.where((np.abs(time) >= least) & (scale == 1), unit, scale)
+    return time * scale

@@ -181,7 +181,7 @@ class Navigator:
     @property
     def unknown(self) -> tuple[str, ...]:
         """What the sensors did not measure so far, a line each."""
-        gaps = (f"{self._gaps} gaps in the recording",) if self._gaps else ()
+        gaps = (f"{count(self._gaps, 'gap')} in the recording",) if self._gaps else ()
         return (*self._unknown, *gaps)
 
     @property

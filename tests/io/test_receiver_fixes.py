@@ -44,20 +44,46 @@ def test_reader_gpx(tmp_path, time, version):
     assert walk.accelerometer is None
 
 
-def test_the_accuracy_of_gpx_is_that_of_an_extension_or_from_hdop(tmp_path):
-    extension = "<extensions><x:accuracy xmlns:x='urn:x'>9.06</x:accuracy></extensions>"
-    track = gpx([point(more=extension), point("2023-11-14T22:13:25Z", more="<hdop>2</hdop>")])
-    sigma = load(written(tmp_path, track)).fixes.sigma
-    assert sigma == pytest.approx([9.06 / RADIUS_68, 2 * 5.3 / RADIUS_68])
+# 68 % radius [m] of a point as each app writes it, and its own file's begin where that decides the meaning
+APPS = {
+    "Apple Health": ("Apple Health Export", "<extensions><speed>1</speed><hAcc>35</hAcc><vAcc>2</vAcc></extensions>"),
+    "Open GPX Tracker": ("Open GPX Tracker for iOS", "<extensions><hAcc>35</hAcc></extensions>"),
+    "OpenTracks": ("OpenTracks", "<extensions><o:accuracy_horizontal>35</o:accuracy_horizontal></extensions>"),
+    "PhoneTrack": ("PhoneTrack", "<sat>7</sat><hdop>2</hdop><extensions><accuracy>35.00</accuracy></extensions>"),
+    "ulogger": ("ulogger-server 1.2", "<extensions><ulogger:accuracy>35</ulogger:accuracy></extensions>"),
+    "pdr_graph": ("pdr_graph", '<extensions><p:accuracy xmlns:p="urn:p">35.00</p:accuracy></extensions>'),
+    "Overland": ("Compass", "<extensions><horizontal_accuracy>35</horizontal_accuracy></extensions>"),
+    "camelCase": ("HealthFit", "<extensions><x:horizontalAccuracy>35</x:horizontalAccuracy></extensions>"),
+    "HERE": ("", "<e:horaccur>35</e:horaccur>"),
+    "OsmAnd": ("OsmAnd~ 4.7.1", "<hdop>35.0</hdop>"),
+    "OsmAnd+": (
+        "OsmAnd Maps 4.2.3 (4.2.3)",
+        "<hdop>35.0</hdop><extensions><osmand:speed>1</osmand:speed></extensions>",
+    ),
+    "Locus": ("Locus Map, Android", "<hdop>35.0</hdop>"),
+    "OSMTracker": ("OSMTracker for Android™ - https://github.com/labexp/osmtracker-android", "<hdop>8.75</hdop>"),
+    "GPSLogger": ("GPSLogger 130 - http://gpslogger.mendhak.com/", f"<sat>9</sat><hdop>{35 / 5.3}</hdop>"),
+    "gpsbabel": ("GPSBabel - https://www.gpsbabel.org", f"<fix>3d</fix><hdop>{35 / 5.3}</hdop><vdop>1</vdop>"),
+}
+
+
+@pytest.mark.parametrize("app", APPS)
+def test_the_accuracy_that_an_app_states_is_read(tmp_path, app):
+    """In metres, also as OsmAnd's and Locus' hdop and as a fourth of it by OSMTracker; only a receiver's is an HDOP."""
+    creator, more = APPS[app]
+    track = gpx([point(more=more), point("2023-11-14T22:13:25Z", more=more)]).replace('"test"', f'"{creator}"')
+    walk = load(written(tmp_path, track))
+    assert walk.fixes.sigma == pytest.approx([35 / RADIUS_68] * 2)
+    assert not any("accuracy" in note for note in walk.notes)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (gpx([point()])[:-30], "broken XML"),
+        (gpx([point()])[:-30], "1 track points before an end in the middle, none with a time"),
         (gpx([]), "0 track points"),
         (gpx(['<trkpt lat="1" lon="2"/>']), "none with a time"),
-        (gpx([point(lat="north")]), "'north'"),
+        (gpx([point(lat="north")]), "1 of 1 track points without a valid time, lat and lon, .* nan, 11.1"),
         (gpx([point("yesterday")]), "yesterday"),
         (gpx([point()], head='<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>'), "document type"),
         (gpx([point("&b;")], head='<!DOCTYPE gpx [<!ENTITY b SYSTEM "file:///etc/passwd">]>'), "document type"),
@@ -78,6 +104,20 @@ def test_reader_geolife(tmp_path):
     assert walk.epoch == 1_224_988_912.0
     assert walk.fixes.time.tolist() == [0.0, 5.0]
     assert walk.fixes.position.tolist() == [[116.3, 39.9], [116.4, 39.9]]
+
+
+@pytest.mark.parametrize("year", ["5138", "9999", "2300", "1969"])
+def test_a_point_of_no_time_is_left_out(tmp_path, year):
+    """Of the year 5138, say: a lifelog would have a million days."""
+    whole = [point(f"2023-11-14T22:13:{n:02d}Z", lon=11 + n / 1e4) for n in range(20)]
+    bad = point(f"{year}-11-14T22:13:20Z")
+    walk = load(written(tmp_path, gpx([*whole, bad])))
+    assert len(walk.fixes) == 20
+    assert any("1 track point without a valid time and place" in note for note in walk.notes)
+    rows = "".join(f"39.9,116.3,0,492,{39747.1 + n / 86400:.10f},2008-10-26,02:41:52\n" for n in range(9))
+    days = {"5138": 1e13, "9999": 2958465.9, "2300": 146097.0 + 45000, "1969": 20000.0}[year]
+    walk = load(written(tmp_path, f"{PLT}{rows}39.9,116.3,0,492,{days},2008-10-26,02:41:52\n", "20081026024152.plt"))
+    assert len(walk.fixes) == 9
 
 
 def test_a_track_of_a_watch_can_be_the_fixes_of_a_phone(tmp_path):

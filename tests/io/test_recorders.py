@@ -1,5 +1,7 @@
 """Each reader returns the samples that were written: one walk in every format, compared with itself."""
 
+import re
+
 import numpy as np
 import pytest
 from recorders import (
@@ -67,7 +69,7 @@ def test_reader_phyphox_restores_pauses(tmp_path, sampled):
     expected = np.where(sampled.time >= 8.0, sampled.time + 100.0, sampled.time)
     assert walk.accelerometer.time == pytest.approx(expected, abs=1e-6)
     assert np.diff(walk.fixes.time).max() == pytest.approx(101.0, abs=1e-6)
-    assert any("1 gaps, the longest of 100.02 s" in note for note in walk.notes)
+    assert any("1 gap, the longest of 100.02 s" in note for note in walk.notes)
 
 
 def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, sampled):
@@ -118,6 +120,41 @@ def test_reader_sensor_logger_without_metadata_infers_the_platform_from_gravity(
     walk = load(in_folder(tmp_path / "walk", files))
     assert_is_the_walk(walk, sampled, UNIX)
     assert any("no Metadata.csv" in note for note in walk.notes)
+
+
+@pytest.mark.parametrize("platform", ["android", "ios"])
+def test_reader_sensor_logger_of_2021(tmp_path, sampled, platform):
+    """Its tables have nanoseconds alone, its metadata no names of standards."""
+    files = sensor_logger(sampled, platform)
+    files = {name: re.sub(r"(?m)^(time|\d{19}),[^,]*,", r"\1,", text) for name, text in files.items()}
+    files["Metadata.csv"] = f"version,device name,recording time,platform\n2,Phone,2021-11-12_21-13-19,{platform}\n"
+    del files["AccelerometerUncalibrated.csv"]
+    files.pop("TotalAcceleration.csv", None)
+    assert not any("seconds_elapsed" in text for text in files.values())
+    assert_is_the_walk(load(in_zip(tmp_path / "walk.zip", files)), sampled, UNIX)
+
+
+def test_of_two_tables_of_a_sensor_the_longer_one_is_used_and_named(tmp_path, sampled):
+    """Calibrated before uncalibrated, GPS before network, unless it is less than half as long."""
+    files = sensor_logger(sampled)
+    whole, short = files["Gyroscope.csv"], "\n".join(files["Gyroscope.csv"].split("\n")[:9]) + "\n"
+    for first, second in ((whole, whole.replace("0.", "9.")), (short, whole)):
+        pair = {"Gyroscope.csv": first, "GyroscopeUncalibrated.csv": second}
+        walk = load(in_zip(tmp_path / "walk.zip", files | pair))
+        assert_is_the_walk(walk, sampled, UNIX)
+        assert any("GyroscopeUncalibrated.csv is used" in note for note in walk.notes) == (first == short)
+
+
+def test_of_two_tables_of_a_phyphox_export_the_one_during_the_positions_is_used(tmp_path, sampled):
+    """Neither the shortest name nor the number of rows matters where only another one is of the walk."""
+    files = phyphox(sampled)
+    [(name, text)] = [(n, t) for n, t in files.items() if n.startswith("Accel")]
+    head, *rows = text.splitlines()
+    tomorrow = [re.sub(r"^[\d.]+", lambda time: repr(float(time[0]) + 86_400), row) for row in rows]
+    for other in (tomorrow, rows[::9]):
+        walk = load(in_zip(tmp_path / "walk.zip", files | {"A.csv": "\n".join([head, *other]) + "\n"}))
+        assert_is_the_walk(walk, sampled, 0.0)
+        assert any("A.csv" in note and f"{name} ({len(rows)} rows) is used" in note for note in walk.notes)
 
 
 def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, sampled):

@@ -165,3 +165,16 @@ def test_isal_unpacks_what_zlib_does_and_refuses_it_with_the_same_words(tmp_path
         monkeypatch.setattr(source.Source, "_inflated", counted)
         assert outcome(path) == expected
     assert copies / 3 < sum(by_isal) < len(by_isal), "a control: some members are damaged, some are not"
+
+
+def test_a_link_in_a_folder_that_leads_elsewhere_is_refused(tmp_path):
+    """What it leads to would be in results that are passed on; links within the folder are files."""
+    secret, folder = tmp_path / "secret", tmp_path / "walk"
+    secret.write_text("private")
+    folder.mkdir()
+    (folder / "a.csv").write_text("1")
+    (folder / "b.csv").symlink_to("a.csv")
+    (tmp_path / "link").symlink_to(folder)
+    assert source.Source(folder).names == source.Source(tmp_path / "link").names == ("a.csv", "b.csv")
+    (folder / "notes.txt").symlink_to(secret)
+    refused(source.Source, folder, "a link that leads elsewhere, 'notes.txt'")

@@ -154,3 +154,23 @@ def test_tum_rows_are_those_of_a_format_string(tmp_path):
 def test_a_hostile_text_is_no_tum_file_at_once(text):
     """Blank lines in two ways of a pattern took time with the power of two of their number."""
     assert not is_tum(text)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_unix_times_of_a_trajectory_may_have_any_unit(tmp_path, unit):
+    """Alone, without a recording whose clock they are on: a larger number of seconds is no time."""
+    rows = [(1_777_629_600 + n, n, 2 * n) for n in range(3)]
+    read = []
+    for name, form in (("t.csv", "{:.0f},{},{}"), ("t.tum", "{:.0f} {} {} 0 nan nan nan nan")):
+        text = "\n".join(form.format(t * unit, x, y) for t, x, y in rows)
+        read.append(read_trajectory(table(tmp_path, "time,x,y\n" * name.endswith("csv") + text + "\n")))
+    for track in read:
+        assert track.time == pytest.approx([t for t, _, _ in rows], abs=1e-5)
+        assert track.position.tolist() == [[x, y] for _, x, y in rows]
+        assert np.isnan(track.heading).all()
+
+
+def test_a_lost_pose_in_tum_is_refused_by_its_line(tmp_path):
+    row = "1777629600 1 2 0 0 0 0 1\n"
+    for n, text in enumerate(("1777629600 nan nan 0 0 0 0 1\n" + row, row + "1777629601 nan 2 0 0 0 0 1\n"), start=1):
+        refused(read_trajectory, table(tmp_path, text), f"line {n}: found '17776296.. nan .*leave out rows of nan")

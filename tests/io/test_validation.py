@@ -94,7 +94,7 @@ def test_some_missing_values_are_left_out_and_many_raise(sampled):
 
 def test_gaps_rates_and_clocks_are_noted(sampled):
     gap = sampled.time + np.where(sampled.time > 10, 4.0, 0.0)
-    assert_noted(validated(sampled, time=gap), "1 gaps, the longest of 4.02 s after 10.0 s")
+    assert_noted(validated(sampled, time=gap), "1 gap, the longest of 4.02 s after 10.0 s")
     slow = slice(None, None, 5)
     assert_noted(validated(sampled, sampled.acceleration[slow], sampled.time[slow]), "10.0 Hz is too slow")
     late = np.column_stack([sampled.time + 3.0, sampled.angular_rate])
@@ -198,7 +198,7 @@ def test_a_clock_that_leaps_ahead_by_weeks_is_refused(walk, days, refused):
         with pytest.raises(InputError, match=f"times that leap ahead by {days} days at the sensor's row 1001"):
             built(walk, time=time)
     else:
-        assert "1 gaps" in built(walk, time=time).notes[0]
+        assert "1 gap," in built(walk, time=time).notes[0]
 
 
 def test_times_in_another_unit_are_refused_or_named(walk):

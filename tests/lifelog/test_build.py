@@ -203,7 +203,7 @@ def test_a_day_that_fails_keeps_its_earlier_rows(tmp_path):
     assert content(log)["trajectory"] == before["trajectory"]
 
 
-CLOCK = "time: found 1e+18 s since 1970, expected a time since 1970: give --begins"
+CLOCK = "time: found 1e+18 s since 1970, expected a time from 1970 to tomorrow: give --begins"
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from pdr_graph.apps.lifelog.past.past_json import pieces
 from pdr_graph.apps.lifelog.past.past_rows import unix_time, unix_times
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError
+from pdr_graph.io import xml_elements
 
 E7 = {"latE7": round(LAT * 1e7), "lngE7": round(LON * 1e7)}
 
@@ -26,8 +27,8 @@ def saved(path, content):
     return path
 
 
-def gpx():
-    points = [f'<trkpt lat="{LAT}" lon="{LON}"><time>{iso(NOON + n)}</time></trkpt>' for n in range(2)]
+def gpx(number=2):
+    points = [f'<trkpt lat="{LAT}" lon="{LON}"><time>{iso(NOON + n)}</time></trkpt>' for n in range(number)]
     return f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{"".join(points)}</trkseg></trk></gpx>'
 
 
@@ -82,6 +83,14 @@ FORMATS = {
     "gpx": gpx(),
     "kml track": kml(f"<Placemark><gx:Track>{GX_TRACK}</gx:Track></Placemark>"),
     "kml points": kml(STAMPED),
+    "tcx": '<TrainingCenterDatabase xmlns="http://www.garmin.com/xmlschemas/TrainingCenterDatabase/v2"><Activities><Lap>'
+    + "".join(
+        f"<Track><Trackpoint><Time>{iso(NOON + n)}</Time><Position><LatitudeDegrees>{LAT}</LatitudeDegrees>"
+        f"<LongitudeDegrees>{LON}</LongitudeDegrees></Position></Trackpoint>"
+        f"<Trackpoint><Time>{iso(NOON + n)}</Time></Trackpoint></Track>"
+        for n in range(2)
+    )
+    + "</Lap></Activities></TrainingCenterDatabase>",
 }
 
 
@@ -147,6 +156,51 @@ def test_google_kml_days_are_guesses(tmp_path):
     result = imported(tmp_path / "log", saved(tmp_path / "k", kml(line + point + untimed)))
     assert (result.guesses, result.positions.new) == (2, 0)
     assert "1 of 1 positions were left out: 1 no time" in result.notes[0]
+
+
+@pytest.mark.parametrize("prefix", ["", "ns2:"])
+def test_xml_that_is_cut_off_is_imported_up_to_there(tmp_path, prefix):
+    """Also within the only placemark, whose track has as many points as are whole."""
+    track = "".join(f"<when>{iso(NOON + n)}</when><gx:coord>{LON} {LAT} 3</gx:coord>" for n in range(50))
+    for text in (gpx(50), kml(f"<Placemark><gx:Track>{track}</gx:Track></Placemark>")):
+        text = text.replace("<", f"<{prefix}").replace(f"<{prefix}/", f"</{prefix}").replace("ns2:gx:", "gx:")
+        cut = text[: len(text) // 2]
+        result = imported(tmp_path / "log", saved(tmp_path / "a", cut))
+        whole = cut.count("</gx:coord>") or cut.count(f"</{prefix}trkpt>")
+        assert result.positions.new + result.positions.existing == whole > 20
+        [line] = result.refused
+        assert "an end in the middle" in line
+        assert f"imported up to there: {whole} positions" in line
+
+
+def test_a_damaged_point_is_left_out_and_the_rest_imported(tmp_path):
+    points = gpx(50).split("<trkpt")
+    points[20] = points[20][:40] + "\0\0\x1b<<>\"'"
+    result = imported(tmp_path / "log", saved(tmp_path / "a", "<trkpt".join(points)))
+    assert (result.positions.new, result.refused) == (49, ())
+    assert "1 damaged <trkpt>, the first in line 1" in result.notes[-1]
+
+
+@pytest.mark.parametrize("name", ["overland", "owntracks", "records", "gpx"])
+def test_names_in_latin_1_cost_no_position(tmp_path, name):
+    text = FORMATS[name] if isinstance(FORMATS[name], str) else json.dumps(FORMATS[name])
+    text = (
+        text.replace('"lat":', '"desc":"Café","lat":')
+        .replace('"type"', '"name": "Café", "type"')
+        .replace("<time", "<name>é</name><time")
+    )
+    text = text.replace('"latitudeE7"', '"name": "Café", "latitudeE7"')
+    assert "é" in text
+    result = imported(tmp_path / "log", saved(tmp_path / "a", text.encode("latin-1")))
+    assert (result.positions.new, result.refused, result.notes) == (2, (), ())
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [(b"hello you", "'hello you'"), (bytes(range(40)), "the bytes 00 01 02 ")]
+)
+def test_what_a_file_is_instead_is_shown_as_text_or_digits(tmp_path, content, found):
+    [line] = imported(tmp_path / "log", saved(tmp_path / "a", content)).refused
+    assert f"found {found}" in line
 
 
 def test_xml_with_a_document_type_is_refused(tmp_path):
@@ -235,7 +289,7 @@ def test_a_damaged_zip_is_refused_in_one_line(tmp_path):
 
 def test_hostile_documents_cost_a_line_and_no_time(tmp_path, monkeypatch):
     monkeypatch.setattr(past_json, "LONGEST_JSON_ELEMENT", 8_000_000)
-    monkeypatch.setattr(tracks, "LONGEST_ELEMENT", 4_000_000)
+    monkeypatch.setattr(xml_elements, "LONGEST_ELEMENT", 4_000_000)
     deep = b'{"locations": [' + b'{"latitudeE7":' + b"[" * 100_000 + b"]" * 100_000 + b"}, "
     hostile = [
         deep + json.dumps(location(NOON)).encode() + b", " + json.dumps(location(NOON + 1)).encode() + b"]}",

@@ -1,6 +1,7 @@
 """Exports are imported in any order, as often as one likes, and merged: the store is the same."""
 
 import random
+import shutil
 
 import numpy as np
 import pytest
@@ -432,3 +433,24 @@ def test_scans_with_a_position_get_no_second_one(tmp_path):
         signal for n in range(40) for signal in (scan(NOON + 60 * n, {1: -40, 2: -50, 3: -60}), position(NOON + 60 * n))
     ]
     assert imported(tmp_path / "log", timeline(tmp_path / "t.json", (), signals)).placed == 0
+
+
+def test_an_import_for_which_the_disk_has_no_space_stores_nothing(tmp_path, monkeypatch):
+    """Neither a day nor a guess; the lifelog is as before, and the same import later is whole."""
+    log = tmp_path / "log"
+    imported(log, records(tmp_path / "a", [location(NOON)]))
+    before = content(log)
+    visit = {
+        "startTime": iso(NOON),
+        "endTime": iso(NOON + 600),
+        "visit": {"topCandidate": {"placeLocation": f"geo:{LAT},{LON}"}},
+    }
+    file = timeline(tmp_path / "b", [visit], [position(NOON + n) for n in range(1, 50)])
+    usage = shutil.disk_usage(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=10_000))
+        with pytest.raises(OSError, match="MB of rows"):
+            imported(log, file)
+    assert content(log) == before
+    result = imported(log, file)
+    assert result.positions.new == 49

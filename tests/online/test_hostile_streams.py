@@ -92,7 +92,7 @@ def test_steps_that_are_repeated_or_late_change_nothing():
 def test_steps_that_leave_time_out_have_a_gap_between():
     events = [event for event in walk() if isinstance(event, Steps)]
     nav = pushed(events[:30] + events[60:])
-    assert any("1 gaps" in line for line in nav.unknown)
+    assert any("1 gap" in line for line in nav.unknown)
     assert nav.steps == 50
 
 

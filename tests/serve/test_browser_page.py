@@ -1,6 +1,7 @@
 """The page in headless Chromium: a walk as it is posted; then layout, themes, keyboard, floors with canned poses."""
 
 import asyncio
+import json
 import socket
 import threading
 import time
@@ -99,6 +100,61 @@ def test_a_walk_being_posted_is_on_the_map(page, server):
     again = LivePage(page.browser, server.url)
     again.shows(1)
     again.drawn("current")
+
+
+# What another site's page makes the browser ask for; {n} counts the devices
+ATTACKS = """<!doctype html><title>another site</title>
+<img src="{url}1"><img src="{url}2" referrerpolicy="no-referrer"><iframe src="{url}3"></iframe>
+<script src="{url}4"></script><link rel="prefetch" href="{url}5"><link rel="stylesheet" href="{url}6">
+<img src="/redirected?{url}7"><video src="{url}8"></video><object data="{url}9"></object>
+<form id="form" target="there" action="{target}/owntracks" method="post" enctype="text/plain">
+<input name='{{"_type":"location","lat":1,"lon":2,"tst":{now},"tid":"' value='ev"}}'></form>
+<iframe name="there"></iframe>
+<script>
+  document.getElementById('form').submit();
+  fetch("{url}10", {{mode: "no-cors", referrerPolicy: "no-referrer"}}).catch(() => 0);
+  const body = '{{"_type":"location","lat":1,"lon":2,"tst":{now}}}';
+  fetch("{target}/owntracks", {{mode: "no-cors", method: "POST", body}}).catch(() => 0);
+  navigator.sendBeacon("{target}/osmand", "id=ev11&lat=1&lon=2&timestamp={now}");
+  for (let n = 0; n < 210; n++) {{
+    const frame = document.createElement('iframe');
+    frame.src = "{url}" + (100 + n); document.body.append(frame);
+  }}
+</script>"""
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "other.test"])
+def test_a_page_beside_the_server_stores_nothing(browser, server, host):
+    """The page of another port, and of another site: to a server of this machine, which has no token."""
+    for walker in server.walkers():
+        server.ask(f"/walkers/{walker['id']}", method="DELETE")
+    now = round(time.time())
+    url = f"{server.url}/osmand?lat=1&lon=2&timestamp={now}&id=ev"
+    page = ATTACKS.format(url=url, target=server.url, now=now).encode()
+
+    class Site(QuietHandler):
+        def do_GET(self):
+            _, redirected, target = self.path.partition("/redirected?")
+            self.send_response(302 if redirected else 200)
+            self.send_header("Location" if redirected else "Content-Type", target or "text/html")
+            self.end_headers()
+            self.wfile.write(b"" if redirected else page)
+
+    with served(Site) as site:
+        browser.get_log("performance")
+        browser.get(f"http://{host}:{site.server_port}/")
+        end, statuses = time.monotonic() + PATIENCE, list[int]()
+        while len(statuses) < 212 and time.monotonic() < end:
+            said = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+            answers = [m["params"]["response"] for m in said if m["method"] == "Network.responseReceived"]
+            statuses += [answer["status"] for answer in answers if answer["url"].startswith(server.url)]
+            time.sleep(0.1)
+        browser.get("about:blank")
+    assert len(statuses) >= 212, "the frames and some of the others, a control"
+    assert set(statuses) == {403}
+    assert server.walkers() == []
+    assert server.ask(f"/osmand?lat=1&lon=2&timestamp={now}&id=phone")[0] == 200, "the owner's next walk"
+    assert [walker["name"] for walker in server.walkers()] == ["phone"]
 
 
 def test_a_server_that_restarts_is_found_again(page, server):

@@ -91,6 +91,7 @@ def test_a_form_does_what_the_command_does(page, made):
         ("/", {"date": "<script>"}),
         ("/entry", {"date": DATE, "n": "9999"}),
         ("/entry", {"date": DATE, "n": "-1"}),
+        ("/entry", {"date": DATE, "n": "1" * 5000}),
         ("/picture.svg", {"person": "Eve", "date": DATE}),
     ],
 )
@@ -106,6 +107,7 @@ def test_a_wrong_address_is_one_line(page, path, params):
         ({}, 400, "expected"),
         ({"do": "at"}, 400, "expected"),
         ({"do": "undo", "value": "x"}, 400, "expected"),
+        ({"do": "undo", "value": "1" * 5000}, 400, "expected"),
         ({"do": "split", "value": "noon"}, 400, "expected"),
         ({"do": "forget", "sure": ""}, 400, "found no yes"),
         ({"value": "x" * 20_000}, 413, ""),

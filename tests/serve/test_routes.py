@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import time
 
 import numpy as np
 import pytest
@@ -151,6 +152,94 @@ def test_pages_of_other_sites_are_refused(client):
     assert post(client, body, headers={"Origin": "http://testserver"}).status_code in (200, 499)
     assert is_foreign({"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors", "host": "x"})
     client.delete("/walkers/foreign")
+
+
+CHROMIUM = {"User-Agent": "Mozilla/5.0 (X11; Linux x86_64) Chrome/140", "Accept": "*/*"}
+NAVIGATED = {"Accept": "text/html,application/xhtml+xml,image/avif,*/*;q=0.8", "Sec-Fetch-Mode": "navigate"}
+OF_A_PAGE = {
+    "image": {"Accept": "image/avif,image/webp,*/*;q=0.8", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "image"},
+    "image of an old browser, without a referrer": {"Accept": "image/png,*/*;q=0.8"},
+    "frame": NAVIGATED | {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "iframe"},
+    "frame from another port": NAVIGATED | {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Dest": "iframe"},
+    "address of a link in a mail": NAVIGATED | {"Sec-Fetch-Site": "none", "Sec-Fetch-Dest": "document"},
+    "script": {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "script"},
+    "fetch without CORS": {
+        "Sec-Fetch-Site": "same-site",
+        "Sec-Fetch-Mode": "no-cors",
+        "Referer": "http://127.0.0.1:9/",
+    },
+    "form": {"Origin": "null"},
+    "prefetch": {"Purpose": "prefetch"},
+    "old browser": CHROMIUM,
+}
+
+
+@pytest.mark.parametrize("kind", OF_A_PAGE)
+def test_what_a_page_makes_a_browser_ask_for_stores_nothing(local, kind):
+    """No app sends these headers; on this machine there may be no token that a page cannot know."""
+    answer = local.get("/osmand?id=evil&lat=1&lon=2&timestamp=1700000000", headers=OF_A_PAGE[kind])
+    one_line(answer, 403)
+    for path in ("/sensorlogger", "/owntracks", "/overland", "/osmand"):
+        one_line(local.post(path, content=b"{}", headers=OF_A_PAGE[kind]), 403)
+    assert local.get("/walkers").json() == []
+
+
+def test_a_cookie_reads_and_does_not_store_and_has_the_port_in_its_name(client):
+    """Browsers send it to every port of the host, and with images of the pages there."""
+    page = client.get("/?token=" + TOKENS["ann"], headers={"Host": "testserver:8080"}, follow_redirects=False)
+    name = page.headers["set-cookie"].partition("=")[0]
+    assert "8080" in name
+    own = {"Authorization": "", "Host": "testserver:8080", "Cookie": f"{name}={TOKENS['ann']}"}
+    assert client.get("/walkers", headers=own).status_code == 200
+    assert client.get("/walkers", headers=own | {"Host": "testserver:8081"}).status_code == 401
+    assert client.get("/osmand?id=e&lat=1&lon=2&timestamp=1700000000", headers=own).status_code == 401
+
+
+def test_pages_of_other_sites_and_ports_show_nothing_of_an_answer(client):
+    """An image would have a size only if its user is logged in."""
+    for path in ("/", "/walkers", "/web/page.js", "/plan"):
+        assert client.get(path).headers["cross-origin-resource-policy"] == "same-origin"
+    headers = {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}
+    assert client.get("/walkers", headers=headers).status_code == 403
+
+
+@pytest.mark.parametrize("when", ["9999-12-31T23:59:59Z", "99999999999", "-1", "1e300", "1" * 5000])
+def test_positions_of_no_time_are_refused_and_of_a_batch_left_out(local, when):
+    place = f"id=walker&lat=48.1&lon=11.5&timestamp={when}"
+    if not (when.isdecimal() and len(when) == 11):  # OsmAnd's milliseconds
+        one_line(local.post("/osmand", content=place), 400)
+    one_line(post(local, json.dumps(PLACE | {"tst": when})[:9000].encode(), "/owntracks"), 400)
+    batch = [
+        {"geometry": {"type": "Point", "coordinates": [11.5, 48.1]}, "properties": {"timestamp": at, "device_id": "b"}}
+        for at in ("9999-12-31T23:59:59Z", "2024-05-01T12:00:00Z")
+    ]
+    assert local.post("/overland", json={"locations": batch}).status_code == 200
+    assert [walker["name"] for walker in local.get("/walkers").json()] == ["b"]
+
+
+def test_a_silent_session_ends_for_a_new_one_when_a_user_has_the_most(tmp_path):
+    """Whose phone was lost, or what said one word: the owner's next walk is not refused."""
+    limits = Limits(sessions=5, silent=0.5)
+    with local_server(tmp_path, limits=limits) as client:
+        for n in range(5):
+            assert post(client, first_message(f"silent{n}")).status_code == 200
+        one_line(post(client, first_message("too-early")), 429)
+        time.sleep(0.6)
+        assert post(client, first_message("silent4")[:-1] + b" }").status_code in (200, 499)
+        assert post(client, first_message("next-walk")).status_code == 200
+        ended = until(lambda: [w["id"] for w in client.get("/walkers").json() if w["state"] == "finished"])
+        assert ended == ["silent0"]
+
+
+def test_a_walk_whose_description_is_gone_is_named_at_the_start(tmp_path, capsys):
+    with local_server(tmp_path) as client:
+        post(client, first_message("walk-gone"))
+    (tmp_path / "sessions" / "walk-gone" / "session.json").unlink()
+    with local_server(tmp_path) as client:
+        printed = capsys.readouterr()
+        assert "walk-gone" in printed.out + printed.err
+        assert post(client, WALK[1].replace(b"walk-one", b"walk-gone")).status_code == 200
+        assert until(lambda: used(client, 2, "walk-gone"))["message"] == 2, "its messages are there again"
 
 
 @pytest.mark.parametrize(

@@ -428,12 +428,14 @@ def evaluate(
     """
     from pdr_graph.apps.report import evaluation
     from pdr_graph.floor.plan_files import Building
-    from pdr_graph.io.tables import read_trajectory
+    from pdr_graph.io.tables import clock_hint, read_trajectory
 
     floor = Building.load(map_, scale) if map_ else None
     tracks = read_trajectory(trajectory), read_trajectory(truth)
     if not len(evaluation.pair(*tracks, str(pairing)).time):
-        raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
+        spans = [(float(track.time[0]), float(track.time[-1])) for track in reversed(tracks)]
+        found = f"no row within {evaluation.TOLERANCE} s of {trajectory}{clock_hint(*spans)}"
+        raise InputError(truth, "time", found, "the same clock")
     scores = evaluation.evaluate(*tracks, floor, str(pairing))
     echo_result(json.dumps(scores) if json_ else evaluation.table(scores))
 

@@ -103,8 +103,8 @@ def import_(
     """Import the past from Google, OwnTracks, GPX and other exports.
 
     The files are recognised by their content: Google Records.json, Semantic Location History, Timeline.json of Android
-    and iOS and Timeline Edits; OwnTracks .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google
-    guessed is kept apart from the positions.
+    and iOS and Timeline Edits; OwnTracks .rec, Overland, GPX, KML, TCX, FIT. Overlapping exports are merged; what
+    Google guessed is kept apart from the positions.
 
     \b
     pdr-graph lifelog import days.db takeout.zip

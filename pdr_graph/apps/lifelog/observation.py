@@ -23,6 +23,7 @@ from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.gait.step_chunks import shifted as shifted_steps
 from pdr_graph.gait.walker import Profile
+from pdr_graph.io.validation import plausible_times
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import (
     INSTANT,
@@ -260,7 +261,6 @@ def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
     return Ends(field[:, :2], field[:, 2]) if np.isfinite(field).all() else None
 
 
-LATEST_EPOCH = 7_258_118_400.0  # [s] Unix time of the year 2200; a clock beyond it, or before 1970, was never set
 Observe = Callable[[Path, RecordingOptions], Observation]  # as `observe`
 
 
@@ -312,9 +312,9 @@ def observe_all(tasks: Sequence[ObservationTask], observe: Observe = observe) ->
                 if content_hash(path) != task.hash:
                     raise InputError(path, "", "changed content", "the content that was added: add it again")
                 found = observe(path, task.options)
-                if not 0 <= found.epoch < LATEST_EPOCH:
+                if not plausible_times(np.array(found.epoch)):
                     epoch = f"{found.epoch:g} s since 1970"
-                    raise InputError(path, "time", epoch, "a time since 1970: give --begins")
+                    raise InputError(path, "time", epoch, "a time from 1970 to tomorrow: give --begins")
                 found = without_times(found, task.forgotten, DELETED)
                 if found is None or not is_usable(found):
                     expected = "other times: pdr-graph lifelog correct list"

@@ -18,7 +18,6 @@ from pdr_graph.apps.lifelog.cache import write
 from pdr_graph.errors import InputError
 
 OWNER = "owner"
-COOKIE = "pdr_graph_token"
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
 SHORTEST_TOKEN = 16  # characters of a token by hand: those made here have 32 and 192 bits
 
@@ -43,7 +42,10 @@ class Access:
 
 
 def token_of(headers: Mapping[str, str], query: Mapping[str, str], cookies: Mapping[str, str]) -> str | None:
-    """The token of a request: ``?token=``, Authorization (Bearer, or the password of Basic), or the page's cookie."""
+    """The token of a request: ``?token=``, Authorization (Bearer, or the password of Basic), or the page's cookie.
+
+    cookies: of a request that may be a page's; none of one that stores, which a page of another port could make.
+    """
     if "token" in query:
         return query["token"]
     scheme, _, value = headers.get("authorization", "").partition(" ")
@@ -54,15 +56,38 @@ def token_of(headers: Mapping[str, str], query: Mapping[str, str], cookies: Mapp
             return base64.b64decode(value, validate=True).decode().partition(":")[2]
         except ValueError:
             return None
-    return cookies.get(COOKIE)
+    return cookies.get(cookie_name(headers))
+
+
+def cookie_name(headers: Mapping[str, str]) -> str:
+    """The name of the page's cookie, by the port of the request: browsers send a cookie to all ports of a host."""
+    host, _, port = headers.get("host", "").rpartition(":")
+    return f"pdr_graph_token_{port}" if host and port.isdecimal() else "pdr_graph_token"
 
 
 def is_foreign(headers: Mapping[str, str]) -> bool:
-    """True for a request that a page of another site makes in the user's browser."""
+    """True for a request that a page of another site or port makes in the user's browser, unless it opens a page."""
     origin = headers.get("origin")
     if origin is not None and origin.partition("://")[2] != headers.get("host", ""):
         return True
-    return headers.get("sec-fetch-site") == "cross-site" and headers.get("sec-fetch-mode") != "navigate"
+    foreign = headers.get("sec-fetch-site") in ("cross-site", "same-site")
+    return foreign and headers.get("sec-fetch-mode") != "navigate"
+
+
+def is_browser(headers: Mapping[str, str]) -> bool:
+    """True for a request of a browser that is not surely of this server's own page: nothing of it is stored.
+
+    An image, a frame, a form or a link on any page can make a browser ask for an address; the apps on phones send none
+    of these headers.
+    """
+    if headers.get("sec-fetch-site") == "same-origin":
+        return False
+    if origin := headers.get("origin"):
+        return origin.partition("://")[2] != headers.get("host", "")
+    signs = ("sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest", "sec-purpose", "purpose", "referer")
+    accepted = headers.get("accept", "")
+    shows = "text/html" in accepted or "image/" in accepted
+    return shows or headers.get("user-agent", "").startswith("Mozilla/") or any(name in headers for name in signs)
 
 
 def is_local(headers: Mapping[str, str]) -> bool:

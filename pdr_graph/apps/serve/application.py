@@ -31,12 +31,12 @@ from starlette.responses import (
 )
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import pdr_graph
 from pdr_graph.apps.serve import publishing
-from pdr_graph.apps.serve.access import COOKIE, Access, is_foreign, is_local, token_of
+from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, token_of
 from pdr_graph.apps.serve.publishing import Hub, Published, Subscriber, plan_layers
 from pdr_graph.apps.serve.reception import Reception
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -49,6 +49,7 @@ SLOWEST_BODY = 30.0  # [s] for a message to arrive completely
 SHOW_TO_USER = 499  # status by which Sensor Logger shows the text of the answer
 TOKEN = "a token: ?token=… as in the address that pdr-graph serve printed, or Authorization: Bearer …"
 ENCODE = msgspec.json.encode  # NaN becomes null
+STORING = frozenset({"/sensorlogger", "/owntracks", "/overland", "/osmand", "/study"})  # what phones post to
 HOST = re.compile(r"[A-Za-z0-9.:\[\]-]+")  # of a tile server: nothing that could end a directive of the policy
 
 
@@ -109,17 +110,28 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             return await self.app(scope, receive, send)
         connection = HTTPConnection(scope)
-        access, headers = self.access, connection.headers
-        user = access.user_of(token_of(headers, connection.query_params, connection.cookies))
+        access, headers, stores = self.access, connection.headers, scope["path"] in STORING
+        cookies = {} if stores else connection.cookies
+        user = access.user_of(token_of(headers, connection.query_params, cookies))
         if user is None:
             status, text = 401, f"found no valid token, expected {TOKEN}"
         elif is_foreign(headers):
             status, text = 403, "found a request of another site's page"
+        elif stores and is_browser(headers):
+            status, text = 403, "found a request of a browser, expected one of an app or a program"
         elif not (access.tokens or is_local(headers)):
             status, text = 403, "found a proxy or another host's name and no token, expected pdr-graph serve --token"
         else:
             scope["user"] = user
-            return await self.app(scope, receive, send)
+
+            async def answer(message: Message) -> None:
+                """Send, with the header by which a browser shows nothing of it in pages of other sites and ports."""
+                if message["type"] == "http.response.start":
+                    headers = [*message.get("headers", ()), (b"cross-origin-resource-policy", b"same-origin")]
+                    message = {**message, "headers": headers}
+                await send(message)
+
+            return await self.app(scope, receive, answer)
         if scope["type"] == "websocket":
             return await WebSocket(scope, receive, send).close(4000 + status)
         header = {"WWW-Authenticate": 'Basic realm="pdr-graph"'} if status == 401 else None
@@ -411,7 +423,8 @@ async def page(request: Request) -> Response:
         response: Response = RedirectResponse("./", 303)  # relative: a proxy may have put a path before it
         token, secure = request.query_params["token"], request.url.scheme == "https"
         # max_age: four months, in seconds
-        response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
+        name = cookie_name(request.headers)
+        response.set_cookie(name, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
         return response
     return FileResponse(WEB / "index.html", headers=security_headers(_server(request).tiles))
 

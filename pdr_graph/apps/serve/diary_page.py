@@ -7,6 +7,7 @@ correction does what ``pdr-graph lifelog correct`` does.
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, date, datetime, timedelta
 from html import escape
@@ -29,10 +30,11 @@ from pdr_graph.apps.lifelog.picture import picture as drawn_picture
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.report.plotting import picture_bytes
-from pdr_graph.apps.serve.access import COOKIE, OWNER, Access
+from pdr_graph.apps.serve.access import OWNER, Access, cookie_name
 from pdr_graph.apps.serve.application import Guard
 from pdr_graph.errors import InputError, one_line
 
+NUMBER = re.compile(r"[0-9]{1,9}")  # of an entry or a correction
 LONGEST_FORM = 1 << 14  # [bytes]
 DAYS_AROUND = 40  # days before and after one, among which the next recorded one is looked for
 HEADERS = {
@@ -83,7 +85,8 @@ def application(store: Path, token: str) -> Starlette:
     async def day(request: Request) -> Response:
         if "token" in request.query_params:
             response = RedirectResponse("./", 303)  # the token stays in no history
-            response.set_cookie(COOKIE, request.query_params["token"], httponly=True, samesite="strict")
+            name, token = cookie_name(request.headers), request.query_params["token"]
+            response.set_cookie(name, token, httponly=True, samesite="strict")
             return response
         return await server.run(day_page, request.query_params)
 
@@ -167,7 +170,7 @@ def entry_page(store: Path, query: Fields) -> str:
     """The forms that correct an entry of a day."""
     day, _, _ = _day(store, query)
     number = query.get("n", "")
-    if not number.isdecimal() or int(number) >= len(day.entries):
+    if not NUMBER.fullmatch(number) or int(number) >= len(day.entries):
         raise InputError("n", "", number, "the number of an entry")
     entry, after = day.entries[int(number)], day.entries[int(number) + 1 : int(number) + 2]
     hidden = {"person": day.person, "date": day.date, "start": _time(entry.start, entry.offset)}
@@ -229,7 +232,7 @@ def corrected_page(store: Path, fields: Fields) -> str:
             lines = revision.forget(store, start, end, person)
         case "forget":
             raise InputError("forget", "", "no yes", "yes: what is deleted does not come back")
-        case "undo" if value.isdecimal():
+        case "undo" if NUMBER.fullmatch(value):
             lines = revision.undo(store, int(value))
         case _:
             raise InputError("do", "", repr(fields.get("do")), "a correction")

@@ -50,6 +50,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.apps.report import page
+from pdr_graph.errors import count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
@@ -129,7 +130,7 @@ def _health(sensor: Health, latest: float) -> str:
         return NO_DATA
     if latest - sensor.last > SENSOR_SILENCE:
         return f"silent for {latest - sensor.last:.0f} s"
-    gaps = f", {sensor.gaps} gaps" if sensor.gaps else ""
+    gaps = f", {count(sensor.gaps, 'gap')}" if sensor.gaps else ""
     return f"{sensor.rate:.0f} Hz{gaps}"
 
 

@@ -46,7 +46,8 @@ class Limits:
 
     body: of a message [bytes]; samples: of a message; rate: of a session on average [bytes/s], over ``burst`` seconds;
     sessions: that are not finished, of a user; idle: time without a message after which a session is finished [s], by
-    protocol; shown: number of finished sessions on the page; open_logs: files that are kept open.
+    protocol; silent: from which on a session may be ended for a new one [s]; shown: number of finished sessions on the
+    page; open_logs: files that are kept open.
     """
 
     body: int = 8 << 20
@@ -56,19 +57,23 @@ class Limits:
     sessions: int = 200
     idle: float = 600.0
     idle_positions: float = 3 * 3600.0
+    silent: float = 60.0
     shown: int = 50
     open_logs: int = 200
 
 
 @dataclass
 class State:
-    """A session in memory. credit: bytes that it may send now; announced: its process has yet to look into its log."""
+    """A session in memory. credit: bytes that it may send now; announced: its process has yet to look into its log;
+    ending: it is being finished for a new one.
+    """
 
     session: Session
     credit: float
     credited: float
     last_received: float
     announced: bool = False
+    ending: bool = False
     again: bool = False
     advice: tuple[str, ...] = ()
     shown_advice: set[str] = field(default_factory=set)
@@ -104,6 +109,9 @@ class Reception:
         """Read the sessions of earlier starts. Damaged ones are left alone, with a line for each."""
         self.root.mkdir(parents=True, exist_ok=True, mode=0o700)
         finished = list[tuple[float, Session, Path]]()
+        for log in self.root.glob(f"*/{LOG}"):
+            if not (file := log.with_name(SESSION)).exists():
+                self._say(f"session left out: {file}: found no such file beside its messages, {log}")
         for file in self.root.glob(f"*/{SESSION}"):
             try:
                 session = read_session(file.parent)
@@ -164,7 +172,7 @@ class Reception:
         now = time.time()
         try:
             if self._log(state.session.id).add(identity, now, body):
-                state.last_received = now
+                state.last_received, state.ending = now, False
                 self._announce(state)
         except OSError as error:
             text = f"the disk of the server: {error.strerror or error}"
@@ -192,10 +200,7 @@ class Reception:
                 id_ = last.session.id
         state = self._states.get(id_)
         if state is None:
-            unfinished = sum(s.session.user == user and not s.session.finished for s in self._states.values())
-            if unfinished >= self.limits.sessions:
-                text = f"found {unfinished} unfinished sessions of this user, expected fewer"
-                raise HTTPException(429, text, {"Retry-After": "600"})
+            self._make_room(user)
             session = Session(id_, key, label, user, protocol, platform, time.time())
             (self.root / id_).mkdir(exist_ok=True, mode=0o700)
             state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
@@ -207,6 +212,20 @@ class Reception:
         if state.session.finished:
             self._store(state, replace(state.session, finished=False))
         return state
+
+    def _make_room(self, user: str) -> None:
+        """End the session that has been silent longest if a user has the most; HTTPException 429 if none is silent."""
+        unfinished = [
+            s for s in self._states.values() if s.session.user == user and not (s.session.finished or s.ending)
+        ]
+        if len(unfinished) < self.limits.sessions:
+            return
+        quietest = min(unfinished, key=lambda state: state.last_received)
+        if time.time() - quietest.last_received < self.limits.silent:
+            text = f"found {len(unfinished)} unfinished sessions of this user, expected fewer"
+            raise HTTPException(429, text, {"Retry-After": f"{self.limits.silent:.0f}"})
+        quietest.ending = True
+        self.finish(quietest.session.id)
 
     def _store(self, state: State, session: Session) -> None:
         """Write what a session is; a power cut leaves the former file or this one."""

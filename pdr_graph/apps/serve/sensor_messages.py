@@ -26,7 +26,7 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.units import GRAVITY_IN_G, unit_of
 from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_gravity
-from pdr_graph.io.validation import float_of, iso_time, receiver_fixes
+from pdr_graph.io.validation import float_of, iso_time, plausible_times, receiver_fixes
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
 from pdr_graph.priors import FIXES
 from pdr_graph.types import INERTIAL, LONLAT, STANDARD_GRAVITY, Array, Fixes, Recording, Sightings, Signal
@@ -403,9 +403,12 @@ def parse_positions(protocol: str, body: bytes) -> tuple[str, Fixes]:
     name, rows = PARSERS[protocol](body)
     if len(rows) > MOST_POSITIONS:
         raise InputError("message", "", f"{len(rows)} positions", f"up to {MOST_POSITIONS}")
-    # a Unix time from 1e11 s on is damage
-    table = np.array([row for row in rows if abs(row[0]) < 1e11], dtype=float).reshape(-1, 4)
-    return one_line(name)[:64], receiver_fixes(table, [])
+    table = np.array(rows, dtype=float).reshape(-1, 4)
+    valid = plausible_times(table[:, 0])
+    if len(table) and not valid.any():
+        expected = "Unix seconds from 1970 to tomorrow: is the phone's clock set?"
+        raise InputError("message", "time", f"{table[0, 0]:.0f} s", expected)
+    return one_line(name)[:64], receiver_fixes(table[valid], [])
 
 
 def owntracks(body: bytes) -> tuple[str, list[Row]]:

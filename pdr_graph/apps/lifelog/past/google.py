@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from pdr_graph.apps.lifelog.facts import Guess
-from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
 from pdr_graph.apps.lifelog.past.past_json import at, coordinates, coordinates_e7, decoded, items, lists_format, pieces
 from pdr_graph.apps.lifelog.past.past_rows import (
     FIRST_TIME,
@@ -27,7 +26,7 @@ from pdr_graph.apps.lifelog.past.past_rows import (
     valid_positions,
 )
 from pdr_graph.io.past_day import E7, GOOGLE_CELL, GOOGLE_PATH, GOOGLE_WIFI, GPS, MS, PHONE, SIGHTING, Rows
-from pdr_graph.io.validation import float_of
+from pdr_graph.io.validation import float_of, plausible_times
 from pdr_graph.types import Array
 
 SEMANTIC, TIMELINE = "Google Semantic Location History", "Google Timeline"
@@ -146,7 +145,7 @@ def _sightings(found: Sequence[Any]) -> Rows:
     for element in found:
         scan = at(element, "wifiScan")
         time = unix_time(at(scan, "deliveryTime")) if scan else 0.0
-        if FIRST_TIME <= time < LATEST_EPOCH:
+        if time >= FIRST_TIME and plausible_times(np.array(time)):
             for device in items(scan, "devicesRecords"):
                 mac, rssi = float_of(at(device, "mac")), float_of(at(device, "rawRssi"))
                 if 0 < mac < 2**48 and -120 <= rssi < 0:

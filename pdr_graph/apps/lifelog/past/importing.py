@@ -6,7 +6,10 @@ not grow with them: their rows wait on disk, parted by days, and each day is mer
 
 from __future__ import annotations
 
+import errno
+import os
 import re
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -17,13 +20,13 @@ from typing import IO, BinaryIO, cast
 import numpy as np
 
 from pdr_graph.apps.lifelog import cache
-from pdr_graph.apps.lifelog.facts import forgotten_times
+from pdr_graph.apps.lifelog.facts import Guess, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
 from pdr_graph.apps.lifelog.past import google, tracks
 from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
 from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format
 from pdr_graph.apps.lifelog.store import Store
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, count, quoted
 from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
 from pdr_graph.io.source import Source
 
@@ -36,6 +39,7 @@ PAST_FORMATS = (
     tracks.OWNTRACKS,
     tracks.GPX_TRACKS,
     tracks.KML,
+    tracks.TCX,
 )
 HEAD_BYTES = 65_536  # [bytes] of a file by which it is recognised
 LARGEST_UNPACKED = 20_000_000_000  # [bytes] unpacked of one argument; ten years of Records.json have 2 GB
@@ -128,7 +132,7 @@ def _recognized(source: Source, name: str) -> PastFile:
     """The file with its format. Raises InputError, which says what else it is."""
     head = source.head(name, HEAD_BYTES)
     where = source.where(name)
-    known = next((form for form in PAST_FORMATS if form.sign.search(head.removeprefix(b"\xef\xbb\xbf"))), None)
+    known = next((form for form in PAST_FORMATS if form.sign.search(head)), None)
     if known is not None:
         return PastFile(source, name, known, source.size(name))
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -136,7 +140,7 @@ def _recognized(source: Source, name: str) -> PastFile:
     other = next((what for sign, what in OTHER_FILES if sign.search(head)), "")
     if other:
         raise InputError(where, "", other, "a timeline")
-    raise InputError(where, "", repr(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
+    raise InputError(where, "", quoted(head[:40]) if head else "an empty file", EXPECTED_TIMELINE)
 
 
 Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all
@@ -186,12 +190,14 @@ def import_past(
                 refused += reading.read(file, positions, sightings)
             past, changed = PastDays(log, person), Changes()
             days = sorted({*positions.days(), *sightings.days()})
+            _check_space(folder, ROW_SIZE * (positions.number + sightings.number + len(reading.guesses)))
             for done, day in enumerate(days, start=1):
                 changed += past.merge(day, positions.rows(day), sightings.rows(day))
                 progress("days", done, len(days))
+            guesses = log.put_guesses(person, reading.guesses)
             placed = past.place_scans()
             enter(log, past, past.days())
-        result = ImportResult(changed, reading.guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
+        result = ImportResult(changed, guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
         is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
     if is_new and is_empty:
         store.unlink(missing_ok=True)
@@ -201,14 +207,23 @@ def import_past(
     return result
 
 
+ROW_SIZE = 300  # [bytes] of a row on the disk: in its day's file, while that is replaced, or of a guess
+
+
+def _check_space(folder: Path, size: int) -> None:
+    """Raise OSError if the disk has less space than the rows of an import [bytes]: a part of one is worse than none."""
+    if shutil.disk_usage(folder).free < size:
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {-(-size // MB)} MB of rows", str(folder))
+
+
 class _Reading:
-    """Reads files into the spills, and their guesses into the store."""
+    """Reads files into the spills; guesses: those that are kept."""
 
     def __init__(self, log: Store, person: str, size: int, progress: Progress):
-        self._log, self._person, self._size, self._progress = log, person, size, progress
+        self._size, self._progress = size, progress
         self._done = 0
         self._forgotten = forgotten_times(log.corrections(person))
-        self.guesses, self.notes = 0, list[str]()
+        self.guesses, self.notes = list[Guess](), list[str]()
 
     def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
         """Read a file; returns why it is refused, or where it is damaged, on a line."""
@@ -220,8 +235,7 @@ class _Reading:
                 positions.add(self._kept(batch.positions))
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
-                kept = [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
-                self.guesses += self._log.put_guesses(self._person, kept)
+                self.guesses += [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
                 self.notes += [f"{file.where}: {note}" for note in batch.notes]
         except InputError as error:
             before = f"; imported up to there: {count(valid, 'position')}" if valid else ""

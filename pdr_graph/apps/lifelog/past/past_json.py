@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, quoted
 from pdr_graph.io.past_day import E7
 from pdr_graph.io.validation import float_of
 from pdr_graph.types import Index
@@ -61,10 +61,19 @@ def decoded(piece: Piece, decode_all: Callable[[bytes], list[Element]], kind: An
         found, bad = list[Element](), 0
     for text in piece.each():
         try:
-            found.append(msgspec.json.decode(text, type=kind, strict=False))
+            found.append(msgspec.json.decode(as_utf8(text), type=kind, strict=False))
         except DECODE_ERRORS:
             bad += 1
     return found, bad
+
+
+def as_utf8(text: bytes) -> bytes:
+    """`text` as UTF-8; one with other bytes is taken as Latin-1, in which old tools wrote names."""
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1").encode()
+    return text
 
 
 @dataclass
@@ -88,7 +97,7 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
     text = stream.read(PIECE_SIZE)
     text = text.removeprefix(b"\xef\xbb\xbf").lstrip()
     if text[:1] not in (b"{", b"["):
-        raise InputError(where, "", repr(text[:20]), "JSON: a list or an object")
+        raise InputError(where, "", quoted(text[:20]), "JSON: a list or an object")
     state = _State(1, True) if text[:1] == b"[" else _State(2, False)
     text = text[1:]
     while True:
@@ -116,7 +125,9 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
 def _check_end(text: bytes, where: str) -> None:
     """Raise InputError for more than blanks after the end of the document. text: what follows the end."""
     if more := text.strip():
-        raise InputError(where, "", f"{more[:20]!r} after the end", "one document (two files, one behind the other?)")
+        raise InputError(
+            where, "", f"{quoted(more[:20])} after the end", "one document (two files, one behind the other?)"
+        )
 
 
 def _brackets(text: bytes, depth: int) -> tuple[Index, Index, Index]:

@@ -25,13 +25,15 @@ import numpy as np
 
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import Guess
-from pdr_graph.apps.lifelog.observation import LATEST_EPOCH
 from pdr_graph.errors import count
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
-from pdr_graph.io.validation import RECEIVER, float_of, iso_time
+from pdr_graph.io.validation import RECEIVER, float_of, in_seconds, iso_time, plausible_times
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
+
+
+FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
 
 
 @dataclass(frozen=True)
@@ -62,18 +64,6 @@ class Format:
     rows: Callable[[BinaryIO, str], Iterator[Batch]]
 
 
-FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
-TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
-
-
-def in_seconds(time: Array) -> Array:
-    """Unix times ``(n,)`` [s], whatever of s, ms, µs and ns each is in."""
-    scale = np.ones(len(time))
-    for least, unit in TIME_UNITS:
-        scale = np.where((np.abs(time) >= least) & (scale == 1), unit, scale)
-    return time * scale
-
-
 def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source: Any) -> Batch:
     """The valid positions, and how many are invalid for which reason.
 
@@ -85,7 +75,7 @@ def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source
         tests: dict[str, Mask] = {
             "no time": ~np.isfinite(time),
             "no position": ~(np.isfinite(lat) & np.isfinite(lon)),
-            "a time before 1980 or after 2200": ~((time >= FIRST_TIME) & (time < LATEST_EPOCH)),
+            "a time before 1980 or after tomorrow": ~((time >= FIRST_TIME) & plausible_times(time)),
             "latitude and longitude swapped?": (np.abs(lat) > 90) & (np.abs(lat) <= 180) & (np.abs(lon) <= 90),
             "a latitude beyond 90° or a longitude beyond 180°": ~((np.abs(lat) <= 90) & (np.abs(lon) <= 180)),
             "latitude 0, longitude 0": (lat == 0) & (lon == 0),
@@ -155,7 +145,7 @@ def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tupl
     times: start and stop, as of `unix_time`; place: latitude and longitude [deg]; share: probability from 0 to 1.
     """
     start, stop = (unix_time(time) for time in times)
-    if not (FIRST_TIME <= start <= stop < LATEST_EPOCH):
+    if not (FIRST_TIME <= start <= stop and plausible_times(np.array(stop))):
         start = stop = math.nan
     lat, lon = place if abs(place[0]) <= 90 and abs(place[1]) <= 180 else (math.nan, math.nan)
     probability = float_of(share)
@@ -249,12 +239,14 @@ class DaySpill:
         cache.make_folder(folder)
         self._folder = Path(tempfile.mkdtemp(cache.PARTIAL, dir=folder))
         self._kind, self._waiting, self._size = kind, list[Rows](), 0
+        self.number = 0  # of rows added
 
     def add(self, rows: Rows) -> None:
         """Add rows, in any order."""
         if len(rows):
             self._waiting.append(rows)
             self._size += len(rows)
+            self.number += len(rows)
         if self._size > MOST_ROWS:
             self._write()
 

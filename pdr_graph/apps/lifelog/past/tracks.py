@@ -1,4 +1,4 @@
-"""Tracks of watches, apps and map programs: GPX, KML, FIT, OwnTracks and Overland, in bounded memory.
+"""Tracks of watches, apps and map programs: GPX, KML, TCX, FIT, OwnTracks and Overland, in bounded memory.
 
 Files are untrusted: XML entities, document types and the network are refused.
 """
@@ -14,62 +14,45 @@ from dataclasses import replace
 from typing import Any, BinaryIO
 
 import msgspec
-from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.apps.lifelog.facts import Guess
-from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, at, items, lists_format
+from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, as_utf8, at, items, lists_format
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess
 from pdr_graph.errors import InputError, install
-from pdr_graph.io.gpx import track_point
+from pdr_graph.io.gpx import GPX_ROOT, track_points
 from pdr_graph.io.past_day import PHONE, TRACKED
 from pdr_graph.io.validation import float_of
+from pdr_graph.io.xml_elements import XmlElements
 
 BATCH = 20_000  # points in a batch
-LONGEST_ELEMENT = 50_000_000  # [bytes] from one XML element to the next, whose tree takes 1 GB of memory
-
-
-def elements(stream: BinaryIO, where: str, tag: str) -> Iterator[etree._Element]:
-    """Each element of a tag when it is complete; it and those before it are then removed from the tree.
-
-    Raises InputError if the XML is broken or has a document type, or an element is too long.
-    """
-    bounded = _BoundedStream(stream, where)
-    options = {"resolve_entities": False, "no_network": True, "load_dtd": False, "huge_tree": False}
-    try:
-        for _, element in etree.iterparse(bounded, ("end",), tag=tag, remove_comments=True, **options):
-            if element.getroottree().docinfo.doctype:
-                raise InputError(where, "", "a document type definition", "plain XML without one")
-            bounded.left = LONGEST_ELEMENT
-            yield element
-            element.clear()
-            while element.getprevious() is not None:
-                del element.getparent()[0]
-    except etree.XMLSyntaxError as error:
-        raise InputError(where, "", f"broken XML ({str(error)[:120]})", "a whole file") from None
-
-
-class _BoundedStream:
-    """A stream that refuses to be read once nothing is left. left: [bytes]."""
-
-    def __init__(self, stream: BinaryIO, where: str):
-        self._stream, self._where, self.left = stream, where, LONGEST_ELEMENT
-
-    def read(self, size: int) -> bytes:
-        """The next bytes. Raises InputError if nothing is left."""
-        content = self._stream.read(size)
-        self.left -= len(content)
-        if self.left < 0:
-            megabytes = LONGEST_ELEMENT // 10**6
-            raise InputError(self._where, "", f"an element of more than {megabytes} MB", "shorter tracks")
-        return content
+TCX_DEGREES = "LatitudeDegrees", "LongitudeDegrees"
 
 
 def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
-    """Track points; a radius is that of an extension, else estimated from HDOP, else unknown."""
-    texts = map(track_point, elements(stream, where, "{*}trkpt"))
-    points = ((time, (lat, lon), accuracy, TRACKED) for time, lat, lon, accuracy in texts)
+    """Track points, with the accuracies that apps state."""
+    elements = XmlElements(stream, where, "gpx", "trkpt")
+    points = ((time, (lat, lon), accuracy, TRACKED) for time, lat, lon, accuracy in track_points(elements))
     while part := list(itertools.islice(points, BATCH)):
         yield batch_of(part)
+    yield _defects(elements, where)
+
+
+def _tcx(stream: BinaryIO, where: str) -> Iterator[Batch]:
+    """Track points of Garmin's Training Center; those without a position are pauses or indoors."""
+    elements = XmlElements(stream, where, "TrainingCenterDatabase", "Trackpoint")
+    texts = ([one.findtext(f".//{{*}}{name}") for name in ("Time", *TCX_DEGREES)] for one in elements)
+    points = ((_iso(time), (float_of(lat), float_of(lon)), math.nan, TRACKED) for time, lat, lon in texts if lat or lon)
+    while part := list(itertools.islice(points, BATCH)):
+        yield batch_of(part)
+    yield _defects(elements, where)
+
+
+def _defects(elements: XmlElements, where: str) -> Batch:
+    """What was mended or damaged, after the last element. Raises InputError if the file ends in the middle."""
+    if elements.is_cut:
+        more = f" ({'; '.join(elements.notes)})" if elements.notes else ""
+        raise InputError(where, "", f"an end in the middle{more}", "the whole file: was the download cut off?")
+    return Batch(notes=tuple(elements.notes))
 
 
 def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
@@ -78,7 +61,8 @@ def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
     One track at a time is in memory.
     """
     points, guesses, untimed = list[Point](), list[Guess](), 0
-    for element in elements(stream, where, "{*}Placemark"):
+    elements = XmlElements(stream, where, "kml", "Placemark")
+    for element in elements:
         for track in element.iterfind(".//{*}Track"):  # as many times as coordinates, in the same order
             places = track.iterfind("{*}coord")
             for time, place in zip(track.iterfind("{*}when"), places, strict=False):
@@ -101,6 +85,7 @@ def _kml(stream: BinaryIO, where: str) -> Iterator[Batch]:
             yield batch_of(points)
             points = []
     yield batch_of(points, guesses=guesses, left_out={"no time": untimed})
+    yield _defects(elements, where)
 
 
 def _iso(text: str | None) -> str:
@@ -166,7 +151,7 @@ def _owntracks(stream: BinaryIO, where: str) -> Iterator[Batch]:
         points, left_out = list[Point](), Counter[str]()
         for line in lines:
             try:
-                message = msgspec.json.decode(line[line.index(b"{") :], type=dict[str, Any])
+                message = msgspec.json.decode(as_utf8(line[line.index(b"{") :]), type=dict[str, Any])
             except (ValueError, RecursionError):
                 left_out["unreadable"] += 1
                 continue
@@ -206,5 +191,6 @@ FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
 OVERLAND = lists_format("Overland", rb'"locations"\s*:\s*\[\s*\{.*"Feature"', {"locations": _overland})
 # The Recorder's .rec files: a line per message with UTC time, kind and JSON
 OWNTRACKS = Format("OwnTracks Recorder", re.compile(rb"\A\s*\d{4}-\d\d-\d\dT[\d:.]+Z\s+\S+\s+\{"), _owntracks)
-GPX_TRACKS = Format("GPX", re.compile(rb"\A.{0,2044}<gpx", re.DOTALL), _gpx)
-KML = Format("KML", re.compile(rb"\A.{0,2044}<kml", re.DOTALL), _kml)
+GPX_TRACKS = Format("GPX", GPX_ROOT, _gpx)
+KML = Format("KML", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?kml[\s>]"), _kml)
+TCX = Format("TCX", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?TrainingCenterDatabase[\s>]"), _tcx)
