@@ -60,8 +60,8 @@ class EstimatedWalk(OneLineRepr):
     def looks(self) -> Array:
         """As of `Observation`, for the rows of the graph's steps; 0 for rides."""
         old, new = self.joined.walked, self.graph.steps
-        row = np.searchsorted(old.time, new.time - INSTANT)
-        walked = ~new.is_gap & (np.abs(old.time[row] - new.time) <= INSTANT)
+        row = np.searchsorted(old.time, new.time - INSTANT)  # after the last step if a ride ends the walk
+        walked = ~new.is_gap & (np.abs(np.append(old.time, np.inf)[row] - new.time) <= INSTANT)
         return np.append(np.where(walked, self.joined.looks[row], 0.0), self.joined.looks[-1])
 
     @property

@@ -17,13 +17,14 @@ import numpy as np
 
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.priors import TRACK
 from pdr_graph.types import Array, Mask
 
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
 EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
-LONGEST_BRIDGED = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
+LONGEST_BRIDGED = TRACK.silence  # [s] that a visit bridges
 HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact one for the middle of a visit
 
 
@@ -175,13 +176,19 @@ def _joined(visit: _Halt, halt: _Halt) -> _Halt:
 
 
 def _edges(visit: _Halt, track: Track, earliest: float, latest: float) -> tuple[float, float]:
-    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits."""
+    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits.
+
+    A silence of SHORTEST_VISIT ends it: longer ones are bridged as halts, where nobody can have gone far.
+    """
     rows = track.between(visit.start, visit.end)
     low = min(int(np.searchsorted(track.time, earliest, side="right")), rows.start)
     high = max(int(np.searchsorted(track.time, latest)), rows.stop)
     away = track.plan[low:high] | (((track.sphere[low:high] - visit.middle) ** 2).sum(axis=1) > EDGE_RADIUS**2)
-    first = low + int(np.flatnonzero(np.append(True, away[: rows.start - low]))[-1])
-    last = rows.stop - 1 + int(np.flatnonzero(np.append(away[rows.stop - low :], True))[0])
+    silence = np.diff([*track.time[low : rows.start], visit.start]), np.diff([visit.end, *track.time[rows.stop : high]])
+    before = away[: rows.start - low] | (silence[0] > SHORTEST_VISIT)
+    after = away[rows.stop - low :] | (silence[1] > SHORTEST_VISIT)
+    first = low + int(np.flatnonzero(np.append(True, before))[-1])
+    last = rows.stop - 1 + int(np.flatnonzero(np.append(after, True))[0])
     start = float(track.time[first]) if first < rows.start else visit.start
     return start, float(track.time[last]) if last >= rows.stop else visit.end
 
@@ -285,7 +292,7 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
     if piece.kind in MOVING:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
-        return piece.kind if lasted >= min(120.0, longest) else ""
+        return piece.kind if lasted >= min(45.0, longest) else ""
     return GAP if piece.kind == GAP and lasted >= SHORTEST_SILENCE else ""
 
 

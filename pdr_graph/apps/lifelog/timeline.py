@@ -148,10 +148,10 @@ def _with_stays(outing: Outing) -> list[_Piece]:
 
 
 def _merged(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """The pieces, with neighbours of one kind or of one stay merged."""
+    """The pieces, with neighbours of one kind or of one stay merged; between two gaps is a fix."""
     joined: list[_Piece] = []
     for piece in pieces:
-        if joined and joined[-1].kind == piece.kind and joined[-1].stay is piece.stay:
+        if joined and joined[-1].kind == piece.kind != GAP and joined[-1].stay is piece.stay:
             last = joined.pop()
             piece = replace(last, end=piece.end, distance=last.distance + piece.distance)
         joined.append(piece)
