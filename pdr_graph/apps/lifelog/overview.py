@@ -98,7 +98,9 @@ def local_iso(time: float, offset: float) -> str:
 
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
-ENTRY_COLUMNS = "kind start end duration observed distance floor place number latitude longitude sigma mode corrected"
+ENTRY_COLUMNS = (
+    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess"
+)
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
 HOURS_COLUMNS = (
@@ -270,7 +272,12 @@ def row_texts(
     common = Counter(merged).most_common()
     texts = [f"{n} slow passes" if name == "slow pass" and n > 1 else count(n, name) for name, n in common[:2]]
     texts += [count(others, "other")] if (others := sum(number for _, number in common[2:])) else []
-    words = [_place(entry), "corrected" if entry.corrected else "", f"and {', '.join(texts)}" if texts else ""]
+    words = [
+        _place(entry),
+        one_line(entry.guess),
+        "corrected" if entry.corrected else "",
+        f"and {', '.join(texts)}" if texts else "",
+    ]
     start, end = entry.start + entry.offset, entry.end + entry.end_offset
     later = int(end // DAY_LENGTH - start // DAY_LENGTH) if end % DAY_LENGTH > 0 else 0
     return (

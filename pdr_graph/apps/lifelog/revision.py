@@ -267,7 +267,7 @@ def undo(store: Path, number: int) -> list[str]:
 
 def person_of(log: Store, person: str | None) -> str:
     """The person that is meant; the only one by default. Raises InputError if that is ambiguous or unknown."""
-    people = sorted({entry.person for entry in log.entries()} | {c.person for c in log.corrections()})
+    people = log.people()
     if not people:
         raise InputError(log.path, "", "no recordings", "a lifelog with recordings: pdr-graph lifelog add")
     if person is None and len(people) > 1:

@@ -22,7 +22,7 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled, without
 from pdr_graph.apps.lifelog.observation import StatedActivity
 from pdr_graph.errors import count
 from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
@@ -162,13 +162,6 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     return np.column_stack(
         [np.maximum(last, spans[:, 0] - LONGEST_BOARDING), np.minimum(next_, spans[:, 1] + LONGEST_BOARDING)]
     )
-
-
-def without(span: Array, others: Array) -> Array:
-    """The parts ``(p, 2)`` of a span that are in no other span ``(o, 2)``; the others are in order, without overlap."""
-    inside = others[(others[:, 1] > span[0]) & (others[:, 0] < span[1])]
-    parts = np.concatenate([span[:1], inside.ravel(), span[1:]]).reshape(-1, 2)
-    return parts[parts[:, 1] > parts[:, 0]]
 
 
 def with_stated_rides(rides: Array, steps: Steps, stated: Sequence[StatedActivity]) -> Array:

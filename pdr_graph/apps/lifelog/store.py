@@ -231,6 +231,11 @@ class Store:
         """Delete entries of recordings; the next build deletes what was made from them."""
         self._write("DELETE FROM recording WHERE hash = ?", *((name,) for name in hashes))
 
+    def people(self) -> list[str]:
+        """All persons of whom there are recordings, corrections or guesses."""
+        tables = " UNION ".join(f"SELECT person FROM {table}" for table in ("recording", "correction", "guess"))
+        return sorted(person for (person,) in self._all(tables))
+
     def guesses(self, person: str, start: float = -math.inf, stop: float = math.inf) -> tuple[Guess, ...]:
         """Guesses of other programs that touch a time (Unix times [s]), in time order."""
         columns = ", ".join(field.name for field in fields(Guess))

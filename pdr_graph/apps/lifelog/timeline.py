@@ -51,6 +51,7 @@ class TimelineEntry(OneLineRepr):
     end_offset: of local time from UTC at start and end [s]; observed: share of the time with data; parts: the finer
     entries that it covers, in time order, none for a single one.
     mode: what the person calls the activity, as "bus", "" by default; corrected: True if the person states it.
+    guess: what another program guessed, as "Google Timeline: HOME, 78 %"; it is all that is known if observed is 0.
     Of a visit: arrived, left: True if its start and end were observed, not inside a time without data.
     """
 
@@ -73,6 +74,7 @@ class TimelineEntry(OneLineRepr):
     parts: tuple[TimelineEntry, ...] = ()
     mode: str = ""
     corrected: bool = False
+    guess: str = ""
     arrived: bool = False
     left: bool = False
 

@@ -26,7 +26,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from pdr_graph.apps.lifelog import report, revision
-from pdr_graph.apps.lifelog.diary import DiaryDay, diary
+from pdr_graph.apps.lifelog.diary import DiaryDay, dates_of, diary
 from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.overview import row_texts
@@ -143,9 +143,10 @@ def day_page(store: Path, query: Fields) -> str:
 def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
     """The day of a query, the dates around it, and all persons. Raises InputError if there is no such day."""
     with Store(store) as log:
-        people = sorted({name for name, _ in log.days()})
+        known = dates_of(log)
+        people = sorted({name for name, _ in known})
         person = revision.person_of(log, query.get("person") or (people[0] if people else None))
-        stored = [on for name, on in log.days() if name == person]
+        stored = [on for name, on in known if name == person]
         on = query.get("date") or (stored[-1] if stored else "")
         wanted = period_of(day=on)
         if wanted is None:

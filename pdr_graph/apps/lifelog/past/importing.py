@@ -17,7 +17,7 @@ from typing import IO, BinaryIO, cast
 import numpy as np
 
 from pdr_graph.apps.lifelog import cache
-from pdr_graph.apps.lifelog.facts import forgotten_times
+from pdr_graph.apps.lifelog.facts import END, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
 from pdr_graph.apps.lifelog.past import google, tracks
 from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
@@ -221,7 +221,8 @@ class _Reading:
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
                 kept = [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
-                self.guesses += self._log.put_guesses(self._person, kept)
+                self.guesses += self._log.put_guesses(self._person, (g for g in kept if g.kind != END))
+                self._log.put_guesses(self._person, (g for g in kept if g.kind == END))
                 self.notes += [f"{file.where}: {note}" for note in batch.notes]
         except InputError as error:
             before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
