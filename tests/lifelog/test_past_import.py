@@ -2,9 +2,12 @@
 
 import json
 import random
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gps_days import METRES, gps_day
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_past import (
@@ -31,6 +34,7 @@ from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
+from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.past import past_rows
 from pdr_graph.apps.lifelog.past.past_days import (
     access_points,
@@ -507,3 +511,35 @@ def test_the_points_of_one_minute_are_all_kept_in_order(tmp_path):
     found = np.array([[int(row[0]), int(row[1])] for row in rows(log)])
     assert (np.diff(found, axis=0) > 0).all(), "later is farther north"
     assert imported(log, tmp_path / "a.json").positions.new == 0
+
+
+def gpx(path, track):
+    """Write a GPX track. track: of gps_days."""
+    points = (
+        f'<trkpt lat="{lat:.6f}" lon="{lon:.6f}"><time>{iso(time)}</time></trkpt>'
+        for time, (lon, lat) in zip(track.time, track.lonlat, strict=True)
+    )
+    path.write_text(
+        f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{"".join(points)}</trkseg></trk></gpx>'
+    )
+    return path
+
+
+def test_logs_of_two_persons_for_one_are_doubted_and_named(tmp_path):
+    """Also if their times are equal; a second device of one person is not, nor the same file again."""
+    ada, ben = gps_day(1), gps_day(2)
+    random = np.random.default_rng(0)
+    beside = replace(ada, time=ada.time + 2, lonlat=ada.lonlat + random.normal(0, 5, ada.lonlat.shape) / METRES)
+    first, other, watch = (gpx(tmp_path / f"{n}.gpx", day) for n, day in (("a", ada), ("b", ben), ("watch", beside)))
+    assert not any("doubtful" in note for note in imported(tmp_path / "one", first, watch).notes)
+    assert not any("doubtful" in note for note in imported(tmp_path / "one", first).notes)
+    (note,) = (note for note in imported(tmp_path / "two", first, other).notes if "doubtful" in note)
+    assert {"a.gpx", "b.gpx"} == set(re.findall(r"\w+\.gpx", note))
+    for log, doubted in (("one", False), ("two", True), ("added", True)):
+        if log == "added":
+            add(tmp_path / log, [first, other])
+        build(tmp_path / log)
+        with Store(tmp_path / log) as store:
+            days = [store.day(*key) for key in store.days()]
+        notes = [note for day in days for outing in day.outings for note in outing.notes]
+        assert any("doubtful" in note for note in notes) == doubted, log

@@ -14,6 +14,7 @@ from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.sessions import (
     LONGEST_SESSION_GAP,
     Session,
+    doubted_positions,
     is_located,
     join,
     restart_closures,
@@ -194,7 +195,13 @@ def reconstruct_outings(
             joined, plan = join(session.observations), session.parts[0][1].plan
             track, segments = follow_positions(joined.fixes, joined.activities)
             stays = stays_of_positions(track, segments, building_of(plan) if plan else None)
-            outings.append(replace(_outing(session, joined, track, segments), stays=stays))
+            outing = _outing(session, joined, track, segments)
+            fixes, sources = (
+                joined.fixes[np.argsort(joined.fixes.time, kind="stable")],
+                [part.source for part in session.observations],
+            )
+            notes = doubted_positions(fixes.time, fixes.position, fixes.sigma, sources)
+            outings.append(replace(outing, stays=stays, notes=(*notes, *outing.notes)))
         else:
             walk = estimate_walk(session, outings[-1] if outings else None, profile)
             profile = walk.profile_after

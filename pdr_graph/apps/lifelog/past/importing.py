@@ -7,7 +7,7 @@ not grow with them: their rows wait on disk, parted by days, and each day is mer
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,11 +21,13 @@ from pdr_graph.apps.lifelog.facts import END, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
 from pdr_graph.apps.lifelog.past import google, tracks
 from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
-from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format
+from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format, assumed_accuracy, day_of, metres_of
+from pdr_graph.apps.lifelog.sessions import doubted_positions
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError, count
-from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
+from pdr_graph.io.past_day import GOOGLE_PATH, MS, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import RADIUS_68
 
 # The first whose sign a file has reads it
 PAST_FORMATS = (
@@ -187,7 +189,11 @@ def import_past(
             past, changed = PastDays(log, person), Changes()
             days = sorted({*positions.days(), *sightings.days()})
             for done, day in enumerate(days, start=1):
-                changed += past.merge(day, positions.rows(day), sightings.rows(day))
+                before, new = past.read(day)[0], positions.rows(day)
+                notes += _doubts(
+                    np.concatenate([before, new]), [*["earlier imports"] * len(before[:1]), *reading.files[day]]
+                )
+                changed += past.merge(day, new, sightings.rows(day))
                 progress("days", done, len(days))
             placed = past.place_scans()
             enter(log, past, past.days())
@@ -201,6 +207,15 @@ def import_past(
     return result
 
 
+def _doubts(rows: Rows, sources: Sequence[str]) -> tuple[str, ...]:
+    """A line about the positions of a day if those of several sources are not of one person (`doubted_positions`)."""
+    rows = rows[(rows["source"] != GOOGLE_PATH) & (rows["source"] != RECEPTIONS)]
+    if len(sources) < 2 or not len(rows):
+        return ()
+    rows = rows[np.argsort(rows["time"], kind="stable")]
+    return doubted_positions(rows["time"] / MS, metres_of(rows), assumed_accuracy(rows) / RADIUS_68, sources)
+
+
 class _Reading:
     """Reads files into the spills, and their guesses into the store."""
 
@@ -209,6 +224,7 @@ class _Reading:
         self._done = 0
         self._forgotten = forgotten_times(log.corrections(person))
         self.guesses, self.notes = 0, list[str]()
+        self.files = defaultdict[int, list[str]](list)  # of each day
 
     def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
         """Read a file; returns why it is refused, or where it is damaged, on a line."""
@@ -217,7 +233,9 @@ class _Reading:
             for batch in file.batches(self._advance):
                 valid, left_out = valid + len(batch.positions), left_out + batch.left_out
                 others += len(batch.guesses) + len(batch.sightings)
-                positions.add(self._kept(batch.positions))
+                positions.add(kept_rows := self._kept(batch.positions))
+                for day in set(day_of(kept_rows).tolist()):
+                    self.files[day] += [] if file.where in self.files[day] else [file.where]
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
                 kept = [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
