@@ -278,3 +278,4 @@ def test_no_stay_is_longer_than_its_silences_allow(tmp_path_factory, log):
     for day in days:
         total = day.totals.walking + day.totals.riding + day.totals.staying + day.totals.unknown
         assert total == pytest.approx(day.end - day.start, abs=1)
+        assert sum(row.distance for row in day.entries) == pytest.approx(day.totals.walked + day.totals.ridden)

@@ -26,6 +26,7 @@ from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
 from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
+    FEWEST_HOURS,
     Place,
     UsualHours,
     is_place,
@@ -268,7 +269,7 @@ def row_texts(
 
     The end has "+1" if it is on the next date, after a flight over time zones.
     """
-    far = distance_text(entry.distance) if entry.kind in TRAVEL_KINDS and entry.distance >= 0.5 else ""
+    far = distance_text(entry.distance) if entry.kind in (*TRAVEL_KINDS, STAY) and entry.distance >= 0.5 else ""
     common = Counter(merged).most_common()
     texts = [f"{n} slow passes" if name == "slow pass" and n > 1 else count(n, name) for name, n in common[:2]]
     texts += [count(others, "other")] if (others := sum(number for _, number in common[2:])) else []
@@ -413,7 +414,7 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
             [place.label, usual.weekday, *_usual_texts(usual)]
             for place in places
             for usual in sorted(place.hours, key=lambda usual: usual.weekday == EVERY_DAY)
-            if max(usual.arrivals, usual.departures) >= 2
+            if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
         ]
         yield ShownTable("usual hours", HOURS_TITLES, rows)
 

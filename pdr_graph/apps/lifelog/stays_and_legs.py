@@ -24,7 +24,6 @@ from pdr_graph.types import Array, Mask
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
-EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
 LONGEST_BRIDGED = TRACK.silence  # [s] that a visit bridges
 HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact one for the middle of a visit
 
@@ -118,16 +117,10 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
             found[-1] = _joined(found[-1], halt)
         else:
             found.append(halt)
-    limits = [-np.inf, *(visit.end for visit in found)], [*(visit.start for visit in found), np.inf]
-    visits, before = list[TimelineEntry](), -np.inf
-    for n, visit in enumerate(found):
-        start, end = _edges(visit, track, limits[0][n], limits[1][n + 1])
-        start = max(start, before)
-        before = max(end, before)
-        if end - start >= SHORTEST_VISIT:
-            longitude, latitude = lonlat_of(visit.middle)
-            place = TimelineEntry(STAY, start, end, latitude=latitude, longitude=longitude, sigma=visit.sigma)
-            visits.append(place)
+    visits = list[TimelineEntry]()
+    for visit in (visit for visit in found if visit.end - visit.start >= SHORTEST_VISIT):
+        lon, lat = lonlat_of(visit.middle)
+        visits.append(TimelineEntry(STAY, visit.start, visit.end, latitude=lat, longitude=lon, sigma=visit.sigma))
     return visits
 
 
@@ -176,24 +169,6 @@ def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)))
 
 
-def _edges(visit: _Halt, track: Track, earliest: float, latest: float) -> tuple[float, float]:
-    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits.
-
-    A silence of SHORTEST_VISIT ends it: longer ones are bridged as halts, where nobody can have gone far.
-    """
-    rows = track.between(visit.start, visit.end)
-    low = min(int(np.searchsorted(track.time, earliest, side="right")), rows.start)
-    high = max(int(np.searchsorted(track.time, latest)), rows.stop)
-    away = track.plan[low:high] | (((track.sphere[low:high] - visit.middle) ** 2).sum(axis=1) > EDGE_RADIUS**2)
-    silence = np.diff([*track.time[low : rows.start], visit.start]), np.diff([visit.end, *track.time[rows.stop : high]])
-    before = away[: rows.start - low] | (silence[0] > SHORTEST_VISIT)
-    after = away[rows.stop - low :] | (silence[1] > SHORTEST_VISIT)
-    first = low + int(np.flatnonzero(np.append(True, before))[-1])
-    last = rows.stop - 1 + int(np.flatnonzero(np.append(after, True))[0])
-    start = float(track.time[first]) if first < rows.start else visit.start
-    return start, float(track.time[last]) if last >= rows.stop else visit.end
-
-
 # Chosen by hand
 SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
 MOVING = (WALKING, VEHICLE)
@@ -226,7 +201,8 @@ def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], trac
             rows += _legs(parts, track)
         else:
             floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
-            rows.append(replace(visits[group], floor=floor, observed=_observed(parts), parts=parts))
+            inside = float(sum(part.distance for part in parts))
+            rows.append(replace(visits[group], floor=floor, distance=inside, observed=_observed(parts), parts=parts))
     return rows
 
 
