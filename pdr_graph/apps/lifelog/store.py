@@ -56,6 +56,7 @@ STORE_SCHEMA = (
 KEPT = {"setting": 2, "recording": 3, "correction": 7, "guess": 6, "phone": 2}
 ZONE = "zone"
 TOGETHER = "together"
+SOURCES = "imported: "  # and a person: the paths that were imported, JSON
 SETTINGS = {ZONE: "", TOGETHER: ""}  # time zone of the days, "" for that of each place; key of the last joint estimate
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
@@ -180,7 +181,7 @@ class Store:
     def setting(self, name: str) -> str:
         """Value of a setting."""
         found = self._all("SELECT value FROM setting WHERE name = ?", name)
-        return found[0][0] if found else SETTINGS[name]  # lost with a damaged page
+        return found[0][0] if found else SETTINGS.get(name, "")  # lost with a damaged page
 
     def days(self) -> dict[tuple[str, str], StoredDay]:
         """Stored days by (person, date), in this order."""
@@ -293,6 +294,7 @@ class Store:
         with self._transaction() as execute:
             for table in (*TABLES, "failure", "recording", "phone", "correction", "guess"):
                 execute(f"DELETE FROM {table} WHERE person = ?", (person,))
+            execute("DELETE FROM setting WHERE name = ?", (SOURCES + person,))
 
     def compact(self) -> None:
         """Write the file anew without what was deleted."""

@@ -43,7 +43,8 @@ SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
 class TimelineEntry(OneLineRepr):
     """A line of the timeline.
 
-    kind: one of ACTIVITIES, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path, within a stay too [m].
+    kind: one of ACTIVITIES, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path, also that
+    within a stay of a diary [m].
     floor: labels, in order, empty where unknown; facing: as in ``Stay``.
     x, y: in the outing's frame [m]; latitude, longitude: the same place [deg]; sigma: standard deviation per axis
     [m]; NaN for entries that are not at one place, and where the place is unknown.

@@ -20,7 +20,7 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import END, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
 from pdr_graph.apps.lifelog.past import google, tracks
-from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
+from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, add_sources, enter
 from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format, assumed_accuracy, day_of, metres_of
 from pdr_graph.apps.lifelog.sessions import doubted_positions
 from pdr_graph.apps.lifelog.store import Store
@@ -197,6 +197,7 @@ def import_past(
                 progress("days", done, len(days))
             placed = past.place_scans()
             enter(log, past, past.days())
+        add_sources(log, person, {file.source.path for file in found})
         result = ImportResult(changed, reading.guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
         is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
     if is_new and is_empty:
