@@ -19,8 +19,9 @@ white noise plus a slowly varying offset, as in `gnss_bias`:
 The transport mode is walking, standing or riding, by speed and straightness: a hidden Markov model of epochs of ten
 seconds, solved by Viterbi's algorithm, as is common (Reddy et al., "Using mobile phones to determine transportation
 modes", ACM TOSN 6(2), 2010). Each epoch has two observations: the net speed over TRAVEL.window, compared with the
-receiver's error in that time; and the straightness of the path. Cycling and running count as rides: positions alone
-cannot distinguish them. Indoors a receiver's position wanders by tens of metres within minutes, at the speed of a
+receiver's error in that time; and the straightness of the path. Between fixes that are farther apart both are those of
+the whole interval and count once, and a change may be at any time in it. Cycling and running count as rides: positions
+alone cannot distinguish them. Indoors a receiver's position wanders by tens of metres within minutes, at the speed of a
 walker, whatever accuracy is stated. But over TRAVEL.path metres along the path a walker or a vehicle covers nearly as
 much net distance, and a wandering receiver does not. This *straightness* (Batschelet, Circular Statistics in Biology,
 1981: net over gross distance) needs no threshold of speed or distance, and distinguishes a walk in a small garden from
@@ -36,6 +37,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.ndimage import maximum_filter1d, percentile_filter
+from scipy.special import i0e
 
 from pdr_graph.estimation.factors.base import geman_mcclure_weight
 from pdr_graph.estimation.factors.fixes import longest_consistent_chain
@@ -188,12 +190,19 @@ class Straightness:
     wander: Array
 
 
-def straightness(time: Array, way: Array, begins: Array, ends: Array) -> Straightness:
-    """Straightness of a path ``way (n, 2)`` [m] at ``time (n,)``, in recorded stretches ``(s,)`` [s]."""
+def straightness(knots: GpsKnots, way: Array, begins: Array, ends: Array) -> Straightness:
+    """Straightness of a path ``way (n, 2)`` [m] through knots, in recorded stretches ``(s,)`` [s]."""
+    time, error = knots.time, np.hypot(knots.slow, knots.white)
     at = np.concatenate([np.arange(a, b, TRAVEL.grid) for a, b in zip(begins, ends, strict=True)])
     way = interpolate(at, time, way)
     along = length_along(way) + 1e-6 * np.arange(len(at))  # strictly increasing even where nobody moves
-    (walk, lasts), (ride, _) = (_net(at, way, along, length) for length in (TRAVEL.path, TRAVEL.ride_path))
+    # A line between two fixes is straight by construction: a path leads at least over the intervals beside it too
+    fix = time[(np.searchsorted(time[1:-1], at, side="right") + np.array([[-1], [2]])).clip(0, len(time) - 1)]
+    least = np.interp(fix, at, along)
+    error = TRAVEL.errors * np.interp(at, time, error)
+    (walk, lasts), (ride, _) = (
+        _net(at, way, along, np.maximum(length, error), least) for length in (TRAVEL.path, TRAVEL.ride_path)
+    )
     # The difference over TRAVEL.lag of a Gauss–Markov error of variance σ² is Rayleigh distributed with
     # 2σ² (1 − e^(−TRAVEL.lag/RECEIVERS.standing)); where most of the path leads somewhere, no error is seen
     half, context = int(TRAVEL.lag / 2 / TRAVEL.grid), int(TRAVEL.context / 2 / TRAVEL.grid)
@@ -205,9 +214,13 @@ def straightness(time: Array, way: Array, begins: Array, ends: Array) -> Straigh
     return Straightness(at, walk, ride, lasts, wander)
 
 
-def _net(time: Array, way: Array, along: Array, length: float) -> tuple[Array, Array]:
-    """Net over gross distance over ``length`` [m] centred at each sample, and the time of that path [s]."""
+def _net(time: Array, way: Array, along: Array, length: Array, least: Array) -> tuple[Array, Array]:
+    """Net over gross distance over ``length`` [m] centred at each sample, and the time of that path [s].
+
+    least: ``(2, m)`` start and end of the shortest path of each sample [m].
+    """
     first, last = np.maximum(along - length / 2, 0.0), np.minimum(along + length / 2, along[-1])
+    first, last = np.minimum(first, least[0]), np.maximum(last, least[1])
     net = np.hypot(*(interpolate(last, along, way) - interpolate(first, along, way)).T)
     return net / np.maximum(last - first, 1.0), np.interp(last, along, time) - np.interp(first, along, time)
 
@@ -246,15 +259,15 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
     way: smoothed path ``(n, 2)`` [m]; begins, ends: of recorded stretches ``(s,)`` [s].
     """
     epochs = Epochs.of(begins, ends)
-    lead = _by_straightness(epochs, straight)
-    state = _most_probable(_by_speed(epochs, knots, way, TRAVEL.window) + lead, epochs)
+    lead, change = _by_straightness(epochs, straight), _changes(epochs, knots.time)
+    state = _most_probable(_by_speed(epochs, knots, way, TRAVEL.window) + lead, change)
 
     # The times of changes, by speeds over a shorter window around each change
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
     open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
     cost = _by_speed(epochs, knots, way, TRAVEL.grid) + lead
     decided = np.where(np.array(MODES) == state[:, None], 0.0, np.inf)
-    state = _most_probable(np.where(open_[:, None], cost, decided), epochs)
+    state = _most_probable(np.where(open_[:, None], cost, decided), change)
 
     # Short rides are jumps of the receiver: they get the mode after or before them
     first = np.flatnonzero(epochs.begins | np.append(True, np.diff(state) != 0))
@@ -268,31 +281,66 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
     return state[at]
 
 
-def _most_probable(cost: Array, epochs: Epochs) -> Index:
-    """The states ``(e,)`` of least cost; stretches are independent."""
-    change = -np.log(TRAVEL.epoch / TRAVEL.lasts / (len(MODES) - 1)) * (1 - np.eye(len(MODES)))
-    return viterbi(cost, change * ~epochs.begins[1:, None, None])[0]
+def _most_probable(cost: Array, change: Array) -> Index:
+    """The states ``(e,)`` of least cost; change: ``(e - 1,)`` cost of another state than before."""
+    return viterbi(cost, change[:, None, None] * (1 - np.eye(len(MODES))))[0]
+
+
+def _changes(epochs: Epochs, time: Array) -> Array:
+    """Cost of a change from each epoch to the next, ``(e - 1,)``; stretches are independent.
+
+    A Markov chain in continuous time, each mode of which lasts TRAVEL.lasts. A change at a fix may have happened at any
+    time since the fix before it, or until the fix after it. time: ``(n,)`` of the fixes [s].
+    """
+    after = np.searchsorted(time[1:-1], epochs.middle, side="right")
+    since, fix = np.diff(time)[after], np.diff(after) > 0
+    since = np.where(fix, np.maximum(since[1:], since[:-1]), TRAVEL.epoch)
+    states = len(MODES)
+    kept = np.exp(-np.maximum(since, TRAVEL.epoch) / TRAVEL.lasts * states / (states - 1))
+    return np.log((1 + (states - 1) * kept) / (1 - kept)) * ~epochs.begins[1:]
 
 
 def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Array:
-    """Costs ``(e, 3)`` of the modes by net speed."""
+    """Costs ``(e, 3)`` of the modes by net speed over a window, or from fix to fix where these are farther apart.
+
+    Each mode is a distribution of velocities in the plane with the receiver's error added, so that a large error makes
+    the modes alike and favours none.
+    """
+    slow, white = (np.interp(epochs.middle, knots.time, error) for error in (knots.slow, knots.white))
     first = np.maximum(epochs.middle - window / 2, epochs.first)
     last = np.minimum(epochs.middle + window / 2, epochs.last)
-    span = np.maximum(last - first, 1.0)
-    speed = np.hypot(*(interpolate(last, knots.time, way) - interpolate(first, knots.time, way)).T) / span
-    slow, white = (np.interp(epochs.middle, knots.time, error) for error in (knots.slow, knots.white))
+    speed = np.hypot(*(interpolate(last, knots.time, way) - interpolate(first, knots.time, way)).T)
+    after = np.searchsorted(knots.time[1:-1], epochs.middle, side="right")
+    span = np.maximum(np.maximum(last - first, 1.0), np.diff(knots.time)[after])
+    shuffling = TRAVEL.shuffling * np.minimum(TRAVEL.lasts / span, 1.0)  # within a place, however long
+    speed = np.maximum(speed / np.maximum(last - first, 1.0), shuffling)
     # [m/s] while standing
     noise = np.sqrt(2 * slow**2 * (1 - np.exp(-span / RECEIVERS.standing)) + 2 * white**2) / span
-    speed, noise = np.maximum(speed, TRAVEL.shuffling), np.hypot(noise, TRAVEL.shuffling)
-    larger, rare = TRAVEL.outlier_scale * noise, TRAVEL.exceptions
-    stands = (1 - rare) * _rayleigh(speed, noise) + rare * _rayleigh(speed, larger)
-    of_walks = _normal(speed - TRAVEL.walk, np.hypot(TRAVEL.walk_spread, noise))
-    walks = (1 - rare) * of_walks + rare / TRAVEL.walk * (speed < TRAVEL.walk)
-    spread = np.hypot(TRAVEL.ride_spread, noise / np.maximum(speed, TRAVEL.creeping))
-    waits = _rayleigh(speed, np.hypot(noise, TRAVEL.creeping))
-    rides = (1 - TRAVEL.waiting) * _normal(np.log(speed / TRAVEL.ride), spread) / speed + TRAVEL.waiting * waits
+    noise, moving = np.hypot(noise, shuffling), np.exp(-np.maximum(span - window, 0.0) / TRAVEL.lasts)
+    rare = TRAVEL.exceptions
+    # The speed is that of a person who moves all the time, or part of it as in a long interval
+    partly = [_rayleigh(speed, np.hypot(whole / 2, noise)) for whole in (TRAVEL.walk, TRAVEL.ride)]
+    walks = (1 - rare) * moving * _rice(speed, TRAVEL.walk, TRAVEL.walk_spread, noise)
+    walks += (1 - (1 - rare) * moving) * partly[0]
+    rides = (1 - TRAVEL.waiting) * (moving * _of_rides(speed, noise) + (1 - moving) * partly[1])
+    rides += TRAVEL.waiting * _rayleigh(speed, np.hypot(TRAVEL.creeping, noise))
+    usual = np.stack([_rayleigh(speed, noise), walks, rides], axis=1)
+    large = np.hypot(TRAVEL.outlier_scale * noise[:, None], [0.0, TRAVEL.walk, TRAVEL.ride])
+    density = (1 - rare) * usual + rare * _rayleigh(speed[:, None], large)
     # Windows overlap: each counts once
-    return -np.log(np.stack([stands, walks, rides], axis=1) + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
+    return -np.log(density + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
+
+
+def _of_rides(speed: Array, noise: Array) -> Array:
+    """Density of a speed whose true value is log-normal about TRAVEL.ride, with the noise of a velocity.
+
+    A mixture of normal velocities, whose logarithm of speed has the mean ln(scale) + 0.058 and the variance π²/24, by
+    Gauss–Hermite quadrature of the scales.
+    """
+    spread = np.sqrt(3 * (TRAVEL.ride_spread**2 - np.pi**2 / 24))
+    scales = TRAVEL.ride * np.exp(spread * np.array([-1.0, 0.0, 1.0]) - 0.058)
+    parts = (w * _rayleigh(speed, np.hypot(c, noise)) for w, c in zip((1 / 6, 2 / 3, 1 / 6), scales, strict=True))
+    return np.sum(list(parts), axis=0)
 
 
 def _by_straightness(epochs: Epochs, straight: Straightness) -> Array:
@@ -310,8 +358,16 @@ def _rayleigh(value: Array, sigma: Array) -> Array:
     return value / sigma**2 * np.exp(-((value / sigma) ** 2) / 2)
 
 
-def _normal(value: Array, sigma: Array) -> Array:
-    return np.exp(-((value / sigma) ** 2) / 2) / sigma / np.sqrt(2 * np.pi)
+def _rice(value: Array, mean: float, spread: float, noise: Array) -> Array:
+    """Density of a speed whose true value is normal about a mean, with the noise of a velocity per axis [m/s].
+
+    That of a Rice distribution with the most probable true speed of the value, exact without noise or without spread;
+    at most the density without a direction of the noise, so that noise alone is no sign of a walk.
+    """
+    true = (value / noise**2 + mean / spread**2) / (1 / noise**2 + 1 / spread**2)
+    far = true * value / noise**2
+    normal = np.exp(-(((value - mean) / np.hypot(spread, noise)) ** 2) / 2) / np.hypot(spread, noise)
+    return normal * np.minimum(np.sqrt(value / true) * np.sqrt(far) * i0e(far), (2 * np.pi) ** -0.5)
 
 
 LOST = len(MODES)  # transport mode where there is no data
@@ -382,7 +438,8 @@ def _knots(fixes: Fixes) -> GpsKnots:
 def without_data(time: Array) -> Mask:
     """True ``(n - 1,)`` between two times of fixes ``(n,)`` [s] with a gap."""
     span = np.diff(time)
-    return span > max(TRACK.longest, TRACK.usual_intervals * float(np.median(span)) if len(span) else 0.0)
+    usual = TRACK.usual_intervals * float(np.median(span)) if len(span) else 0.0
+    return span > min(max(TRACK.longest, usual), TRACK.silence)
 
 
 def _lost(fixes: Fixes) -> Mask:
@@ -414,7 +471,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     begins, ends = knots.time[_stretches(lost if apart.all() else apart)].T
     if not len(begins):
         return np.full(len(lost), LOST), knots
-    straight = straightness(knots.time, way, begins, ends)
+    straight = straightness(knots, way, begins, ends)
     wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), TRAVEL.widest)
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)

@@ -5,6 +5,8 @@ import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.store import Store
 
@@ -39,6 +41,20 @@ def scan(time, levels):
     """A Wi-Fi scan of Timeline.json; levels: address -> power [dBm]."""
     devices = [{"mac": mac, "rawRssi": round(rssi)} for mac, rssi in levels.items()]
     return {"wifiScan": {"deliveryTime": iso(time), "devicesRecords": devices}}
+
+
+def overland(path, times, lonlat, accuracy):
+    """Write the locations of an Overland phone. lonlat: ``(n, 2)`` [deg]; accuracy: of all [m]."""
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": place},
+            "properties": {"timestamp": iso(time), "horizontal_accuracy": accuracy},
+        }
+        for time, place in zip(times, np.asarray(lonlat).tolist(), strict=True)
+    ]
+    path.write_text(json.dumps({"locations": features}), encoding="utf-8")
+    return path
 
 
 def path_of(times, lat=LAT, lon=LON):

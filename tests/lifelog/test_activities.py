@@ -38,7 +38,7 @@ def covers(segments, start, end):
     assert segments[-1].end == pytest.approx(end)
     for one, other in pairwise(segments):
         assert one.end == other.start
-        assert one.kind != other.kind
+        assert one.kind != other.kind or one.kind == GAP, "a fix is between two gaps"
     assert all(s.start < s.end for s in segments)
     assert all(s.distance == 0 for s in segments if s.kind in (STANDING, GAP))
 
@@ -64,6 +64,29 @@ def test_a_receiver_that_wanders_indoors_is_standing(sigma, lasts):
         _, segments = follow_positions(track)
         assert time_of(segments, STANDING) > 0.9 * 3 * 3600
         assert distance(segments, WALKING, VEHICLE) < 0.05 * length_along(track.position)[-1]
+
+
+@pytest.mark.parametrize("every", [20.0, 120.0, 600.0, 1920.0])
+@pytest.mark.parametrize("sigma", [5.0, 40.0, 75.0, 300.0, 2000.0])
+def test_a_point_that_does_not_move_is_standing_at_any_accuracy(sigma, every):
+    time = np.arange(0.0, 6 * 3600.0 + 1, every)
+    for number in (len(time), 2):
+        fixes = Fixes(time, np.zeros((len(time), 2)), np.full(len(time), sigma), source=("phone",) * len(time))
+        _, segments = follow_positions(fixes[:number])
+        assert kinds(segments) == [STANDING]
+
+
+@pytest.mark.parametrize("minutes", [20, 31, 34, 45, 59])
+@pytest.mark.parametrize("sigma", [5.0, 13.0, 75.0])
+def test_a_silence_between_two_places_is_no_stand(sigma, minutes):
+    """A position in 10 min at one place, then 1.3 km away: nobody stands in between."""
+    time = np.concatenate([np.arange(0.0, 14401.0, 600.0), 14400.0 + 60 * minutes + np.arange(0.0, 14401.0, 600.0)])
+    place = np.where(time[:, None] > 14400.0, [[1300.0, 0.0]], [[0.0, 0.0]])
+    place += np.random.default_rng(minutes).normal(0, sigma / 3, place.shape)
+    _, segments = follow_positions(Fixes(time, place, np.full(len(time), sigma), source=("phone",) * len(time)))
+    between = 14400.0, 14400.0 + 60 * minutes
+    assert time_of(segments, STANDING, *between) == 0
+    assert time_of(segments, STANDING) > 0.9 * (time[-1] - time[0] - 60 * minutes)
 
 
 def test_the_convergence_of_a_receiver_is_no_ride():
@@ -234,6 +257,31 @@ def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
         assert len(detect_rides(steps, fixes)) == 1
         steps, fixes, _, _ = walk_and_ride(change, seed=seed)
         assert len(detect_rides(steps, fixes)) == 2
+
+
+@pytest.mark.parametrize(
+    "legs",
+    [
+        [("walk", 60), ("bus", 140)],
+        [("bus", 300), ("walk", 90)],
+        [("walk", 60), ("bus", 180), ("walk", 60)],
+        [("walk", 180), ("stand", 20), ("bus", 240), ("stand", 10), ("walk", 90)],
+        [("stand", 60), ("walk", 120), ("bus", 400), ("stand", 20), ("walk", 120)],
+    ],
+)
+def test_a_walk_of_a_minute_before_or_after_a_ride_is_a_walk(legs):
+    """The recording may begin and end with either."""
+    for seed in range(3):
+        place, done = streets(legs, seed)
+        foot = np.flatnonzero(done == "walk")
+        time, heading = foot + 1.0, np.unwrap(np.arctan2(*np.diff(place, axis=0).T[::-1]))[foot]
+        steps = steps_of(np.full(len(foot), PACE), np.diff(heading, prepend=0.0), sigma_length=0.1)
+        steps = replace(steps, time=time, duration=np.full(len(foot), 0.9), end=float(len(place) - 1))
+        ((found, left),) = detect_rides(steps, seen(place, seed=seed))
+        ridden = np.flatnonzero(done == "bus")
+        assert found == pytest.approx(ridden[0], abs=31)  # it begins and ends with a wait of half a minute at most
+        assert left == pytest.approx(ridden[-1] + 1, abs=31)
+        assert not np.any((time > found + 1) & (time < left - 1)), "no step is in the ride"
 
 
 def test_a_ride_underground_is_detected():

@@ -1,5 +1,6 @@
 """A diary has the rows that a person would write: places, ways between them, midnights of where the person was."""
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
 
@@ -9,12 +10,14 @@ from gps_days import gps_day, true_stays
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_days import outing
+from made_past import overland
 
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
-from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.diary import UnpartedDiary, diary
 from pdr_graph.apps.lifelog.facts import ALWAYS, PLACE_NAME, Correction
 from pdr_graph.apps.lifelog.ingest import add
+from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.places import likely_home
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import STAY, timeline
@@ -215,3 +218,64 @@ def test_a_simulated_day_has_its_stays_and_few_rows(tmp_path):
     assert sum(row.end - row.start for row in rows) == pytest.approx(sum(e - s for s, e, _ in true), rel=0.05)
     assert max(len(day.entries) for day in found.days) <= 30
     assert [day.date for day in found.days] == ["2024-05-14", "2024-05-15"]
+
+
+@dataclass(frozen=True, repr=False)
+class Log:
+    """Positions of a phone in a town. time: ``(n,)`` Unix times [s]; place: ``(n, 2)`` [m]; accuracy: [m]."""
+
+    time: np.ndarray
+    place: np.ndarray
+    accuracy: float
+
+    def diary(self, folder):
+        """The rows of its diary, undivided, and the days."""
+        import_past(folder / "log", [overland(folder / "x.json", self.time, TOWN.to_lonlat(self.place), self.accuracy)])
+        assert not build(folder / "log").failures
+        with Store(folder / "log") as log:
+            return UnpartedDiary.of(log, "me", [date for _, date in log.days()]).rows, diary(log, "me").days
+
+
+TOWN = enu(52.5, 13.4)
+
+
+@st.composite
+def logs(draw):
+    """Days of stays, silences of minutes to a month, walks, rides and jumps, at any rate and accuracy."""
+    random = np.random.default_rng(draw(st.integers(0, 10_000)))
+    places, accuracy = random.uniform(-4000, 4000, (4, 2)), draw(st.sampled_from([5.0, 20.0, 65.0, 113.0, 250.0]))
+    every = draw(st.sampled_from([10.0, 60.0, 300.0, 600.0, 1800.0]))
+    now, here, time, place = at("2024-05-06T13:00"), places[0], [np.empty(0)], [np.empty((0, 2))]
+    for _ in range(draw(st.integers(2, 6))):
+        stay = draw(st.sampled_from([0.25, 1.0, 4.0, 10.0])) * HOUR
+        time.append(now + np.arange(0, stay, every))
+        place.append(np.tile(here, (len(time[-1]), 1)))
+        now += stay + draw(st.sampled_from([0.0, 1900.0, 3500.0, 7200.0, 15 * HOUR, 19 * HOUR, 40 * HOUR, 720 * HOUR]))
+        to, speed = places[draw(st.integers(0, 3))], draw(st.sampled_from([1.3, 9.0, np.inf]))
+        lasts = np.hypot(*(to - here)) / speed
+        along = np.arange(0, lasts, min(every, 60.0))
+        time.append(now + along)
+        place.append(here + (to - here) * along[:, None] / max(lasts, 1.0))
+        now, here = now + lasts + every, to
+    every_place = np.concatenate(place) + random.normal(0, accuracy / 4, (sum(map(len, place)), 2))
+    return Log(np.concatenate(time), every_place, accuracy)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(logs())
+def test_no_stay_is_longer_than_its_silences_allow(tmp_path_factory, log):
+    """And a walk has the speed of a walker, and the parts of a day are as long as the day by the clock."""
+    rows, days = log.diary(tmp_path_factory.mktemp("log"))
+    for row in rows:
+        inside = (log.time >= row.start - 1) & (log.time <= row.end + 1)
+        silences = np.diff([row.start, *log.time[inside], row.end])
+        jumps = np.hypot(*np.diff(log.place[inside], axis=0).T)
+        if row.kind == STAY:
+            assert silences.max() <= 18 * HOUR + 1
+            assert jumps.max(initial=0.0) <= 300 + 3 * log.accuracy
+        assert row.kind != WALKING or row.distance <= 3.0 * row.duration
+    assert [one.end for one in rows[:-1]] == [other.start for other in rows[1:]]
+    for day in days:
+        total = day.totals.walking + day.totals.riding + day.totals.staying + day.totals.unknown
+        assert total == pytest.approx(day.end - day.start, abs=1)
+        assert sum(row.distance for row in day.entries) == pytest.approx(day.totals.walked + day.totals.ridden)

@@ -10,6 +10,7 @@ from datetime import datetime
 from itertools import pairwise
 
 import gpxpy
+import made_tracks as made
 import numpy as np
 import pytest
 import shapely
@@ -19,6 +20,7 @@ from made_month import HOME, OFFICE, made_month
 from typer.testing import CliRunner
 
 from pdr_graph.apps.cli import app
+from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported, parquet_tables
@@ -203,6 +205,24 @@ def test_export_selects_days_by_date_and_person(store, tmp_path):
     ):
         with pytest.raises(InputError, match=complaint):
             export_days(store, **({"out": tmp_path / "x", "file_format": "gpx"} | asked))
+
+
+@pytest.mark.parametrize("text", ["The Office", "place 2"])
+def test_a_place_of_the_diary_is_cut_by_its_name_or_number(tmp_path, text):
+    """Named by a correction: nothing within its radius of 75 m is in the export."""
+    store = made.lifelog(tmp_path)
+    with Store(store) as log:
+        (office,) = (p for p in diary(log, "me").places if p.number == 2)
+    if text != "place 2":
+        revision.name_place(store, f"{office.latitude:.6f},{office.longitude:.6f}", "the office")
+    whole, part = (exported_features(store, tmp_path / f"{n}.geojson", cut=cut) for n, cut in enumerate(([], [text])))
+    frame = enu(office.latitude, office.longitude)
+
+    def nearest(features):
+        points = np.concatenate([shapely.get_coordinates(shapely.geometry.shape(f["geometry"])) for f in features])
+        return np.hypot(*frame.from_lonlat(points).T).min()
+
+    assert nearest(whole) < 30 < 75 < nearest(part)
 
 
 LON, LAT = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]

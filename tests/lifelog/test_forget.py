@@ -268,3 +268,16 @@ def test_steps_are_cut_too(tmp_path):
     assert left(store.parent, sought) == set()
     with Store(store) as log:
         assert log.entries()[0].steps == pytest.approx(200 - 32 / 0.55, abs=3)
+
+
+def test_what_was_imported_is_named_when_it_is_forgotten(tmp_path):
+    log, file = (
+        tmp_path / "log",
+        past.records(tmp_path / "r.json", [past.location(past.NOON + 60 * n) for n in range(60)]),
+    )
+    past.imported(log, file)
+    build(log)
+    line = f"still on your disk: {file}"
+    assert line in revision.forget(log, "2024-05-01 14:10", "2024-05-01 14:20")
+    assert line in revision.forget_person(log, "me")
+    assert left(tmp_path, [b"imported: me"]) == set()

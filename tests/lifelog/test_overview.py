@@ -20,7 +20,7 @@ from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.overview import LIST_ROWS, as_text, day_list, distance_text, row_texts, tables
-from pdr_graph.apps.lifelog.places import EVERY_DAY, clock_quartiles, joined_visits
+from pdr_graph.apps.lifelog.places import EVERY_DAY, Place, clock_quartiles, joined_visits
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.timeline import (
     PASSING,
@@ -78,7 +78,24 @@ def test_an_arrival_after_a_time_without_data_is_unknown():
     assert visit.left
 
 
-@given(st.lists(st.floats(0, 24), min_size=2, max_size=20), st.floats(0, 24))
+def test_usual_hours_are_the_first_arrival_and_the_last_departure():
+    """Lunch is no arrival at the office, and two days are no habit."""
+    day = 86_400.0
+
+    def hours(days):
+        spans = [(n, a, b) for n in range(days) for a, b in ((8 + 0.1 * n, 12.0), (13.0, 17.5 + 0.1 * n))]
+        own = [(n * day + 3600 * a, n * day + 3600 * b) for n, a, b in spans]
+        place = Place(1, "", 0.0, 0.0, 1.0, tuple(TimelineEntry(STAY, *span, arrived=True, left=True) for span in own))
+        return place.hours[0]
+
+    usual = hours(5)
+    assert (usual.arrivals, usual.departures) == (5, 5)
+    assert usual.arrival == pytest.approx((8.1, 8.2, 8.3))
+    assert usual.departure == pytest.approx((17.6, 17.7, 17.8))
+    assert np.isnan(hours(2).arrival).all()
+
+
+@given(st.lists(st.floats(0, 24), min_size=3, max_size=20), st.floats(0, 24))
 def test_quartiles_turn_with_the_clock(hours, later):
     """Property: adding hours to all times adds them to the quartiles, unless the times have no mean direction."""
     angle = np.array(hours) * np.pi / 12
@@ -253,7 +270,8 @@ def test_tables_have_the_rows_of_the_overview(month):
     )
     every = [row for row in read["hours.csv"] if row["weekday"] == EVERY_DAY]
     assert len(every) == len(month.places)
-    assert every[0]["departure_50"] == "07:51"
+    hour, minute = map(int, every[0]["departure_50"].split(":"))
+    assert 60 * hour + minute == pytest.approx(60 * 7.75, abs=9), "she leaves home at 07:45 with a sigma of 9 min"
 
 
 # The timeline

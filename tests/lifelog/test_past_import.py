@@ -1,10 +1,14 @@
 """Exports are imported in any order, as often as one likes, and merged: the store is the same."""
 
+import json
 import random
+import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gps_days import METRES, gps_day
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_past import (
@@ -28,7 +32,10 @@ from typer.testing import CliRunner
 from pdr_graph import InputError
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
+from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.past import past_rows
 from pdr_graph.apps.lifelog.past.past_days import (
     access_points,
@@ -40,6 +47,7 @@ from pdr_graph.apps.lifelog.past.past_days import (
 )
 from pdr_graph.apps.lifelog.past.past_rows import DaySpill, day_of, valid_positions
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY
 from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.loading import load
 from pdr_graph.io.past_day import GOOGLE_PATH, GPS, POSITION, SIGHTING, from_text, to_text
@@ -454,3 +462,106 @@ def test_an_import_for_which_the_disk_has_no_space_stores_nothing(tmp_path, monk
     assert content(log) == before
     result = imported(log, file)
     assert result.positions.new == 49
+
+
+def iphone(path, legs):
+    """Write a timeline of iOS without any path: a list of visits (name, probability, hours, place) and ways."""
+    found = []
+    for n, (name, share, begin, end, lat) in enumerate(legs):
+        span = {"startTime": iso(NOON + 3600 * begin), "endTime": iso(NOON + 3600 * end)}
+        if name in ("HOME", "WORK"):
+            best = {"probability": str(share), "semanticType": name, "placeID": f"id{n}"}
+            found.append(span | {"visit": {"topCandidate": best | {"placeLocation": f"geo:{lat},{LON}"}}})
+        else:
+            ends = {"start": f"geo:{lat[0]},{LON}", "end": f"geo:{lat[1]},{LON}"}
+            found.append(span | {"activity": ends | {"topCandidate": {"type": name, "probability": str(share)}}})
+    path.write_text(json.dumps(found))
+    return path
+
+
+IPHONE = [
+    ("HOME", 0.8, 0, 1, LAT),
+    ("in passenger vehicle", 0.9, 1, 1.25, (LAT, LAT + 0.1)),
+    ("WORK", 0.7, 1.25, 4, LAT + 0.1),
+    ("walking", 0.6, 4, 4.5, (LAT + 0.1, LAT + 0.08)),
+]
+
+
+def test_guesses_alone_are_a_diary_that_says_so(tmp_path):
+    log = tmp_path / "log"
+    assert imported(log, iphone(tmp_path / "a.json", IPHONE)).guesses == len(IPHONE)
+    build(log)
+    with Store(log) as store:
+        (day,) = diary(store, "me").days
+    assert [entry.kind for entry in day.entries] == [STAY, VEHICLE, STAY, WALKING]
+    assert [entry.start - NOON for entry in day.entries] == [0, 3600, 4500, 14_400]
+    assert [entry.guess for entry in day.entries] == [
+        "Google Timeline: HOME, 80%",
+        "Google Timeline: in passenger vehicle, 90%",
+        "Google Timeline: WORK, 70%",
+        "Google Timeline: walking, 60%",
+    ]
+    assert [entry.distance for entry in day.entries] == pytest.approx([0, 11_119, 0, 2224], rel=1e-3)
+    assert day.totals.observed == 0
+    shown = CliRunner().invoke(app, ["lifelog", "show", str(log), "--out", str(tmp_path / "shown")])
+    assert shown.exit_code == 0, shown.output
+    assert "Google Timeline: HOME, 80%" in shown.output
+    assert "4 h 30 min are what Google Timeline guessed, without data" in shown.output
+    assert CliRunner().invoke(app, ["lifelog", "correct", "name", str(log), "2024-05-01 14:30", "home"]).exit_code == 0
+    with Store(log) as store:
+        assert diary(store, "me").days[0].entries[0].place == "home"
+
+
+def test_what_was_recorded_is_not_replaced_by_a_guess(tmp_path):
+    """At work from 13:15 to 16:00 UTC, says Google; the phone was at home until 15:00."""
+    log = tmp_path / "log"
+    imported(log, iphone(tmp_path / "a.json", IPHONE))
+    imported(log, records(tmp_path / "b.json", [location(NOON + 60 * n) for n in range(180)]))
+    build(log)
+    with Store(log) as store:
+        (day,) = diary(store, "me").days
+    kinds = [(entry.kind, entry.observed > 0, round((entry.end - NOON) / 60)) for entry in day.entries]
+    assert kinds == [(STAY, True, 179), (STAY, False, 240), (WALKING, False, 270)]
+    assert day.totals.staying == pytest.approx(4 * 3600)
+
+
+def test_the_points_of_one_minute_are_all_kept_in_order(tmp_path):
+    log, minutes = tmp_path / "log", [NOON + 60 * (n // 4) for n in range(12)]
+    points = [{"point": f"{LAT + 0.001 * n}°, {LON}°", "time": iso(time)} for n, time in enumerate(minutes)]
+    segment = {"startTime": iso(NOON), "endTime": iso(NOON + 7200), "timelinePath": points}
+    assert imported(log, timeline(tmp_path / "a.json", [segment])).positions.new == 12
+    found = np.array([[int(row[0]), int(row[1])] for row in rows(log)])
+    assert (np.diff(found, axis=0) > 0).all(), "later is farther north"
+    assert imported(log, tmp_path / "a.json").positions.new == 0
+
+
+def gpx(path, track):
+    """Write a GPX track. track: of gps_days."""
+    points = (
+        f'<trkpt lat="{lat:.6f}" lon="{lon:.6f}"><time>{iso(time)}</time></trkpt>'
+        for time, (lon, lat) in zip(track.time, track.lonlat, strict=True)
+    )
+    path.write_text(
+        f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{"".join(points)}</trkseg></trk></gpx>'
+    )
+    return path
+
+
+def test_logs_of_two_persons_for_one_are_doubted_and_named(tmp_path):
+    """Also if their times are equal; a second device of one person is not, nor the same file again."""
+    ada, ben = gps_day(1), gps_day(2)
+    random = np.random.default_rng(0)
+    beside = replace(ada, time=ada.time + 2, lonlat=ada.lonlat + random.normal(0, 5, ada.lonlat.shape) / METRES)
+    first, other, watch = (gpx(tmp_path / f"{n}.gpx", day) for n, day in (("a", ada), ("b", ben), ("watch", beside)))
+    assert not any("doubtful" in note for note in imported(tmp_path / "one", first, watch).notes)
+    assert not any("doubtful" in note for note in imported(tmp_path / "one", first).notes)
+    (note,) = (note for note in imported(tmp_path / "two", first, other).notes if "doubtful" in note)
+    assert {"a.gpx", "b.gpx"} == set(re.findall(r"\w+\.gpx", note))
+    for log, doubted in (("one", False), ("two", True), ("added", True)):
+        if log == "added":
+            add(tmp_path / log, [first, other])
+        build(tmp_path / log)
+        with Store(tmp_path / log) as store:
+            days = [store.day(*key) for key in store.days()]
+        notes = [note for day in days for outing in day.outings for note in outing.notes]
+        assert any("doubtful" in note for note in notes) == doubted, log

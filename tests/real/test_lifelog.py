@@ -13,9 +13,11 @@ from cleaned_track import cleaned_length, raw_length
 from pdr_graph import Walker, detect_steps
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import GAP, VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.multi_day import estimate_together
 from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session, sessions_of, turn_by_field
 from pdr_graph.apps.lifelog.stays import detect_rides, follow_positions
@@ -221,3 +223,46 @@ def test_walks_that_heard_the_same_are_bound_once(store):
     with Store(store) as log:
         assert log.phones() == {"AA:BB": "anna"}
     assert estimate_together(store) == 2, "who carries what may bind others"
+
+
+def imported(path, folder):
+    """Kind, and whole minutes, of each row of the diary of a timeline."""
+    import_past(folder / "log", [path])
+    build(folder / "log")
+    with Store(folder / "log") as log:
+        return [(row.kind, round(row.duration / 60)) for row in diary(log, "me").days[0].entries]
+
+
+@pytest.mark.parametrize(
+    ("name", "legs", "steps"),
+    [
+        ("ride-at-the-end/walk_ride.zip", [("walking", 60, 76), ("vehicle", 135, 1200)], 108),
+        (
+            "walk-after-a-ride/walk_ride_walk60.zip",
+            [("walking", 60, 76), ("vehicle", 180, 1500), ("walking", 60, 75)],
+            216,
+        ),
+    ],
+)
+def test_a_recording_may_end_with_a_ride_or_a_minute_on_foot(data, tmp_path, name, legs, steps):
+    add(tmp_path / "log", [data / "found" / name])
+    assert build(tmp_path / "log").failures == ()
+    with Store(tmp_path / "log") as log:
+        (day,) = diary(log, "me").days
+    assert [row.kind for row in day.entries] == [kind for kind, _, _ in legs]
+    for row, (_, lasts, length) in zip(day.entries, legs, strict=True):
+        assert row.duration == pytest.approx(lasts, abs=5)
+        assert row.distance == pytest.approx(length, rel=0.1)
+    assert day.totals.steps == pytest.approx(steps, abs=3)
+
+
+def test_hours_at_one_point_are_stays_however_coarse(data, tmp_path):
+    """Google's path (113 m): six hours at one point were a ride."""
+    rows = imported(data / "found" / "coarse-positions" / "path.json", tmp_path)
+    assert [minutes for kind, minutes in rows if kind == "stay"] == [360, 210, 40, 220, 90, 260]
+    assert {kind for kind, _ in rows} == {"stay", "walking"}
+
+
+def test_a_silence_of_half_an_hour_parts_two_places(data, tmp_path):
+    rows = imported(data / "found" / "visits-lost-after-a-silence" / "gap34.json", tmp_path)
+    assert rows == [("stay", 240), ("walking", 34), ("stay", 200)]

@@ -1,10 +1,21 @@
 """The lifelog in its owner's browser: days, forms that correct them, and nothing for anybody else."""
 
 import re
+import shutil
+import socket
 import sys
+import threading
+import time
+from contextlib import contextmanager
+from html import escape
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
+import uvicorn
+from browser import PATIENCE, ShownPage, chromium
+from selenium.webdriver.common.by import By
+from stand_in_server import QuietHandler, served
 from starlette.testclient import TestClient
 
 sys.path.append(str(Path(__file__).parents[1] / "lifelog"))
@@ -44,7 +55,17 @@ def form(page, n, action):
     """The hidden fields of a form of an entry."""
     text = page.get("/entry", params={"person": "Ada", "date": DATE, "n": n}).text
     [own] = [f for f in re.findall(r"<form.*?</form>", text) if f'value="{action}"' in f]
-    return dict(re.findall(r'<input type="hidden" name="([\w-]+)" value="([^"]*)"', own))
+    return hidden_fields(own)
+
+
+def hidden_fields(text):
+    """Names and values of the hidden fields of a form."""
+    return dict(re.findall(r'<input type="hidden" name="([\w-]+)" value="([^"]*)"', text))
+
+
+def key(page):
+    """The field that every form of the pages has."""
+    return {"key": form(page, 0, "split")["key"]}
 
 
 def rows(page):
@@ -76,8 +97,9 @@ def test_a_form_does_what_the_command_does(page, made):
         assert [fact.kind for fact in log.corrections()] == ["name", "mode"]
         numbers = [fact.number for fact in log.corrections()]
     assert "the office" in page.get("/corrections").text
-    for number in numbers:
-        assert "undone" in page.post("/correct", data={"do": "undo", "value": number}).text
+    for form_of_one in re.findall(r"<form.*?</form>", page.get("/corrections").text):
+        assert hidden_fields(form_of_one)["value"] in map(str, numbers)
+        assert "undone" in page.post("/correct", data=hidden_fields(form_of_one)).text
     assert "the office" not in page.get("/").text
 
 
@@ -116,7 +138,7 @@ def test_a_wrong_address_is_one_line(page, path, params):
 def test_a_wrong_form_is_one_line_and_changes_nothing(page, made, fields, status, text):
     walk = next(n for n, row in enumerate(rows(page)) if row[3] == "walking")
     hidden = form(page, walk, "forget") if "sure" in fields else {}
-    answer = page.post("/correct", data=hidden | fields)
+    answer = page.post("/correct", data=key(page) | hidden | fields)
     assert (answer.status_code, text in answer.text) == (status, True)
     with Store(made) as log:
         assert log.corrections() == ()
@@ -129,5 +151,147 @@ def test_nobody_else_sees_or_changes_anything(made):
         assert stranger.post("/correct", data={"do": "undo", "value": "1"}).status_code == 401
         assert stranger.get(f"/?token={TOKEN}", follow_redirects=False).status_code == 303
     with TestClient(application(made, TOKEN), cookies={"pdr_graph_token": TOKEN}) as page:
-        foreign = page.post("/correct", data={"do": "undo", "value": "1"}, headers={"origin": "https://evil.example"})
-        assert foreign.status_code == 403
+        undo = {"do": "undo", "value": "1"}
+        for origin in ("https://evil.example", "null", "http://testserver:8080"):
+            foreign = page.post("/correct", data=key(page) | undo, headers={"origin": origin})
+            assert foreign.status_code == 403, origin
+        for wrong in ({}, {"key": ""}, {"key": "0" * 64}, {"key": TOKEN}):
+            assert page.post("/correct", data=undo | wrong).status_code == 403, wrong
+
+
+# In a browser
+
+
+class DiaryBrowser(ShownPage):
+    """The diary as its owner sees and corrects it: by links and forms alone."""
+
+    def __init__(self, browser, url):
+        self.browser, self.url = browser, url
+        browser.get(f"{url}/?token={TOKEN}")
+
+    def open_day(self):
+        self.browser.get(f"{self.url}/?{urlencode({'person': 'Ada', 'date': DATE})}")
+
+    @property
+    def rows(self):
+        """The cells of the rows of the day."""
+        self.open_day()
+        rows = self.browser.find_elements(By.CSS_SELECTOR, "tr")
+        return [[cell.text for cell in row.find_elements(By.TAG_NAME, "td")] for row in rows]
+
+    def number(self, kind, nth=0):
+        """Number of the row that is the nth of a kind."""
+        return [n for n, row in enumerate(self.rows) if row[3] == kind][nth]
+
+    def submit(self, n, action, **values):
+        """Press the button of a form of a row; values: of its visible fields. Returns the text of the next page."""
+        assert len(self.rows) > n
+        self.browser.find_elements(By.LINK_TEXT, "correct")[n].click()
+        [form] = self.browser.find_elements(By.XPATH, f"//form[input[@name='do'][@value='{action}']]")
+        for name, value in values.items():
+            field = form.find_element(By.NAME, name)
+            if field.tag_name == "input":
+                field.clear()
+            field.send_keys(value)
+        return self.press(form)
+
+    def press(self, form):
+        """Press the button of a form; returns the text of the next page."""
+        before = self.browser.find_element(By.TAG_NAME, "html")
+        form.find_element(By.TAG_NAME, "button").click()
+        end = time.monotonic() + PATIENCE
+        while self.browser.find_elements(By.TAG_NAME, "html")[:1] == [before]:
+            assert time.monotonic() < end, "no answer"
+            time.sleep(0.02)
+        return self.browser.find_element(By.TAG_NAME, "body").text
+
+
+@contextmanager
+def serving(store):
+    """The address of the diary on this machine."""
+    server = uvicorn.Server(uvicorn.Config(application(store, TOKEN), log_level="critical"))
+    listening = socket.create_server(("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run, args=([listening],), daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join(PATIENCE)
+
+
+@pytest.fixture
+def diary_browser(made, tmp_path):
+    """A browser with a copy of the lifelog, whose forms it may submit."""
+    store = tmp_path / "log"
+    shutil.copy(made, store)
+    shutil.copytree(f"{made}.d", f"{store}.d")
+    with serving(store) as url, chromium(offline=False) as browser:
+        yield DiaryBrowser(browser, url), store
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(180)
+def test_every_form_of_the_page_corrects_the_diary_in_a_browser(diary_browser):
+    page, _ = diary_browser
+    done = set()
+
+    def correct(row, action, **values):
+        answer = page.submit(row, action, **values)
+        assert answer.splitlines()[1] == "saved", answer
+        done.add(action)
+
+    correct(page.number("stay", 1), "name", value="the office")
+    assert [row[5] for row in page.rows].count("the office") == 2
+    correct(page.number("walking"), "mode", value="bus")
+    assert "bus" in {row[3] for row in page.rows}
+    before = len(page.rows)
+    correct(page.number("stay", 1), "split", value=f"{DATE} 10:30")
+    assert len(page.rows) == before + 1
+    correct(page.number("stay", 1), "merge")
+    assert len(page.rows) == before
+    assert "the office" not in page.rows[page.number("stay")][5]
+    correct(page.number("stay"), "at", value="the office")
+    assert "the office" in page.rows[page.number("stay")][5]
+    correct(page.number("riding"), "not-me")
+    assert any(row[3] == "no data" and "corrected" in row[5] for row in page.rows)
+
+    correct(page.number("walking"), "forget", sure="yes")
+    page.open_day()
+    page.browser.find_element(By.LINK_TEXT, "correct").click()
+    actions = {one.get_attribute("value") for one in page.browser.find_elements(By.NAME, "do")}
+    assert actions == done, "each form of the page was submitted"
+    page.browser.find_element(By.LINK_TEXT, "corrections").click()
+    while forms := page.browser.find_elements(By.TAG_NAME, "form"):
+        assert "undone" in page.press(forms[0])
+        page.browser.find_element(By.LINK_TEXT, "corrections").click()
+    assert "no corrections" in page.browser.find_element(By.TAG_NAME, "body").text
+    assert "the office" not in {row[5] for row in page.rows}
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(120)
+def test_the_form_of_another_page_is_refused_in_a_browser(diary_browser):
+    page, store = diary_browser
+    page.open_day()
+    page.browser.find_element(By.LINK_TEXT, "correct").click()
+    [own] = page.browser.find_elements(By.XPATH, "//form[input[@name='do'][@value='not-me']]")
+    fields = {i.get_attribute("name"): i.get_attribute("value") for i in own.find_elements(By.TAG_NAME, "input")}
+    inputs = "".join(f'<input name="{name}" value="{escape(value)}">' for name, value in fields.items())
+    form = f'<form method="post" action="{page.url}/correct">{inputs}<button>win</button></form>'
+    policies = ("", '<meta name="referrer" content="no-referrer">')
+
+    class OtherSite(QuietHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write((policies[int(self.path[1:])] + form).encode())
+
+    with served(OtherSite) as site:
+        for n in range(len(policies)):  # the same machine, so that the browser sends the cookie
+            page.browser.get(f"http://127.0.0.1:{site.server_port}/{n}")
+            answer = page.press(page.browser.find_element(By.TAG_NAME, "form"))
+            assert "another site" in answer
+    with Store(store) as log:
+        assert log.corrections() == ()

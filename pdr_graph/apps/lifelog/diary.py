@@ -20,10 +20,10 @@ import numpy as np
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.corrections import apply_to_entries, place_names
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
-from pdr_graph.apps.lifelog.facts import Correction
-from pdr_graph.apps.lifelog.local_time import LocalClock
+from pdr_graph.apps.lifelog.facts import Correction, Guess
+from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at, zone_named
 from pdr_graph.apps.lifelog.places import NamedArea, Place, places_of, plan_name
-from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of, visits_of
+from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of, visits_of, with_guesses
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.errors import count
@@ -113,6 +113,16 @@ class Diary(OneLineRepr):
         return [repr(self.person), count(len(self.days), "day"), count(len(self.places), "place")]
 
 
+def dates_of(log: Store) -> list[tuple[str, str]]:
+    """Each person and date that is recorded, or of which another program guessed something, in order."""
+    fixed, found = log.setting(ZONE), set(log.days())
+    for person in log.people():
+        for guess in log.guesses(person):
+            zone = fixed or (zone_at(guess.latitude, guess.longitude) if np.isfinite(guess.latitude) else "")
+            found.add((person, datetime.fromtimestamp(guess.start, zone_named(zone)).date().isoformat()))
+    return sorted(found)
+
+
 def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0) -> Diary:
     """The diary of a person from one date to another, both included; all days by default.
 
@@ -154,15 +164,25 @@ class UnpartedDiary:
         digests = tuple(digest_of(log, person, date) for date in dates)
         track = Track.concatenate([digest.track for digest in digests])
         fine = without_overlaps([entry for digest in digests for entry in digest.entries])
-        rows, places = corrected_rows(fine, track, log.corrections(person))
-        return cls(digests, tuple(rows), places, track, LocalClock(log.setting(ZONE), track.time, track.lonlat))
+        guesses = log.guesses(person)
+        rows, places = corrected_rows(fine, track, log.corrections(person), guesses)
+        seen = [(guess.start, guess.longitude, guess.latitude) for guess in guesses if np.isfinite(guess.latitude)]
+        where = np.concatenate([np.column_stack([track.time, track.lonlat]), np.reshape(seen, (-1, 3))])
+        where = where[np.argsort(where[:, 0], kind="stable")]
+        return cls(digests, tuple(rows), places, track, LocalClock(log.setting(ZONE), where[:, 0], where[:, 1:]))
 
 
 def corrected_rows(
-    fine: Sequence[TimelineEntry], track: Track, corrections: Sequence[Correction]
+    fine: Sequence[TimelineEntry],
+    track: Track,
+    corrections: Sequence[Correction],
+    guesses: Sequence[Guess] = (),
 ) -> tuple[list[TimelineEntry], tuple[Place, ...]]:
-    """The rows of a person as corrected, and the places of all. fine: entries of the timeline; track: of these."""
-    rows = apply_to_entries(rows_of(fine, visits_of(fine, track), track), corrections)
+    """The rows of a person as corrected, and the places of all. fine: entries of the timeline; track: of these;
+    guesses: of other programs, in time order.
+    """
+    rows = rows_of(fine, visits_of(fine, track), track)
+    rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections)
     return with_places(rows, place_names(corrections))
 
 

@@ -25,6 +25,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.corrections import place_names
 from pdr_graph.apps.lifelog.day import (
     VEHICLE,
     WALKING,
@@ -36,12 +37,12 @@ from pdr_graph.apps.lifelog.day import (
     floors_visited,
     split_at_gaps,
 )
-from pdr_graph.apps.lifelog.diary import corrected_rows, with_places, without_overlaps
+from pdr_graph.apps.lifelog.diary import corrected_rows, diary, with_places, without_overlaps
 from pdr_graph.apps.lifelog.facts import Correction
 from pdr_graph.apps.lifelog.local_time import zone_of_outings
-from pdr_graph.apps.lifelog.places import Place
-from pdr_graph.apps.lifelog.privacy import PrivatePlace, private_places, without_private_places
-from pdr_graph.apps.lifelog.stays_and_legs import Track
+from pdr_graph.apps.lifelog.places import NamedArea, Place
+from pdr_graph.apps.lifelog.privacy import CIRCLE, PrivatePlace, private_places, without_private_places
+from pdr_graph.apps.lifelog.stays_and_legs import VISIT_RADIUS, Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, timeline, timeline_csv
 from pdr_graph.errors import InputError, install
@@ -247,14 +248,22 @@ def _selected_days(log: Store, person: str | None, since: str, until: str) -> li
 
 
 def _private_places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
-    """The places that some texts describe; names are looked up on all plans of the lifelog.
+    """The places that some texts describe; names are looked up on all plans and among all visited places.
 
     The secret of the lifelog stays the same: averaging over exports would reveal a private place.
     """
     if not texts:
         return ()
-    plans = sorted({str(entry.options.plan) for entry in log.entries() if entry.options.plan})
-    return private_places(texts, plans, bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(32))))
+    plans, named = sorted({str(entry.options.plan) for entry in log.entries() if entry.options.plan}), list[NamedArea]()
+    by_name = any(not CIRCLE.fullmatch(text) and not Path(text).suffix for text in texts)
+    for person in sorted({person for person, _ in log.days()}) if by_name else ():
+        named += place_names(log.corrections(person))
+        visited = diary(log, person).places
+        named += [
+            (p.latitude, p.longitude, VISIT_RADIUS + p.sigma, p.label) for p in visited if np.isfinite(p.latitude)
+        ]
+    secret = bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(32)))
+    return private_places(texts, plans, secret, named)
 
 
 def _public_days(

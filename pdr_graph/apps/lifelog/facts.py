@@ -24,6 +24,8 @@ MODE_ACTIVITIES = {
     "walk": WALKING,
     "stop": STANDING,
 }
+VISIT, ACTIVITY, END = "visit", "activity", "end"  # kinds of guesses
+FASTEST_WALK = 2.5  # [m/s] of a way whose kind is unknown; chosen by hand
 ALWAYS = float("-inf"), float("inf")  # start and end of a correction that holds for a place, at all times
 
 
@@ -103,11 +105,11 @@ def forgotten_times(corrections: Iterable[Correction]) -> tuple[tuple[float, flo
 
 @dataclass(frozen=True)
 class Guess(OneLineRepr):
-    """What another program guessed about a time; no estimate reads it.
+    """What another program guessed about a time; no estimate reads it, the diary shows it where nothing was recorded.
 
-    source: the program; start, stop: Unix times [s]; kind: "visit" or "activity"; name: of the place or activity, "" if
-    unknown; latitude, longitude: of the place [deg], NaN if unknown; probability: as the program states it, NaN if it
-    does not.
+    source: the program; start, stop: Unix times [s]; kind: VISIT, ACTIVITY, or END of an activity, a moment.
+    name: of the place or activity, "" if unknown; latitude, longitude: of the place, or of the start of an activity
+    [deg], NaN if unknown; probability: as the program states it, NaN if it does not.
     """
 
     source: str
@@ -124,6 +126,20 @@ class Guess(OneLineRepr):
         """The guess of a row of its table, where NaN is NULL."""
         values: list[Any] = [math.nan if value is None else value for value in row]
         return cls(*values)
+
+    @property
+    def text(self) -> str:
+        """The program, the name and the probability, as "Google Timeline: HOME, 78 %"."""
+        share = "" if math.isnan(self.probability) else f"{self.probability:.0%}"
+        return f"{self.source}: {', '.join(filter(None, [self.name, share])) or self.kind}"
+
+    def activity(self, speed: float) -> str:
+        """The activity that it means, by its name, else by a speed [m/s]."""
+        name = self.name.upper().replace(" ", "_")
+        if name in ("STILL", "WALKING", "WALK", "ON_FOOT", "RUNNING"):
+            return STANDING if name == "STILL" else WALKING
+        unknown = name.startswith("UNKNOWN") or not name
+        return VEHICLE if not unknown or speed > FASTEST_WALK else WALKING
 
     def _summary(self) -> list[str]:
         when = datetime.fromtimestamp(self.start, UTC).isoformat(timespec="seconds")

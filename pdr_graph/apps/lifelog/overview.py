@@ -26,6 +26,7 @@ from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
 from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
+    FEWEST_HOURS,
     Place,
     UsualHours,
     is_place,
@@ -98,7 +99,9 @@ def local_iso(time: float, offset: float) -> str:
 
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
-ENTRY_COLUMNS = "kind start end duration observed distance floor place number latitude longitude sigma mode corrected"
+ENTRY_COLUMNS = (
+    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess"
+)
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
 HOURS_COLUMNS = (
@@ -266,11 +269,16 @@ def row_texts(
 
     The end has "+1" if it is on the next date, after a flight over time zones.
     """
-    far = distance_text(entry.distance) if entry.kind in TRAVEL_KINDS and entry.distance >= 0.5 else ""
+    far = distance_text(entry.distance) if entry.kind in (*TRAVEL_KINDS, STAY) and entry.distance >= 0.5 else ""
     common = Counter(merged).most_common()
     texts = [f"{n} slow passes" if name == "slow pass" and n > 1 else count(n, name) for name, n in common[:2]]
     texts += [count(others, "other")] if (others := sum(number for _, number in common[2:])) else []
-    words = [_place(entry), "corrected" if entry.corrected else "", f"and {', '.join(texts)}" if texts else ""]
+    words = [
+        _place(entry),
+        one_line(entry.guess),
+        "corrected" if entry.corrected else "",
+        f"and {', '.join(texts)}" if texts else "",
+    ]
     start, end = entry.start + entry.offset, entry.end + entry.end_offset
     later = int(end // DAY_LENGTH - start // DAY_LENGTH) if end % DAY_LENGTH > 0 else 0
     return (
@@ -406,7 +414,7 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
             [place.label, usual.weekday, *_usual_texts(usual)]
             for place in places
             for usual in sorted(place.hours, key=lambda usual: usual.weekday == EVERY_DAY)
-            if max(usual.arrivals, usual.departures) >= 2
+            if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
         ]
         yield ShownTable("usual hours", HOURS_TITLES, rows)
 

@@ -27,6 +27,7 @@ from pdr_graph.types import DAY_LENGTH, Array, OneLineRepr
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
 WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 EVERY_DAY = "every day"  # instead of a weekday
+FEWEST_HOURS = 3  # times of a spread
 # Chosen by hand
 UNOBSERVED_TIME = 900.0  # [s] of no data before a stay, below which its start counts as an arrival; departures likewise
 
@@ -35,7 +36,9 @@ NamedArea = tuple[float, float, float, str]  # latitude, longitude [deg], radius
 
 @dataclass(frozen=True)
 class UsualHours:
-    """When somebody comes to a place and leaves it: quartiles of local time [h], NaN where fewer than two are known.
+    """When somebody first comes to a place on a day, and last leaves it: quartiles of local time [h].
+
+    NaN where fewer than FEWEST_HOURS are known.
 
     weekday: of the arrival or the departure, or EVERY_DAY; arrivals, departures: how many were observed.
     """
@@ -84,9 +87,16 @@ class Place(OneLineRepr):
 
     @cached_property
     def hours(self) -> tuple[UsualHours, ...]:
-        """Usual hours of every day, then of each weekday on which somebody arrived or left."""
-        come = np.array([v.start + v.offset for v in self.visits if v.arrived])
-        gone = np.array([v.end + v.end_offset for v in self.visits if v.left])
+        """Usual hours of every day, then of each weekday on which somebody arrived or left.
+
+        Of each date the first arrival and the last departure, if they were observed.
+        """
+        first, last = dict[date, TimelineEntry](), dict[date, TimelineEntry]()
+        for visit in self.visits:
+            first.setdefault(local_date(visit.start + visit.offset), visit)
+            last[local_date(visit.end + visit.end_offset)] = visit
+        come = np.array([v.start + v.offset for v in first.values() if v.arrived])
+        gone = np.array([v.end + v.end_offset for v in last.values() if v.left])
         found = []
         for weekday in (-1, *range(7)):
             # Monday is 0; 1 January 1970 was a Thursday
@@ -244,11 +254,11 @@ def local_date(local: float) -> date:
 
 
 def clock_quartiles(hours: Array) -> tuple[float, float, float]:
-    """Lower quartile, median and upper quartile of times of day [h]; 23:30 is near 0:30. NaN for fewer than two.
+    """Lower quartile, median and upper quartile of times of day [h]; 23:30 is near 0:30. NaN for few.
 
     The quartiles are those of the distances, up to 12 h, from the circular mean.
     """
-    if len(hours) < 2:
+    if len(hours) < FEWEST_HOURS:
         return np.nan, np.nan, np.nan
     angle = np.asarray(hours) * np.pi / 12
     mean = np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * 12 / np.pi

@@ -56,6 +56,7 @@ from pdr_graph.apps.lifelog.day import (
     shift,
     without_gap_rows,
 )
+from pdr_graph.apps.lifelog.places import NamedArea
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import CLOSED, SOLID
 from pdr_graph.floor.formats.geojson import check_degrees, features_of, read_json
@@ -169,17 +170,19 @@ def normalized_name(name: str) -> str:
     return " ".join(name.casefold().split())
 
 
-def private_places(texts: Sequence[str], plans: Sequence[str], secret: bytes) -> tuple[PrivatePlace, ...]:
+def private_places(
+    texts: Sequence[str], plans: Sequence[str], secret: bytes, named: Sequence[NamedArea] = ()
+) -> tuple[PrivatePlace, ...]:
     """The places that texts describe: ``latitude,longitude,radius``, names, or paths of GeoJSON files.
 
-    plans: paths of the plans on which names are looked up; secret: of the lifelog. Raises InputError for any text that
-    describes no place, so that nobody believes it hidden.
+    plans: paths of the plans on which names are looked up; secret: of the lifelog; named: areas with names, or numbers
+    of places. Raises InputError for any text that describes no place, so that nobody believes it hidden.
     """
-    return tuple(place for text in texts for place in _places(text, plans, secret))
+    return tuple(place for text in texts for place in _places(text, plans, secret, named))
 
 
-def _places(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivatePlace]:
-    """The places of one text: a circle, the areas of a GeoJSON file, or all shops and rooms of a name on the plans."""
+def _places(text: str, plans: Sequence[str], secret: bytes, named: Sequence[NamedArea]) -> Iterator[PrivatePlace]:
+    """The places of one text: a circle, the areas of a GeoJSON file, or all of a name that are visited or on plans."""
     if match := CIRCLE.fullmatch(text):
         try:
             lat, lon, radius = map(float, match.groups())
@@ -205,6 +208,9 @@ def _places(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivateP
                 found, expected = f"a {type(shape).__name__}", "a polygon, or a point with a radius [m]"
                 raise InputError(path, f"feature {number}", found, expected)
     else:
+        own = [area for area in named if normalized_name(area[3]) == normalized_name(text)]
+        for lat, lon, radius, _ in own:
+            yield _place_of_circle(text, lat, lon, min(max(radius, MIN_RADIUS), MAX_RADIUS), secret)
         found = dict.fromkeys(
             (floor.frame, area.shape)
             for plan in plans
@@ -212,15 +218,17 @@ def _places(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivateP
             for area in floor.of_kind(*NAMED_KINDS)
             if area.name and normalized_name(area.name) == normalized_name(text)
         )
-        if not found:
-            raise InputError("a private place", text, f"no such name on {len(plans)} plans", EXPECTED)
+        if not found and not own:
+            known = ", ".join(dict.fromkeys(area[3] for area in named if area[3]))
+            no_name = f"no such name on {len(plans)} plans, nor a place named {known or 'by a correction'}"
+            raise InputError("a private place", text, no_name, EXPECTED)
         for frame, shape in found:
             lon, lat = frame.to_lonlat(shapely.get_coordinates(shapely.centroid(shape)))[0].tolist()
-            own = enu(lat, lon)
-            moved = shapely.transform(shape, partial(own.from_frame, frame))
+            about = enu(lat, lon)
+            moved = shapely.transform(shape, partial(about.from_frame, frame))
             if shapely.get_dimensions(moved) < 2:  # a stand drawn as a point, a wall as a line
                 moved = shapely.buffer(moved, MIN_RADIUS)
-            yield _private_place(text, own, moved, secret)
+            yield _private_place(text, about, moved, secret)
 
 
 def _place_of_circle(text: str, lat: float, lon: float, radius: float, secret: bytes) -> PrivatePlace:

@@ -14,6 +14,7 @@ from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.sessions import (
     LONGEST_SESSION_GAP,
     Session,
+    doubted_positions,
     is_located,
     join,
     restart_closures,
@@ -60,8 +61,8 @@ class EstimatedWalk(OneLineRepr):
     def looks(self) -> Array:
         """As of `Observation`, for the rows of the graph's steps; 0 for rides."""
         old, new = self.joined.walked, self.graph.steps
-        row = np.searchsorted(old.time, new.time - INSTANT)
-        walked = ~new.is_gap & (np.abs(old.time[row] - new.time) <= INSTANT)
+        row = np.searchsorted(old.time, new.time - INSTANT)  # after the last step if a ride ends the walk
+        walked = ~new.is_gap & (np.abs(np.append(old.time, np.inf)[row] - new.time) <= INSTANT)
         return np.append(np.where(walked, self.joined.looks[row], 0.0), self.joined.looks[-1])
 
     @property
@@ -194,7 +195,13 @@ def reconstruct_outings(
             joined, plan = join(session.observations), session.parts[0][1].plan
             track, segments = follow_positions(joined.fixes, joined.activities)
             stays = stays_of_positions(track, segments, building_of(plan) if plan else None)
-            outings.append(replace(_outing(session, joined, track, segments), stays=stays))
+            outing = _outing(session, joined, track, segments)
+            fixes, sources = (
+                joined.fixes[np.argsort(joined.fixes.time, kind="stable")],
+                [part.source for part in session.observations],
+            )
+            notes = doubted_positions(fixes.time, fixes.position, fixes.sigma, sources)
+            outings.append(replace(outing, stays=stays, notes=(*notes, *outing.notes)))
         else:
             walk = estimate_walk(session, outings[-1] if outings else None, profile)
             profile = walk.profile_after

@@ -47,7 +47,7 @@ from pdr_graph.apps.lifelog.observation import (
 )
 from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
-from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past
+from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past, sources_of
 from pdr_graph.apps.lifelog.store import TOGETHER, Entry, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.errors import InputError, count, one_line
@@ -267,7 +267,7 @@ def undo(store: Path, number: int) -> list[str]:
 
 def person_of(log: Store, person: str | None) -> str:
     """The person that is meant; the only one by default. Raises InputError if that is ambiguous or unknown."""
-    people = sorted({entry.person for entry in log.entries()} | {c.person for c in log.corrections()})
+    people = log.people()
     if not people:
         raise InputError(log.path, "", "no recordings", "a lifelog with recordings: pdr-graph lifelog add")
     if person is None and len(people) > 1:
@@ -366,7 +366,7 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
         log.compact()
         named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
         remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
-        return lines + _still_there(log, touched) + ([remain] if named else [])
+        return lines + _still_there(log, touched, who) + ([remain] if named else [])
 
 
 def forget_recording(store: Path, recording: str) -> list[str]:
@@ -394,11 +394,12 @@ def forget_person(store: Path, person: str) -> list[str]:
     with Store(store) as log:
         who = person_of(log, person)
         found = [entry for entry in log.entries() if entry.person == who]
+        there = _still_there(log, found, who)
         _remove(log, found)
         log.delete_person(who)
         shutil.rmtree(PastDays(log, who).folder, ignore_errors=True)
         _clean(log)
-        return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", *_still_there(log, found)]
+        return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", *there]
 
 
 def _cut(log: Store, entry: Entry, spans: Sequence[tuple[float, float]]) -> bool:
@@ -445,9 +446,11 @@ def _clean(log: Store) -> None:
     log.compact()
 
 
-def _still_there(log: Store, entries: Iterable[Entry]) -> list[str]:
+def _still_there(log: Store, entries: Iterable[Entry], *people: str) -> list[str]:
     """A line for each file outside of the lifelog that still has the deleted data."""
-    files = [path for e in entries for path in (Path(e.path), *(e.options.files.get(n) for n in ("fixes", "ranges")))]
+    own = list(entries)
+    files = [path for e in own for path in (Path(e.path), *(e.options.files.get(n) for n in ("fixes", "ranges")))]
+    files += [path for who in dict.fromkeys([*people, *(e.person for e in own)]) for path in sources_of(log, who)]
     beside = sorted(log.path.resolve().parent.glob(f"{log.path.stem}-*"))
     shown = [folder for folder in beside if any((folder / page).exists() for page in SHOWN_PAGES)]
     there = dict.fromkeys(str(path) for path in (*files, *shown) if path is not None and path.exists())

@@ -18,7 +18,9 @@ from pdr_graph.apps.lifelog.observation import MIN_POSITIONS, Observation, in_fr
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
+from pdr_graph.priors import FIXES, TRACK
 from pdr_graph.types import (
+    Array,
     Closures,
     Fixes,
     Headings,
@@ -238,3 +240,22 @@ def restart_closures(parts: Sequence[Observation]) -> Closures:
         if started - stopped <= LONGEST_RESTART:
             rows.append((stopped, started, STANDING_SIGMA))
     return Closures.of(rows)
+
+
+FEWEST_RETURNS, LEAST_SHARE = 10, 0.01  # of positions that lead there and back: a receiver that starts has a few
+
+
+def doubted_positions(time: Array, position: Array, sigma: Array, sources: Sequence[str]) -> tuple[str, ...]:
+    """A line if many positions lead back and forth faster than anybody goes on the ground, else none.
+
+    time: ``(n,)`` [s], in order; position: ``(n, 2)`` [m]; sigma: ``(n,)`` per axis [m]; sources: where they are from.
+    """
+    way = np.diff(position, axis=0)
+    error = FIXES.outlier * (sigma[1:] + sigma[:-1])
+    fast = np.hypot(*way.T) > TRACK.fastest * (np.diff(time) + 1.0) + error  # times may be whole seconds
+    back = fast[1:] & fast[:-1] & (np.einsum("ij,ij->i", way[1:], way[:-1]) < 0)
+    if (returns := int(back.sum())) < max(FEWEST_RETURNS, LEAST_SHARE * len(time)):
+        return ()
+    fastest = f"{3.6 * TRACK.fastest:.0f} km/h"
+    text = f"doubtful: {returns} of {len(time)} positions lead back and forth faster than {fastest}"
+    return (f"{text}: of two persons or devices? From {', '.join(dict.fromkeys(sources))}",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -9,11 +10,12 @@ from datetime import date
 from pathlib import Path
 
 from pdr_graph.apps.lifelog.day import Day
-from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, diary
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, diary
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period, zone_of_outings
 from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, overview
 from pdr_graph.apps.lifelog.places import Place, likely_home
 from pdr_graph.apps.lifelog.store import ZONE, Store
+from pdr_graph.apps.lifelog.timeline import duration_text
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.whole_files import output_folder
 
@@ -82,7 +84,7 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
 
 def _persons(log: Store, wanted: Sequence[str]) -> list[str]:
     """The persons to show. Raises InputError for one without days."""
-    people = sorted({person for person, _ in log.days()})
+    people = sorted({person for person, _ in dates_of(log)})
     if not people:
         raise InputError(log.path, "", "no day", "lifelog build, and more than one position a day")
     for person in wanted:
@@ -93,7 +95,7 @@ def _persons(log: Store, wanted: Sequence[str]) -> list[str]:
 
 def _default_period(log: Store, persons: Sequence[str], choice: Choice) -> Period:
     """All days of a person or a place; else the last day."""
-    last = max(date.fromisoformat(on) for person, on in log.days() if person in persons)
+    last = max(date.fromisoformat(on) for person, on in dates_of(log) if person in persons)
     if choice.persons or choice.place:
         return Period(ALL, "all days", date.min, LAST_DATE)
     return Period(DAY, last.isoformat(), last, last)
@@ -127,7 +129,7 @@ def _no_place(place: str, diaries: Sequence[Diary], period: Period) -> InputErro
 
 
 def _no_day(log: Store, persons: Sequence[str], period: Period) -> InputError:
-    dates = sorted(on for person, on in log.days() if person in persons)
+    dates = sorted(on for person, on in dates_of(log) if person in persons)
     option = "" if period.kind == ALL else "--date" if period.kind == DAY else f"--{period.kind}"
     return InputError(option, "", repr(period.name), f"a recorded day from {dates[0]} to {dates[-1]}")
 
@@ -142,6 +144,10 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     # none of an outing that began on the day before
     stored = log.day(chosen.persons[0], chosen.period.name) if is_day else None
     notes, missing = _remarks(stored) if stored else ([], [])
+    guessed = Counter[str]()
+    for entry in (entry for day in chosen.days for entry in day.entries if entry.guess and not entry.observed):
+        guessed[entry.guess.partition(":")[0]] += round(entry.duration)
+    notes += [f"{duration_text(lasts)} are what {source} guessed, without data" for source, lasts in guessed.items()]
     remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
     if folder is not None:
         from pdr_graph.apps.lifelog.report import write_day, write_overview  # imports matplotlib, which is slow

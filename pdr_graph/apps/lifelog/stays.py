@@ -22,7 +22,7 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled
+from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled, without
 from pdr_graph.apps.lifelog.observation import StatedActivity
 from pdr_graph.errors import count
 from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
@@ -43,11 +43,11 @@ MIN_STEPS = 4  # of a bout; fewer between two pauses are shuffling
 def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tuple[Trajectory, tuple[Segment, ...]]:
     """The path through positions alone, as of `way_through`, and its segments from the first fix to the last.
 
-    stated: activities that the person states.
+    A gap lasts from one fix to the next. stated: activities that the person states.
     """
     way = way_through(fixes, [(start, end, ACTIVITIES.index(kind)) for start, end, kind in stated])
-    gone = np.diff(length_along(way.trajectory.position))
-    return way.trajectory, _segments(way.kind, way.trajectory.time, gone)
+    track, gone = way.trajectory, np.diff(length_along(way.trajectory.position))
+    return track, _segments(way.kind, track.time, gone, np.isin(track.time[:-1], fixes.time[way.used]))
 
 
 def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Segment, ...]:
@@ -83,11 +83,13 @@ def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Seg
     return _segments(parts, edge, distance)
 
 
-def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
+def _segments(parts: Index, edge: Array, gone: Array, seen: Mask | bool = False) -> tuple[Segment, ...]:
     """The runs of parts of one kind as segments.
 
-    parts: ``(p,)`` kinds; edge: ``(p + 1,)`` their bounds [s]; gone: ``(p,)`` the distance of each [m].
+    parts: ``(p,)`` kinds; edge: ``(p + 1,)`` their bounds [s]; gone: ``(p,)`` the distance of each [m]; seen: ``(p,)``
+    True for parts that begin at a fix, which ends a gap.
     """
+    starts = np.flatnonzero((np.diff(parts, prepend=-1) != 0) | (seen & (parts == LOST)))
     return tuple(
         Segment(
             ACTIVITIES[parts[a]],
@@ -95,7 +97,7 @@ def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
             float(edge[b]),
             float(gone[a:b].sum()) if parts[a] in (WALKS, RIDES) else 0.0,
         )
-        for a, b in pairwise(_run_starts(parts))
+        for a, b in pairwise([*starts.tolist(), len(parts)])
     )
 
 
@@ -106,6 +108,7 @@ def _run_starts(parts: Index) -> list[int]:
 
 # Chosen by hand
 RIDE_SPEED = 10.0  # [m/s] standard deviation per axis of the velocity of a ride: traffic in a town
+SHORTEST_RIDE = 150.0  # [m]
 LONGEST_BOARDING = 30.0  # [s] without steps at either end of a ride, while it is slow
 
 
@@ -129,8 +132,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     reach = FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
     first, after = np.searchsorted(fixes.time, spans[:, 0]), np.searchsorted(fixes.time, spans[:, 1], side="right")
     sigma = np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
-    # shortest ride [m]
-    spans = spans[far > np.maximum(reach + FIXES.outlier * sigma, 150.0)]
+    spans = spans[far > np.maximum(reach + FIXES.outlier * sigma, SHORTEST_RIDE)]
 
     # One ride where the walker does not leave the place of a stop
     if len(spans) > 1:
@@ -141,17 +143,17 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
         )
         spans = np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
 
-    # Rides split at the bouts of walking within them that lead as far as the positions move (from one bus to the next)
+    # Rides without the bouts of walking that lead as far as the positions move: between two buses, or at either end
     begins, ends = steps.time - steps.duration, steps.time
     first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > LONGEST_PAUSE)
     after = np.append(first[1:], len(steps))[: len(first)]
     walks = np.column_stack([begins[first], ends[after - 1]])
     gone = np.diff(np.interp(walks, way.time, length_along(way.position)), axis=1)[:, 0]
     led = np.diff(distance_walked(steps, walks), axis=1)[:, 0]
-    # least steps between rides of a walk that separates two rides
+    # least steps of such a walk
     walks = walks[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
-    inside = (walks[:, 0] > spans[:, :1]) & (walks[:, 1] < spans[:, 1:])
-    spans = np.sort(np.append(spans, walks[inside.any(axis=0)])).reshape(-1, 2)
+    spans = np.array([part for span in spans for part in without(span, walks)]).reshape(-1, 2)
+    spans = spans[np.diff(np.interp(spans, way.time, length_along(way.position)), axis=1)[:, 0] > SHORTEST_RIDE]
 
     # Extended to the steps before and after, by LONGEST_BOARDING at most
     ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)

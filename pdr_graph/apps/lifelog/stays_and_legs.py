@@ -15,15 +15,16 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without, without_gap_rows
+from pdr_graph.apps.lifelog.facts import END, FASTEST_WALK, VISIT, Guess
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.priors import TRACK
 from pdr_graph.types import Array, Mask
 
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
-EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
-LONGEST_BRIDGED = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
+LONGEST_BRIDGED = TRACK.silence  # [s] that a visit bridges
 HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact one for the middle of a visit
 
 
@@ -116,16 +117,10 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
             found[-1] = _joined(found[-1], halt)
         else:
             found.append(halt)
-    limits = [-np.inf, *(visit.end for visit in found)], [*(visit.start for visit in found), np.inf]
-    visits, before = list[TimelineEntry](), -np.inf
-    for n, visit in enumerate(found):
-        start, end = _edges(visit, track, limits[0][n], limits[1][n + 1])
-        start = max(start, before)
-        before = max(end, before)
-        if end - start >= SHORTEST_VISIT:
-            longitude, latitude = lonlat_of(visit.middle)
-            place = TimelineEntry(STAY, start, end, latitude=latitude, longitude=longitude, sigma=visit.sigma)
-            visits.append(place)
+    visits = list[TimelineEntry]()
+    for visit in (visit for visit in found if visit.end - visit.start >= SHORTEST_VISIT):
+        lon, lat = lonlat_of(visit.middle)
+        visits.append(TimelineEntry(STAY, visit.start, visit.end, latitude=lat, longitude=lon, sigma=visit.sigma))
     return visits
 
 
@@ -174,21 +169,8 @@ def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)))
 
 
-def _edges(visit: _Halt, track: Track, earliest: float, latest: float) -> tuple[float, float]:
-    """Start and end of a visit with the walking within EDGE_RADIUS before and after it; earliest, latest: limits."""
-    rows = track.between(visit.start, visit.end)
-    low = min(int(np.searchsorted(track.time, earliest, side="right")), rows.start)
-    high = max(int(np.searchsorted(track.time, latest)), rows.stop)
-    away = track.plan[low:high] | (((track.sphere[low:high] - visit.middle) ** 2).sum(axis=1) > EDGE_RADIUS**2)
-    first = low + int(np.flatnonzero(np.append(True, away[: rows.start - low]))[-1])
-    last = rows.stop - 1 + int(np.flatnonzero(np.append(away[rows.stop - low :], True))[0])
-    start = float(track.time[first]) if first < rows.start else visit.start
-    return start, float(track.time[last]) if last >= rows.stop else visit.end
-
-
 # Chosen by hand
 SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
-FASTEST_WALKING_LEG = 2.5  # [m/s]
 MOVING = (WALKING, VEHICLE)
 
 
@@ -219,7 +201,8 @@ def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], trac
             rows += _legs(parts, track)
         else:
             floor = tuple(dict.fromkeys(label for part in parts for label in part.floor))
-            rows.append(replace(visits[group], floor=floor, observed=_observed(parts), parts=parts))
+            inside = float(sum(part.distance for part in parts))
+            rows.append(replace(visits[group], floor=floor, distance=inside, observed=_observed(parts), parts=parts))
     return rows
 
 
@@ -255,7 +238,7 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
     kinds = [_leg_kind(piece, longest, track) for piece in pieces]
     if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # by speed: nobody saw how the person went
         start, end = pieces[0].start, pieces[-1].end
-        fast = track.length(start, end) > FASTEST_WALKING_LEG * (end - start)
+        fast = track.length(start, end) > FASTEST_WALK * (end - start)
         kinds = [VEHICLE if fast else WALKING] * len(pieces)
     named = list[tuple[str, TimelineEntry]]()
     for n, piece in enumerate(pieces):
@@ -281,11 +264,11 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
     lasted = piece.duration
     # shortest jump [m] over a short silence, from which a fast one is a ride
-    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALKING_LEG * lasted, 300.0):
+    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALK * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
     if piece.kind in MOVING:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
-        return piece.kind if lasted >= min(120.0, longest) else ""
+        return piece.kind if lasted >= min(45.0, longest) else ""
     return GAP if piece.kind == GAP and lasted >= SHORTEST_SILENCE else ""
 
 
@@ -294,3 +277,55 @@ def _observed(parts: Sequence[TimelineEntry]) -> float:
     lasted = np.array([part.duration for part in parts])
     seen = np.array([0.0 if part.kind == GAP else part.observed for part in parts])
     return float(lasted @ seen / max(lasted.sum(), 1e-9))
+
+
+GUESSED_SIGMA = 75.0  # [m] per axis of a place that another program guessed; as of its processed paths
+SHORTEST_GUESS = 60.0  # [s]
+
+
+def with_guesses(rows: Sequence[TimelineEntry], guesses: Sequence[Guess]) -> list[TimelineEntry]:
+    """The rows, with what other programs guessed where there are no data, marked as such.
+
+    Of guesses of one time the longest counts: a visit before the visits inside it. The guess of most of a recorded stay
+    is named beside it.
+    """
+    known = [row for row in rows if row.kind != GAP]
+    taken = [(row.start, row.end) for row in known]
+    nearest = np.array([guess.start for guess in guesses])
+    found = list[TimelineEntry]()
+    for guess in sorted(
+        (guess for guess in guesses if guess.kind != END),
+        key=lambda guess: (guess.start - guess.stop, guess.start, guess.source),
+    ):
+        parts = without(np.array([guess.start, guess.stop]), np.array(sorted(taken)).reshape(-1, 2))
+        later = guesses[int(np.searchsorted(nearest, guess.stop)) :][:1]
+        for start, end in parts.tolist():
+            if end - start >= SHORTEST_GUESS:
+                found.append(_guessed(guess, start, end, later[0] if later else guess))
+                taken.append((start, end))
+    named = list[TimelineEntry]()
+    for row in known:
+        same = [g for g in guesses if row.kind == STAY and g.kind == VISIT and _overlap(g, row) > row.duration / 2]
+        named.append(replace(row, guess=max(same, key=lambda g: _overlap(g, row)).text) if same else row)
+    filled = list[TimelineEntry]()
+    for row in sorted([*named, *found], key=lambda row: row.start):
+        if filled and row.start > filled[-1].end:
+            filled.append(TimelineEntry(GAP, filled[-1].end, row.start))
+        filled.append(row)
+    return filled
+
+
+def _guessed(guess: Guess, start: float, end: float, later: Guess) -> TimelineEntry:
+    """The row of a part of a guess; later: the guess after it, at the end of a way."""
+    if guess.kind == VISIT:
+        row = TimelineEntry(STAY, start, end, latitude=guess.latitude, longitude=guess.longitude, sigma=GUESSED_SIGMA)
+        return replace(row, observed=0.0, guess=guess.text)
+    ends = on_sphere(np.array([[g.longitude, g.latitude] for g in (guess, later)]))
+    far = float(np.nan_to_num(np.linalg.norm(ends[1] - ends[0]))) * (end - start) / (guess.stop - guess.start)
+    kind = guess.activity(far / (end - start))
+    return TimelineEntry(kind, start, end, far if kind in MOVING else 0.0, observed=0.0, guess=guess.text)
+
+
+def _overlap(guess: Guess, row: TimelineEntry) -> float:
+    """Duration of a guess within a row [s]."""
+    return min(guess.stop, row.end) - max(guess.start, row.start)

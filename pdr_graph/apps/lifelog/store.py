@@ -56,6 +56,7 @@ STORE_SCHEMA = (
 KEPT = {"setting": 2, "recording": 3, "correction": 7, "guess": 6, "phone": 2}
 ZONE = "zone"
 TOGETHER = "together"
+SOURCES = "imported: "  # and a person: the paths that were imported, JSON
 SETTINGS = {ZONE: "", TOGETHER: ""}  # time zone of the days, "" for that of each place; key of the last joint estimate
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
@@ -180,7 +181,7 @@ class Store:
     def setting(self, name: str) -> str:
         """Value of a setting."""
         found = self._all("SELECT value FROM setting WHERE name = ?", name)
-        return found[0][0] if found else SETTINGS[name]  # lost with a damaged page
+        return found[0][0] if found else SETTINGS.get(name, "")  # lost with a damaged page
 
     def days(self) -> dict[tuple[str, str], StoredDay]:
         """Stored days by (person, date), in this order."""
@@ -230,6 +231,11 @@ class Store:
     def delete(self, *hashes: str) -> None:
         """Delete entries of recordings; the next build deletes what was made from them."""
         self._write("DELETE FROM recording WHERE hash = ?", *((name,) for name in hashes))
+
+    def people(self) -> list[str]:
+        """All persons of whom there are recordings, corrections or guesses."""
+        tables = " UNION ".join(f"SELECT person FROM {table}" for table in ("recording", "correction", "guess"))
+        return sorted(person for (person,) in self._all(tables))
 
     def guesses(self, person: str, start: float = -math.inf, stop: float = math.inf) -> tuple[Guess, ...]:
         """Guesses of other programs that touch a time (Unix times [s]), in time order."""
@@ -288,6 +294,7 @@ class Store:
         with self._transaction() as execute:
             for table in (*TABLES, "failure", "recording", "phone", "correction", "guess"):
                 execute(f"DELETE FROM {table} WHERE person = ?", (person,))
+            execute("DELETE FROM setting WHERE name = ?", (SOURCES + person,))
 
     def compact(self) -> None:
         """Write the file anew without what was deleted."""

@@ -43,7 +43,8 @@ SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
 class TimelineEntry(OneLineRepr):
     """A line of the timeline.
 
-    kind: one of ACTIVITIES, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path [m].
+    kind: one of ACTIVITIES, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path, also that
+    within a stay of a diary [m].
     floor: labels, in order, empty where unknown; facing: as in ``Stay``.
     x, y: in the outing's frame [m]; latitude, longitude: the same place [deg]; sigma: standard deviation per axis
     [m]; NaN for entries that are not at one place, and where the place is unknown.
@@ -51,6 +52,7 @@ class TimelineEntry(OneLineRepr):
     end_offset: of local time from UTC at start and end [s]; observed: share of the time with data; parts: the finer
     entries that it covers, in time order, none for a single one.
     mode: what the person calls the activity, as "bus", "" by default; corrected: True if the person states it.
+    guess: what another program guessed, as "Google Timeline: HOME, 78 %"; it is all that is known if observed is 0.
     Of a visit: arrived, left: True if its start and end were observed, not inside a time without data.
     """
 
@@ -73,6 +75,7 @@ class TimelineEntry(OneLineRepr):
     parts: tuple[TimelineEntry, ...] = ()
     mode: str = ""
     corrected: bool = False
+    guess: str = ""
     arrived: bool = False
     left: bool = False
 
@@ -148,10 +151,10 @@ def _with_stays(outing: Outing) -> list[_Piece]:
 
 
 def _merged(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """The pieces, with neighbours of one kind or of one stay merged."""
+    """The pieces, with neighbours of one kind or of one stay merged; between two gaps is a fix."""
     joined: list[_Piece] = []
     for piece in pieces:
-        if joined and joined[-1].kind == piece.kind and joined[-1].stay is piece.stay:
+        if joined and joined[-1].kind == piece.kind != GAP and joined[-1].stay is piece.stay:
             last = joined.pop()
             piece = replace(last, end=piece.end, distance=last.distance + piece.distance)
         joined.append(piece)

@@ -2,11 +2,15 @@
 
 For this machine alone, with a token in the address that is printed. Pages have no scripts and load nothing. A
 correction does what ``pdr-graph lifelog correct`` does.
+
+A correction must come from a form of these pages: the browser states this origin (so pages must send a referrer to
+their own server, else browsers write ``Origin: null``), and the form has a key derived from the token.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import re
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, date, datetime, timedelta
@@ -14,6 +18,7 @@ from html import escape
 from pathlib import Path
 from urllib.parse import parse_qs, urlencode
 
+import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
@@ -22,7 +27,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from pdr_graph.apps.lifelog import report, revision
-from pdr_graph.apps.lifelog.diary import DiaryDay, diary
+from pdr_graph.apps.lifelog.diary import DiaryDay, dates_of, diary
 from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.overview import row_texts
@@ -35,12 +40,13 @@ from pdr_graph.apps.serve.application import Guard
 from pdr_graph.errors import InputError, one_line
 
 NUMBER = re.compile(r"[0-9]{1,9}")  # of an entry or a correction
+KEY = "key"  # field of every form
 LONGEST_FORM = 1 << 14  # [bytes]
 DAYS_AROUND = 40  # days before and after one, among which the next recorded one is looked for
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data: 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
@@ -55,8 +61,9 @@ Fields = Mapping[str, str]
 class DiaryServer:
     """The lifelog of the routes. One request at a time opens the store."""
 
-    def __init__(self, store: Path):
+    def __init__(self, store: Path, token: str):
         self.store, self.lock = store, asyncio.Lock()
+        self.key = hmac.digest(token.encode(), b"forms of the diary", "sha256").hex()
 
     async def run(self, function: Callable[..., bytes | str], *values: object) -> Response:
         """The page that a function makes; the line of an InputError as a page with status 400."""
@@ -69,12 +76,13 @@ class DiaryServer:
                 return _html(_page("not possible", f'<p class="fault">{escape(one_line(str(error)))}</p>'), 500)
         if isinstance(content, bytes):
             return Response(content, media_type="image/svg+xml", headers=HEADERS)
-        return _html(content)
+        key = f'<input type="hidden" name="{KEY}" value="{self.key}"></form>'
+        return _html(content.replace("</form>", key))
 
 
 def application(store: Path, token: str) -> Starlette:
     """The ASGI application of a lifelog. token: which every request must have."""
-    server = DiaryServer(store)
+    server = DiaryServer(store, token)
 
     def shown(function: Callable[..., bytes | str]) -> Callable[[Request], Awaitable[Response]]:
         async def answer(request: Request) -> Response:
@@ -97,6 +105,8 @@ def application(store: Path, token: str) -> Starlette:
             if len(body) > LONGEST_FORM:
                 return PlainTextResponse(f"found a form of over {LONGEST_FORM} bytes\n", 413)
         fields = {name: values[0] for name, values in parse_qs(body.decode(errors="replace")).items()}
+        if not hmac.compare_digest(fields.get(KEY, "").encode(), server.key.encode()):
+            return PlainTextResponse("found a form of another page, expected one of this diary: reload it\n", 403)
         return await server.run(corrected_page, fields)
 
     routes = [Route("/", day), Route("/picture.svg", shown(day_picture)), Route("/entry", shown(entry_page))]
@@ -136,9 +146,10 @@ def day_page(store: Path, query: Fields) -> str:
 def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
     """The day of a query, the dates around it, and all persons. Raises InputError if there is no such day."""
     with Store(store) as log:
-        people = sorted({name for name, _ in log.days()})
+        known = dates_of(log)
+        people = sorted({name for name, _ in known})
         person = revision.person_of(log, query.get("person") or (people[0] if people else None))
-        stored = [on for name, on in log.days() if name == person]
+        stored = [on for name, on in known if name == person]
         on = query.get("date") or (stored[-1] if stored else "")
         wanted = period_of(day=on)
         if wanted is None:
@@ -179,7 +190,6 @@ def entry_page(store: Path, query: Fields) -> str:
     modes = "".join(f"<option>{mode}</option>" for mode in MODE_ACTIVITIES)
     forms = [
         _form("at", hidden, "I was at", '<input name="value" placeholder="LAT,LON or a name" required>'),
-        _form("name", hidden, "This place is called", '<input name="value" required>'),
         _form("mode", hidden, "This was", f'<select name="value">{modes}</select>'),
         _form(
             "split",
@@ -190,6 +200,8 @@ def entry_page(store: Path, query: Fields) -> str:
         _form("not-me", hidden, "This was not me", ""),
         _form("forget", hidden, "Delete this time for good", '<input name="sure" placeholder="type yes">'),
     ]
+    if np.isfinite(entry.latitude):
+        forms.insert(1, _form("name", hidden, "This place is called", '<input name="value" required>'))
     if after:
         both = hidden | {"end": _time(after[0].end, after[0].end_offset)}
         forms.insert(2, _form("merge", both, "This and the next are one stay", ""))

@@ -181,9 +181,9 @@ class LiveAmbiguity:
 
     graph: of the walk, which answers change; output: has the modes that remain, and whether the walk is certain.
     solved: the batch has solved it; batch_reviewed: it has done so once more since the walk is certain; restarts: times
-    [s] at which measurements contradicted the estimate; next_batch, next_search, next_comparison: times [s] before which a
-    question is not asked again; findings: what the sources get wrong; history: the recent past in which they are
-    compared.
+    [s] at which measurements contradicted the estimate; next_batch, next_search, next_comparison: times [s] before
+    which a question is not asked again; findings: what the sources get wrong; history: the recent past in which they
+    are compared.
     """
 
     def __init__(self, graph: LiveGraph, output: LiveOutput, executor: Executor | None = None):

@@ -6,12 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 
-from pdr_graph.apps.lifelog.facts import Guess
+from pdr_graph.apps.lifelog.facts import ACTIVITY, END, VISIT, Guess
 from pdr_graph.apps.lifelog.past.past_json import at, coordinates, coordinates_e7, decoded, items, lists_format, pieces
 from pdr_graph.apps.lifelog.past.past_rows import (
     FIRST_TIME,
@@ -32,6 +33,7 @@ from pdr_graph.types import Array
 SEMANTIC, TIMELINE = "Google Semantic Location History", "Google Timeline"
 GOOGLE_RADIOS = {"GPS": GPS, "WIFI": GOOGLE_WIFI, "CELL": GOOGLE_CELL}
 NAN = float("nan")
+OFFSET = "durationMinutesOffsetFromStartTime"
 
 
 class Location(
@@ -81,18 +83,31 @@ def _semantic(found: Sequence[Any], bad: int) -> Batch:
         for stay in (visit, *items(visit, "childVisits")) if isinstance(visit, dict) else ():
             place = at(stay, "location")
             name, share = at(place, "name") or at(place, "placeId"), float_of(at(place, "locationConfidence")) / 100
-            guesses.append(guess(SEMANTIC, "visit", _times(stay), name, coordinates_e7(place), share))
+            guesses.append(guess(SEMANTIC, VISIT, _times(stay), name, coordinates_e7(place), share))
         if isinstance(ride, dict):
             name = at(ride, "activityType") or at(ride, "waypointPath", "travelMode")
             shares = [at(a, "probability") for a in items(ride, "activities") if at(a, "activityType") == name]
             share = float_of(shares[0]) / 100 if shares else None
             place = coordinates_e7(at(ride, "startLocation"))
-            guesses.append(guess(SEMANTIC, "activity", _times(ride), name, place, share))
+            guesses.append(guess(SEMANTIC, ACTIVITY, _times(ride), name, place, share))
+            guesses += _end(SEMANTIC, _times(ride)[1], coordinates_e7(at(ride, "endLocation")))
         for point in items(ride, "simplifiedRawPath", "points"):
             accuracy = max(PATH_ACCURACY, float_of(at(point, "accuracyMeters")))
             time = at(point, "timestamp") or at(point, "timestampMs")
             points.append((time, coordinates_e7(point), accuracy, GOOGLE_PATH))
     return batch_of(points, bad, guesses)
+
+
+def _end(source: str, time: Any, place: tuple[float, float]) -> list[Guess]:
+    """The end of an activity as a guess; none if its place is unknown."""
+    return [guess(source, END, (time, time), "", place, None)] if np.isfinite(place).all() else []
+
+
+def _spread(times: Sequence[float]) -> list[float]:
+    """Times [s] of a path, which are whole minutes: several of one minute are spread over it, in order."""
+    return [
+        time + 60 * k / len(own) for _, same in groupby(times) for own in [list(same)] for k, time in enumerate(own)
+    ]
 
 
 def _times(value: Any) -> tuple[Any, Any]:
@@ -116,13 +131,17 @@ def _segments(found: Sequence[Any], bad: int) -> Batch:
             meaning = str(at(best, "semanticType") or "").upper()
             name = at(best, "placeId") or at(best, "placeID") if meaning in ("", "UNKNOWN") else meaning
             place = coordinates(at(best, "placeLocation"))
-            guesses.append(guess(TIMELINE, "visit", times, name, place, at(best, "probability")))
+            guesses.append(guess(TIMELINE, VISIT, times, name, place, at(best, "probability")))
         if isinstance(ride, dict):
             best, place = at(ride, "topCandidate"), coordinates(at(ride, "start"))
-            guesses.append(guess(TIMELINE, "activity", times, at(best, "type"), place, at(best, "probability")))
-        start = unix_time(times[0])
-        for point in items(element, "timelinePath"):
-            time = at(point, "time") or start + 60 * float_of(at(point, "durationMinutesOffsetFromStartTime"))
+            guesses.append(guess(TIMELINE, ACTIVITY, times, at(best, "type"), place, at(best, "probability")))
+            guesses += _end(TIMELINE, times[1], coordinates(at(ride, "end")))
+        start, path = unix_time(times[0]), items(element, "timelinePath")
+        minute = [
+            unix_time(at(point, "time")) if at(point, "time") else start + 60 * float_of(at(point, OFFSET))
+            for point in path
+        ]
+        for time, point in zip(_spread(minute), path, strict=True):
             points.append((time, coordinates(at(point, "point")), PATH_ACCURACY, GOOGLE_PATH))
     return batch_of(points, bad, guesses)
 

@@ -10,7 +10,7 @@ import errno
 import os
 import re
 import shutil
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,15 +20,17 @@ from typing import IO, BinaryIO, cast
 import numpy as np
 
 from pdr_graph.apps.lifelog import cache
-from pdr_graph.apps.lifelog.facts import Guess, forgotten_times
+from pdr_graph.apps.lifelog.facts import END, Guess, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
 from pdr_graph.apps.lifelog.past import google, tracks
-from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
-from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format
+from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, add_sources, enter
+from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format, assumed_accuracy, day_of, metres_of
+from pdr_graph.apps.lifelog.sessions import doubted_positions
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError, count, quoted
-from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
+from pdr_graph.io.past_day import GOOGLE_PATH, MS, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import RADIUS_68
 
 # The first whose sign a file has reads it
 PAST_FORMATS = (
@@ -192,11 +194,17 @@ def import_past(
             days = sorted({*positions.days(), *sightings.days()})
             _check_space(folder, ROW_SIZE * (positions.number + sightings.number + len(reading.guesses)))
             for done, day in enumerate(days, start=1):
-                changed += past.merge(day, positions.rows(day), sightings.rows(day))
+                before, new = past.read(day)[0], positions.rows(day)
+                notes += _doubts(
+                    np.concatenate([before, new]), [*["earlier imports"] * len(before[:1]), *reading.files[day]]
+                )
+                changed += past.merge(day, new, sightings.rows(day))
                 progress("days", done, len(days))
-            guesses = log.put_guesses(person, reading.guesses)
+            guesses = log.put_guesses(person, (guess for guess in reading.guesses if guess.kind != END))
+            log.put_guesses(person, (guess for guess in reading.guesses if guess.kind == END))
             placed = past.place_scans()
             enter(log, past, past.days())
+        add_sources(log, person, {file.source.path for file in found})
         result = ImportResult(changed, guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
         is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
     if is_new and is_empty:
@@ -216,6 +224,15 @@ def _check_space(folder: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {-(-size // MB)} MB of rows", str(folder))
 
 
+def _doubts(rows: Rows, sources: Sequence[str]) -> tuple[str, ...]:
+    """A line about the positions of a day if those of several sources are not of one person (`doubted_positions`)."""
+    rows = rows[(rows["source"] != GOOGLE_PATH) & (rows["source"] != RECEPTIONS)]
+    if len(sources) < 2 or not len(rows):
+        return ()
+    rows = rows[np.argsort(rows["time"], kind="stable")]
+    return doubted_positions(rows["time"] / MS, metres_of(rows), assumed_accuracy(rows) / RADIUS_68, sources)
+
+
 class _Reading:
     """Reads files into the spills; guesses: those that are kept."""
 
@@ -224,6 +241,7 @@ class _Reading:
         self._done = 0
         self._forgotten = forgotten_times(log.corrections(person))
         self.guesses, self.notes = list[Guess](), list[str]()
+        self.files = defaultdict[int, list[str]](list)  # of each day
 
     def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
         """Read a file; returns why it is refused, or where it is damaged, on a line."""
@@ -232,7 +250,9 @@ class _Reading:
             for batch in file.batches(self._advance):
                 valid, left_out = valid + len(batch.positions), left_out + batch.left_out
                 others += len(batch.guesses) + len(batch.sightings)
-                positions.add(self._kept(batch.positions))
+                positions.add(kept_rows := self._kept(batch.positions))
+                for day in set(day_of(kept_rows).tolist()):
+                    self.files[day] += [] if file.where in self.files[day] else [file.where]
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
                 self.guesses += [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]

@@ -13,6 +13,7 @@ own day, and scales the stated sigma to cover 68 % and 95 % of them.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
@@ -23,7 +24,7 @@ import numpy as np
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.observation import MIN_POSITIONS
 from pdr_graph.apps.lifelog.past.past_rows import assumed_accuracy, changes, day_of, merged_positions, merged_sightings
-from pdr_graph.apps.lifelog.store import Entry, Store
+from pdr_graph.apps.lifelog.store import SOURCES, Entry, Store
 from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.delimited import MAXIMUM_LINE
 from pdr_graph.io.past_day import (
@@ -351,6 +352,17 @@ class PastDays:
         with self.file(day).open(encoding="utf-8") as file:
             match = HEAD_LINE.match(file.readline(MAXIMUM_LINE))
         return (int(match[1]), int(match[2])) if match else (0, 0)
+
+
+def sources_of(store: Store, person: str) -> list[Path]:
+    """The files, folders and zips that were imported for a person."""
+    return [Path(path) for path in json.loads(store.setting(SOURCES + person) or "[]")]
+
+
+def add_sources(store: Store, person: str, paths: Iterable[Path]) -> None:
+    """Remember what was imported for a person, to name it when something is deleted."""
+    every = {*sources_of(store, person), *(path.resolve() for path in paths)}
+    store.put_setting(SOURCES + person, json.dumps(sorted(map(str, every))))
 
 
 def about(day: int) -> tuple[int, ...]:

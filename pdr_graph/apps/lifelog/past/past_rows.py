@@ -26,6 +26,7 @@ import numpy as np
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.errors import count
+from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.validation import RECEIVER, float_of, in_seconds, iso_time, plausible_times
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
@@ -190,6 +191,13 @@ def changes(before: Rows, after: Rows) -> tuple[int, int]:
 def assumed_accuracy(rows: Rows) -> Array:
     """The 68 % radius ``(n,)`` [m], where it is unknown that which a reader assumes."""
     return np.where(rows["accuracy"] == NO_ACCURACY, RECEIVER.accuracy, rows["accuracy"] / CM)
+
+
+def metres_of(rows: Rows) -> Array:
+    """Positions ``(n, 2)`` east and north [m] on a plane about the first."""
+    lat, lon = rows["lat"] / E7, rows["lon"] / E7
+    east = METRES_PER_DEGREE * np.cos(np.radians(lat[:1])) * (lon - lon[:1])
+    return np.column_stack([east, METRES_PER_DEGREE * (lat - lat[:1])])
 
 
 def _keys(rows: Rows) -> Index:
