@@ -28,6 +28,13 @@ def interpolate(at: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
 
+def peaks(values: Array, least: float, apart: int) -> Index:
+    """Indices of the maxima of at least ``least``, the largest of those within ``apart`` of them; at an edge too."""
+    from scipy.signal import find_peaks  # slow to import
+
+    return find_peaks(np.pad(values, 1), height=least, distance=apart)[0] - 1
+
+
 def horizontal_sigma(covariance: Array) -> Array:
     """Standard deviation per axis ``(n,)`` [m] of covariances ``(n, 2, 2)`` or larger: root mean variance."""
     return np.sqrt((covariance[..., 0, 0] + covariance[..., 1, 1]) / 2)

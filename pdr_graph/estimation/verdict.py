@@ -9,14 +9,13 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import find_peaks
 
 from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import interpolate, peaks
 from pdr_graph.priors import FIXES, PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
@@ -104,10 +103,10 @@ def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
         jump = usual[n:, :2] - usual[:-n, :2]
         sigmas = np.hypot(*jump.T) / np.fmax(usual[n:, 2], usual[:-n, 2])
         sigmas[np.diff(own[:, 0])[n - 1 : 1 - n] > FIXES.seconds] = 0.0
-        at, _ = find_peaks(np.pad(sigmas, 1), height=VERDICTS.jump, distance=n)
-        stays = float(np.hypot(*jump[at - 1].sum(axis=0)))
+        at = peaks(sigmas, VERDICTS.jump, n)
+        stays = float(np.hypot(*jump[at].sum(axis=0)))
         if stays > VERDICTS.jump * np.median(own[:, 1]):
-            most = int(at[np.argmax(sigmas[at - 1])]) - 1
+            most = int(at[np.argmax(sigmas[at])])
             text = f"{source} jumps {stays:.0f} m from the way of the steps at {own[n + most, 0]:.0f} s and stays there"
             check = "where the walk was before and after: one of both is wrong"
             yield Contradiction(source, "steps", stays, "m", text, check)

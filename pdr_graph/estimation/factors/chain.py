@@ -19,10 +19,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
-from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
+from pdr_graph.geometry import nearest, peaks, pose_rotation, wrap_angle
 from pdr_graph.priors import MOTION, RECEIVERS, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
@@ -126,9 +125,9 @@ def pace_changes(whole: Array, start: float) -> tuple[Array, Array]:
     if len(step) < 2 * n:
         return np.empty(0), np.empty(0)
     pace = np.median(np.lib.stride_tricks.sliding_window_view(np.log(duration[step]), n), axis=1)
-    change = np.concatenate([[0.0], pace[n:] - pace[:-n], [0.0]])  # between steps n - 1, n, …
-    at, _ = find_peaks(np.abs(change), height=MOTION.pace_change, distance=n)
-    first = step[n - 1 + at]
+    change = pace[n:] - pace[:-n]  # between steps n - 1 and n, n and n + 1, …
+    at = peaks(np.abs(change), MOTION.pace_change, n)
+    first = step[n + at]
     return np.append(start, whole[:, 0])[first], change[at]
 
 

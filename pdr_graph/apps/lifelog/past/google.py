@@ -136,13 +136,13 @@ def _segments(found: Sequence[Any], bad: int) -> Batch:
             best, place = at(ride, "topCandidate"), coordinates(at(ride, "start"))
             guesses.append(guess(TIMELINE, ACTIVITY, times, at(best, "type"), place, at(best, "probability")))
             guesses += _end(TIMELINE, times[1], coordinates(at(ride, "end")))
-        start, path = unix_time(times[0]), items(element, "timelinePath")
-        minute = [
-            unix_time(at(point, "time")) if at(point, "time") else start + 60 * float_of(at(point, OFFSET))
-            for point in path
-        ]
-        for time, point in zip(_spread(minute), path, strict=True):
-            points.append((time, coordinates(at(point, "point")), PATH_ACCURACY, GOOGLE_PATH))
+        start, path = unix_time(times[0]), dict[tuple[float, tuple[float, float]], None]()  # without repetitions
+        for point in items(element, "timelinePath"):
+            moment, since = at(point, "time"), at(point, OFFSET)
+            minute = unix_time(moment) if moment else start + 60 * float_of(since)
+            path[minute, coordinates(at(point, "point"))] = None
+        for time, (_, place) in zip(_spread([minute for minute, _ in path]), path, strict=True):
+            points.append((time, place, PATH_ACCURACY, GOOGLE_PATH))
     return batch_of(points, bad, guesses)
 
 
