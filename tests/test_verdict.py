@@ -89,6 +89,12 @@ def test_a_receiver_that_jumps_and_stays_there_is_doubtful(seed, moment):
     assert pdr.verdict(followed_by_a_receiver(seed, lambda time: 0.0)).ok
 
 
+def test_a_ride_is_no_jump_of_the_receiver():
+    """Eight metres a second for ten seconds beside the steps."""
+    ride = followed_by_a_receiver(0, lambda time: 8.0 * np.clip(time - 30.0, 0, 10)[:, None] * [0.6, 0.8])
+    assert "GNSS" not in sources(pdr.verdict(ride))
+
+
 def test_one_outlier_among_ten_fixes_is_no_reason():
     def moved(fixes):
         position = fixes.position.copy()

@@ -102,7 +102,8 @@ def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
         usual = np.median(sliding_window_view(np.column_stack([off, own[:, 1]]), n, axis=0), axis=-1)
         jump = usual[n:, :2] - usual[:-n, :2]
         sigmas = np.hypot(*jump.T) / np.fmax(usual[n:, 2], usual[:-n, 2])
-        sigmas[np.diff(own[:, 0])[n - 1 : 1 - n] > FIXES.seconds] = 0.0
+        gradual = np.hypot(*np.diff(off, axis=0)[n - 1 : 1 - n].T) < np.hypot(*jump.T) / 2  # a ride
+        sigmas[gradual | (np.diff(own[:, 0])[n - 1 : 1 - n] > FIXES.seconds)] = 0.0
         at = peaks(sigmas, VERDICTS.jump, n)
         stays = float(np.hypot(*jump[at].sum(axis=0)))
         if stays > VERDICTS.jump * np.median(own[:, 1]):
