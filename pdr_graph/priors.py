@@ -202,7 +202,7 @@ class MotionPriors(Table):
         100, "steps", "for which the calibration is constant", "design, section 3", still=(0.5, 2)
     )
     pace_steps: int = number(12, "steps", "before and after a change of pace, whose median durations are compared")
-    pace_change: float = number(0.12, "ratio", "change of these from which it is another pace")
+    pace_change: float = number(0.15, "ratio", "change of these from which it is another pace")
 
 
 # Directions
@@ -444,7 +444,7 @@ class WalkerPriors(Table):
         (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
     )
     pace: float = number(
-        0.3,
+        0.2,
         "ratio",
         "sigma of the change of R_s by that of the pace, in logarithms",
         "0.5 with noise at 15 changes in real malls; 1.5 in simulated browsing",
