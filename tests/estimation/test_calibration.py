@@ -195,7 +195,7 @@ def paces(slower, sigma_length=0.07):
 def test_a_change_of_pace_frees_the_stride():
     """Of a walker who browses, from the step on at which the pace changes; as fast as before it may change little."""
     scale = smooth(WalkGraph(*paces(slower=0.15))).calibration.value[:, 0]
-    assert scale == pytest.approx([1.0, BROWSED], abs=0.04)
+    assert scale == pytest.approx([1.0, BROWSED], abs=0.06)
     (shared,) = smooth(WalkGraph(*paces(slower=0.0))).calibration.value[:, 0]
     assert BROWSED + 0.08 < shared < 0.92, "a control: a mean of both"
 
