@@ -10,7 +10,7 @@ import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
-PATIENCE = 30.0  # [s] for a page to be drawn, on a machine that others compute on
+PATIENCE = 60.0  # [s] for a page to be drawn, on a machine that others compute on
 OFFLINE = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
 ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,900")
 
