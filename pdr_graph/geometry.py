@@ -28,9 +28,9 @@ def interpolate(at: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
 
-def peaks(values: Array, least: float, apart: int) -> Index:
+def peaks(values: Array, least: float, apart: float) -> Index:
     """Indices of the maxima of at least ``least``, the largest of those within ``apart`` of them; at an edge too."""
-    from scipy.signal import find_peaks  # slow to import
+    from scipy.signal import find_peaks  # here: few commands need it and it takes half a second to load
 
     return find_peaks(np.pad(values, 1), height=least, distance=apart)[0] - 1
 

@@ -98,9 +98,10 @@ class WalkGraph:
 
         # Keyframes at measurements and gaps, and the calibration segments
         kinds = measurements_of_walk(self.data, steps, self.prior)
-        lost, (changed, pace) = steps.is_gap, pace_changes(whole_pieces(steps), round(steps.start, DECIMALS))
+        lost, whole = steps.is_gap, whole_pieces(steps)
+        changed, pace = pace_changes(whole, round(steps.start, DECIMALS))
         bounds = [steps.time[lost] - steps.duration[lost], steps.time[lost], changed]
-        pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *bounds]))
+        pieces = cut(steps, whole, np.concatenate([*(kind.keyframe_times() for kind in kinds), *bounds]))
         segment = segments(pieces, steps, changed)
         starts = np.searchsorted(pieces.keyframe_time[:-1], np.round([time for time, _ in others], DECIMALS))
         begins = dict(zip(segment[starts].tolist(), [prior for _, prior in others], strict=True)) | {0: self.prior}

@@ -347,9 +347,9 @@ def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
     Q = np.zeros_like(F)
     Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
 
-    begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
-    sigma = change_sigma(graph.prior.change, graph.chain.pace[graph.segment[i : i + 1]])[0]
-    changes = np.square(sigma) if begins else np.zeros(3)
+    changes, segment = np.zeros(3), graph.segment[i]
+    if i > 0 and segment != graph.segment[i - 1]:
+        changes = np.square(change_sigma(graph.prior.change, graph.chain.pace[[segment]])[0])
     rows, P, moments_of_pieces = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), changes)), []
     for m, motion in enumerate(F):
         P = motion @ P @ motion.swapaxes(1, 2) + Q[m]

@@ -23,7 +23,7 @@ import shapely
 from scipy.spatial import KDTree, Voronoi
 
 from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
-from pdr_graph.geometry import length_along, wrap_angle
+from pdr_graph.geometry import length_along, peaks, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
 TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet; chosen by hand
@@ -374,8 +374,6 @@ def _hubs(middle: Skeleton) -> tuple[Index, Index]:
 
 def _bends(middle: Skeleton, chain: Index) -> Index:
     """Vertices ``(b,)`` at which a line turns most, by more than 40°, between an arm's length before and after."""
-    from scipy.signal import find_peaks  # here: few walks need it and it takes half a second to load
-
     line, interval = middle.position[chain], 0.1  # [m] at which the direction is evaluated
     walked = length_along(line)
     arm = max(SHORTEST_ARM, 1.5 * float(np.median(middle.clearance[chain])))
@@ -390,9 +388,8 @@ def _bends(middle: Skeleton, chain: Index) -> Index:
     heading = [np.arctan2(*(b - a).T[::-1]) for a, b in ((before, here), (here, after))]
     turned = np.abs(wrap_angle(heading[1] - heading[0]))
     rolled = int(np.argmin(turned)) if period else 0  # cut a ring where it is straight
-    padded = np.pad(np.roll(turned, -rolled), 1)
-    peaks, _ = find_peaks(padded, height=np.radians(40), distance=max(1, arm / interval))
-    return chain[np.searchsorted(walked, at[(peaks - 1 + rolled) % len(at)]).clip(0, len(chain) - 1)]
+    sharpest = peaks(np.roll(turned, -rolled), np.radians(40), max(1, arm / interval))
+    return chain[np.searchsorted(walked, at[(sharpest + rolled) % len(at)]).clip(0, len(chain) - 1)]
 
 
 def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geometry) -> Array:

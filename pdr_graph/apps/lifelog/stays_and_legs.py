@@ -8,10 +8,11 @@ not observed.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
+from operator import itemgetter
 
 import numpy as np
 
@@ -290,22 +291,27 @@ def with_guesses(rows: Sequence[TimelineEntry], guesses: Sequence[Guess]) -> lis
     is named beside it.
     """
     known = [row for row in rows if row.kind != GAP]
-    taken = [(row.start, row.end) for row in known]
-    nearest = np.array([guess.start for guess in guesses])
+    taken = sorted((row.start, row.end) for row in known)  # without overlap, so in order of their ends too
+    starts = np.array([guess.start for guess in guesses])
+    ended = np.maximum.accumulate([guess.stop for guess in guesses])  # of all guesses up to each
     found = list[TimelineEntry]()
     for guess in sorted(
         (guess for guess in guesses if guess.kind != END),
         key=lambda guess: (guess.start - guess.stop, guess.start, guess.source),
     ):
-        parts = without(np.array([guess.start, guess.stop]), np.array(sorted(taken)).reshape(-1, 2))
-        later = guesses[int(np.searchsorted(nearest, guess.stop)) :][:1]
+        first = bisect_right(taken, guess.start, key=itemgetter(1))
+        inside = taken[first : bisect_left(taken, guess.stop, key=itemgetter(0))]
+        parts = without(np.array([guess.start, guess.stop]), np.array(inside).reshape(-1, 2))
+        later = guesses[at] if (at := int(np.searchsorted(starts, guess.stop))) < len(guesses) else guess
         for start, end in parts.tolist():
             if end - start >= SHORTEST_GUESS:
-                found.append(_guessed(guess, start, end, later[0] if later else guess))
-                taken.append((start, end))
+                found.append(_guessed(guess, start, end, later))
+                insort(taken, (start, end))
     named = list[TimelineEntry]()
     for row in known:
-        same = [g for g in guesses if row.kind == STAY and g.kind == VISIT and _overlap(g, row) > row.duration / 2]
+        first, after = np.searchsorted(ended, row.start), np.searchsorted(starts, row.end)
+        near = guesses[int(first) : int(after)] if row.kind == STAY else ()
+        same = [guess for guess in near if guess.kind == VISIT and _overlap(guess, row) > row.duration / 2]
         named.append(replace(row, guess=max(same, key=lambda g: _overlap(g, row)).text) if same else row)
     filled = list[TimelineEntry]()
     for row in sorted([*named, *found], key=lambda row: row.start):

@@ -99,12 +99,13 @@ class Pieces:
         )
 
 
-def cut(steps: Steps, at: Array) -> Pieces:
+def cut(steps: Steps, whole: Array, at: Array) -> Pieces:
     """Cut a walk into pieces, with a keyframe at the start, the end and each of the times ``at`` [s] within.
 
-    Between these, a keyframe follows at least every ``MOTION.steps_per_keyframe`` pieces.
+    whole: `whole_pieces` of the steps. Between these keyframes, one follows at least every
+    ``MOTION.steps_per_keyframe`` pieces.
     """
-    start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
+    start = round(steps.start, DECIMALS)
     required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
     required = np.unique(required[required > start]).astype(float)
 

@@ -60,8 +60,8 @@ class FixFactor(Measurement):
     held: Mask
     biased: Mask
     keyframe: Index
+    widened: Array
     approximate: bool = False
-    widened: Array | float = 1.0
     wrong: Mask | bool = False
 
     name: ClassVar[str] = "fixes"
@@ -99,6 +99,7 @@ class FixFactor(Measurement):
             held=consistent,
             biased=none,
             keyframe=np.full(len(fixes), -1),
+            widened=np.ones(len(fixes)),
             approximate=approximate,
         )
 
@@ -179,7 +180,7 @@ class FixFactor(Measurement):
         error. Only fixes of the consistent chain count: scattered outliers are no scatter of the receiver.
         """
         off, stated = at.state.poses[self.keyframe, :2] - self.fixes.position, self.sigma / self.widened
-        wider = self.widened * np.ones(len(self))
+        wider = self.widened.copy()
         for indices in by_source(self.fixes, self.used & (self.keyframe >= 0)):
             chain = indices[self.consistent[indices]]
             time, middle = self.fixes.time[chain], chain[1:-1]
@@ -267,8 +268,7 @@ class FixFactor(Measurement):
         if not len(self):
             return {}
         masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
-        every = np.ones(len(self))
-        numbers = {"number": self.number, "widened": self.widened * every, "wrong": (self.wrong * every) > 0}
+        numbers = {"number": self.number, "widened": self.widened, "wrong": np.ones(len(self), dtype=bool) & self.wrong}
         return numbers | {name: np.asarray(mask) for name, mask in masks.items()}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:

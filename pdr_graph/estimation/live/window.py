@@ -265,9 +265,10 @@ class Window:
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
-        if new and self._chain is not None:
+        if new:
+            self._change_pace()
+        if self._chain is not None:
             self._chain = _extended(self._chain, new, self.pace)
-        self._change_pace()
         return new
 
     def _change_pace(self) -> None:
