@@ -461,7 +461,7 @@ class WallPriors(Table):
     margin: float = number(
         0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(1, 1)
     )
-    sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 1))
+    sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 2))
     body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
     body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
     loose: float = number(
