@@ -116,6 +116,13 @@ def courses(steps: Steps) -> Array:
     return before + (steps.turn + steps.pause_turn) / 2
 
 
+def without(span: Array, others: Array) -> Array:
+    """The parts ``(p, 2)`` of a span that are in no other span ``(o, 2)``; the others are in order, without overlap."""
+    inside = others[(others[:, 1] > span[0]) & (others[:, 0] < span[1])]
+    parts = np.concatenate([span[:1], inside.ravel(), span[1:]]).reshape(-1, 2)
+    return parts[parts[:, 1] > parts[:, 0]]
+
+
 def distance_walked(steps: Steps, time: Array, length: Array | None = None) -> Array:
     """Distance walked ``(m,)`` [m] by ``time (m,)`` [s]; length: ``(n,)`` replaces the lengths of the steps [m]."""
     length = steps.length if length is None else length

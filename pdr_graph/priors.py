@@ -926,6 +926,19 @@ class TravelPriors(Table):
 
 
 @dataclass(frozen=True)
+class RidingPriors(Table):
+    """Rides within a walk, by its steps and positions together."""
+
+    speed: float = number(10.0, "m/s", "sigma per axis of the velocity: traffic in a town")
+    shortest: float = number(150.0, "m", "farther than a receiver jumps in a street")
+    boarding: float = number(30.0, "s", "without steps at either end, while it is slow")
+    longest_stop: float = number(600.0, "s", "between two parts of one ride: a jam, a bus stop")
+    at_stop: float = number(30.0, "m", "walked during such a stop, at most")
+    pause: float = number(5.0, "s", "longest within a bout of walking: it ends with a rest of 3 s", "Kluge et al. 2021")
+    fewest_steps: int = number(30, "steps", "of a bout between two parts of a ride")
+
+
+@dataclass(frozen=True)
 class TrackPriors(Table):
     """The smoothed track of positions alone; tuples are of standing, walking, riding and gaps."""
 
@@ -1107,7 +1120,7 @@ INITIAL, SEARCH = InitialPriors(), SearchPriors()
 PRICES, DOUBTS, PATHS, ANYWHERE = PricePriors(), DoubtPriors(), PathPriors(), AnywherePriors()
 PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()
 LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
-TRAVEL, TRACK = TravelPriors(), TrackPriors()
+TRAVEL, TRACK, RIDING = TravelPriors(), TrackPriors(), RidingPriors()
 SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()
 FIXES_ALONE, STAND, MOVEMENT, LIVE_FLOORS = FixesAlonePriors(), StandPriors(), MovementPriors(), LiveFloorPriors()
 REPORTS, VERDICTS = ReportPriors(), VerdictPriors()

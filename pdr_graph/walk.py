@@ -20,10 +20,11 @@ from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.heading_prior import heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
-from pdr_graph.estimation.gps_track import follow
+from pdr_graph.estimation.gps_track import Stated, follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import POSITIONS_ALONE
+from pdr_graph.estimation.rides import detect_rides, ridden, with_stated_rides, without_rides
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
@@ -64,6 +65,7 @@ from pdr_graph.types import (
     Trajectory,
     Verdict,
     by_type,
+    take,
 )
 
 if TYPE_CHECKING:
@@ -160,6 +162,7 @@ class Evidence(OneLineRepr):
     counter-clockwise from +x [rad].
     steps: None without an accelerometer, and before they are detected; headings, measurements: tables for the graph;
     floors: of every step, None if unknown; others: the same walk begun on other floors, if nothing says on which.
+    modes: of transport, as stated; rides: ``(r, 2)`` start and end of each [s], of which the steps are left out.
     """
 
     walk: Recording
@@ -177,6 +180,8 @@ class Evidence(OneLineRepr):
     measurements: tuple[Any, ...] = ()
     floors: Floors | None = None
     others: tuple[Evidence, ...] = ()
+    modes: Stated = ()
+    rides: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def near(self) -> Array:
@@ -427,7 +432,7 @@ def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headi
 
 
 def with_tables(evidence: Evidence) -> Evidence:
-    """Add what steps and recording say together: its tables of measurements, the floors, the levels of beacons.
+    """Add what steps and recording say together: rides, its tables of measurements, the floors, levels of beacons.
 
     Headings among the tables join those of the compass. Raises InputError as `observe`.
     """
@@ -438,11 +443,27 @@ def with_tables(evidence: Evidence) -> Evidence:
         headings=Headings.concatenate([evidence.headings, *headings]) if headings else evidence.headings,
         measurements=by_type([table for table in tables if not isinstance(table, Headings)]),
     )
-    evidence, heard = _with_floors(evidence), evidence.walk.bluetooth
+    evidence, heard = _with_floors(_on_foot(evidence)), evidence.walk.bluetooth
     if evidence.steps is None or heard is None or evidence.beacons is None:
         return evidence
     levels = levels_along(heard, evidence.beacons, evidence.steps)
     return replace(evidence, measurements=(levels, *evidence.measurements))
+
+
+def _on_foot(evidence: Evidence) -> Evidence:
+    """Find the rides within a walk, and leave out their steps and headings."""
+    steps, headings = evidence.steps, evidence.headings
+    if steps is None:
+        return evidence
+    rides = with_stated_rides(detect_rides(steps, evidence.fixes), steps, evidence.modes)
+    notes = [f"a ride from {start:.0f} to {end:.0f} s: positions alone are used there" for start, end in rides.tolist()]
+    return replace(
+        evidence,
+        steps=without_rides(steps, rides, evidence.fixes),
+        headings=take(headings, ~ridden(headings.time, headings.time, rides)),
+        notes=(*evidence.notes, *notes),
+        rides=rides,
+    )
 
 
 def _with_floors(evidence: Evidence) -> Evidence:

@@ -47,6 +47,7 @@ from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.gait.step_chunks import gap_ends
 from pdr_graph.priors import INITIAL, MOTION
 from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Steps
 
@@ -366,7 +367,7 @@ def segments(pieces: Pieces, steps: Steps, changed: Array) -> Index:
     walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
     count = max(1, round(len(steps) / MOTION.steps_per_segment))
     segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
-    bounds = np.round(np.sort(np.append(steps.time[steps.is_gap], changed)), DECIMALS)
+    bounds = np.round(np.sort(np.append(gap_ends(steps), changed)), DECIMALS)
     return np.unique(segment + np.searchsorted(bounds, pieces.keyframe_time[:-1], side="right"), return_inverse=True)[1]
 
 

@@ -162,9 +162,8 @@ def initial_walk(
         lost, begins = np.flatnonzero(steps.is_gap), chain.time[chain.segment_first[1:]]
         after = np.searchsorted(begins, np.round(steps.time[lost], DECIMALS))
         inside = after < len(begins)  # no segment follows a gap at the end of the recording
-        gap, lost_turn = np.zeros((2, len(begins)))
-        np.maximum.at(gap, after[inside], steps.sigma_length[lost[inside]])
-        np.maximum.at(lost_turn, after[inside], steps.sigma_turn[lost[inside]])
+        variance = np.stack([steps.sigma_length, steps.sigma_turn])[:, lost[inside]] ** 2
+        gap, lost_turn = np.sqrt([np.bincount(after[inside], row, len(begins)) for row in variance])
         segment = np.append(chain.segment[:1], chain.segment)
         track, turned, scale = align(track, segment, at, fix, sigma, gap, lost_turn)
         heading = heading + turned

@@ -9,31 +9,45 @@ import numpy as np
 
 from pdr_graph.errors import count
 from pdr_graph.priors import MOTION
-from pdr_graph.types import STEP_COLUMNS, Steps
+from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Steps
 
 
 def gap(
-    start: float, end: float, turn: float = 0.0, sigma_turn: float | None = None, speed: float | None = None
+    start: float,
+    end: float,
+    turn: float = 0.0,
+    sigma_turn: float | None = None,
+    speed: float | None = None,
+    rows: Array | None = None,
 ) -> Steps:
-    """One row of length 0 for the time between two parts of a recording [s].
+    """The time between two parts of a recording [s]: a row of length 0, or one to each of the times `rows` within.
 
     turn, sigma_turn: heading change and its standard deviation [rad]; speed: standard deviation of the displacement
-    per second and axis [m/s].
+    per second and axis [m/s]. Several rows have the errors of one, divided among them.
     """
-    long, nothing = np.array([end - start]), np.zeros(1)
+    within = [] if rows is None else rows[(rows > start + INSTANT) & (rows < end - INSTANT)]
+    time = np.unique(np.append(within, end))
+    duration, nothing = np.diff(time, prepend=start), np.zeros(len(time))
+    share = duration / (end - start)
     sigma_turn = MOTION.gap_turn if sigma_turn is None else sigma_turn
     speed = MOTION.gap_speed if speed is None else speed
     return Steps(
         start,
         end,
-        time=np.array([end]),
-        duration=long,
+        time=time,
+        duration=duration,
         length=nothing,
-        turn=np.array([turn]),
+        turn=turn * share,
         pause_turn=nothing,
-        sigma_length=speed * long,
-        sigma_turn=np.array([sigma_turn]),
+        sigma_length=speed * (end - start) * np.sqrt(share),
+        sigma_turn=sigma_turn * np.sqrt(share),
     )
+
+
+def gap_ends(steps: Steps) -> Array:
+    """Times at which gaps end [s]; rows of length 0 that follow one another are one."""
+    goes_on = np.append(np.abs(steps.time[:-1] - (steps.time - steps.duration)[1:]) <= INSTANT, False)
+    return steps.time[steps.is_gap & ~(goes_on & np.append(steps.is_gap[1:], False))]
 
 
 def join(parts: Sequence[Steps]) -> Steps:

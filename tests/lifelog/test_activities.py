@@ -12,11 +12,13 @@ from walks import steps_of
 
 from pdr_graph import smooth
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.apps.lifelog.stays import LONGEST_PAUSE, detect_rides, follow_positions, segments_of, without_rides
+from pdr_graph.apps.lifelog.stays import follow_positions, segments_of
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.rides import detect_rides, without_rides
 from pdr_graph.gait.step_chunks import append_steps as then
 from pdr_graph.gait.step_chunks import gap, shifted
 from pdr_graph.geometry import dead_reckon, length_along
+from pdr_graph.priors import RIDING
 from pdr_graph.types import Fixes, Steps
 
 
@@ -182,7 +184,7 @@ def paused(count, pause):
     ("steps", "expected"),
     [
         (paused(40, 20.0), [WALKING, STANDING, WALKING]),
-        (paused(40, LONGEST_PAUSE - 1), [WALKING]),
+        (paused(40, RIDING.pause - 1), [WALKING]),
         (replace(paused(3, 20.0), start=-10.0, end=paused(3, 20.0).end + 10.0), [STANDING]),
         (Steps(0.0, 60.0, *np.empty((7, 0))), [STANDING]),
     ],
@@ -300,7 +302,7 @@ def test_a_ride_without_any_step_is_detected():
     place, _ = streets([("bus", 600)])
     found = detect_rides(still, seen(place))
     assert found == pytest.approx(np.array([[0.0, 600.0]]), abs=75)
-    assert len(without_rides(still, found)) == 1
+    assert len(without_rides(still, found, Fixes.none())) == 1
     assert not len(detect_rides(still, Fixes.none()))
 
 
@@ -318,7 +320,7 @@ def test_a_gap_in_the_recording_is_no_ride():
     """The walker goes 500 m while the phone records nothing."""
     steps = steps_of(np.full(1200, 0.7), np.zeros(1200))
     track = dead_reckon(steps)
-    slept = without_rides(steps, np.array([[200.0, 500.0]]))
+    slept = without_rides(steps, np.array([[200.0, 500.0]]), Fixes.none())
     rows = np.r_[:360, 920:1200:2]
     fixes = Fixes(track.time[rows], track.position[rows], np.full(len(rows), 3.0), ("",) * len(rows))
     assert not len(detect_rides(slept, fixes))
@@ -334,5 +336,5 @@ def test_a_ride_does_not_bend_the_walk():
         return np.hypot(*(track.position - place[np.minimum(track.time, len(place) - 1).astype(int)])[walks].T)
 
     found = detect_rides(steps, fixes)
-    assert np.percentile(off(without_rides(steps, found)), 90) < 2.5 * SIGMA
+    assert np.percentile(off(without_rides(steps, found, fixes)), 90) < 2.5 * SIGMA
     assert np.percentile(off(steps), 90) > 5 * SIGMA

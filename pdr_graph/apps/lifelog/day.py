@@ -204,13 +204,6 @@ def floors_visited(track: Trajectory) -> tuple[str, ...]:
     return tuple(label for label, before in zip(known, ["", *known], strict=False) if label != before)
 
 
-def without(span: Array, others: Array) -> Array:
-    """The parts ``(p, 2)`` of a span that are in no other span ``(o, 2)``; the others are in order, without overlap."""
-    inside = others[(others[:, 1] > span[0]) & (others[:, 0] < span[1])]
-    parts = np.concatenate([span[:1], inside.ravel(), span[1:]]).reshape(-1, 2)
-    return parts[parts[:, 1] > parts[:, 0]]
-
-
 DAY_SCHEMA = (
     # key: of all that a day is made of; recordings: hashes, JSON
     "CREATE TABLE day (person TEXT, date TEXT, key TEXT, recordings TEXT, PRIMARY KEY (person, date))",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import Day, Outing, Segment
+from pdr_graph.apps.lifelog.day import ACTIVITIES, Day, Outing, Segment
 from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.sessions import (
     LONGEST_SESSION_GAP,
@@ -20,15 +20,7 @@ from pdr_graph.apps.lifelog.sessions import (
     restart_closures,
     sessions_of,
 )
-from pdr_graph.apps.lifelog.stays import (
-    detect_rides,
-    follow_positions,
-    segments_of,
-    stays_of,
-    stays_of_positions,
-    with_stated_rides,
-    without_rides,
-)
+from pdr_graph.apps.lifelog.stays import follow_positions, segments_of, stays_of, stays_of_positions
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.verdict import ROUTE, teaches_profile, verdict
@@ -116,9 +108,8 @@ def estimate_walk(
         measurements=(restart_closures(session.observations), *joined.measurements),
     )
 
-    # The steps of this walker, without rides, on their floors
+    # The steps of this walker, on their floors
     steps = profile.corrected(joined.walked) if profile else joined.walked
-    rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.activities)
     evidence = Evidence(
         walk,
         Walker(profile=profile),
@@ -127,14 +118,16 @@ def estimate_walk(
         fixes,
         beacons=joined.beacons,
         options=Options(plan=Path(first.plan) if first.plan else None, floor=first.floor or None),
-        steps=without_rides(steps, rides),
+        steps=steps,
         headings=joined.headings,
+        modes=[(start, end, ACTIVITIES.index(kind)) for start, end, kind in joined.activities],
     )
 
     # The most probable walk
     result = estimate(with_tables(evidence))
     assert result.graph is not None, "a walk has steps"
-    return EstimatedWalk(session, profile, joined, building, rides, result.graph, result.estimate, result.missing)
+    rides, graph = result.evidence.rides, result.graph
+    return EstimatedWalk(session, profile, joined, building, rides, graph, result.estimate, result.missing)
 
 
 def building_of(plan: str) -> Building:

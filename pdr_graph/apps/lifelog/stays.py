@@ -1,9 +1,7 @@
 """The parts of an outing: walking, standing, rides and gaps; stays and slow passes with the places that a person faced.
 
 **Segments** come from steps or from positions alone. Positions alone separate vehicles from walkers, and the jumps of a
-receiver from both (`follow_positions`). Runners and cyclists, or a bumpy road and a pavement, can only be separated by
-steps and positions together: a ride within a walk is a time in which the positions move farther than the steps can have
-led.
+receiver from both (`follow_positions`). Rides within a walk are those of `estimation.rides`.
 
 **Places that a person faced** are shop fronts, stands and rooms, found by ray casting. The position is a Gaussian,
 represented by a fixed set of sample points; points behind solid walls are dropped. Rays leave each point in all
@@ -15,28 +13,27 @@ points, normalised with the rate of stops for no named place, are the probabilit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby, pairwise
 from operator import itemgetter
 
 import numpy as np
 import shapely
 
-from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, Segment, Stay, sampled, without
+from pdr_graph.apps.lifelog.day import ACTIVITIES, STANDING, Segment, Stay, sampled
 from pdr_graph.apps.lifelog.observation import StatedActivity
 from pdr_graph.errors import count
 from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
+from pdr_graph.estimation.rides import ridden
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.gait.step_chunks import gap
-from pdr_graph.geometry import distance_walked, interpolate, length_along, row_times, unit, wrap_angle
-from pdr_graph.priors import FIXES
-from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Fixes, Index, Mask, OneLineRepr, Steps, Trajectory
+from pdr_graph.geometry import length_along, row_times, unit, wrap_angle
+from pdr_graph.priors import RIDING
+from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, OneLineRepr, Steps, Trajectory
 
-# A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
-# framework for digital mobility monitoring", PLOS ONE 16(8), 2021); a detector may miss the first and the last step
-LONGEST_PAUSE = 5.0  # [s] within a bout
+# A bout has at least two strides of either foot (Kluge et al., "Consensus based framework for digital mobility
+# monitoring", PLOS ONE 16(8), 2021); a detector may miss the first and the last step
 MIN_STEPS = 4  # of a bout; fewer between two pauses are shuffling
 
 
@@ -56,9 +53,8 @@ def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Seg
     trajectory: of these steps, with rows as of `row_times`; distances are measured along it. rides: ``(r, 2)`` start
     and end of each [s], in ``steps`` a row each (`without_rides`).
     """
-    begins, ends = (steps.time - steps.duration)[:, None], steps.time[:, None]
-    ridden = np.any((begins >= rides[:, 0] - INSTANT) & (ends <= rides[:, 1] + INSTANT), axis=1)
-    kind = np.where(ridden, RIDES, np.where(steps.is_gap, LOST, WALKS))
+    in_ride = ridden(steps.time - steps.duration, steps.time, rides)
+    kind = np.where(in_ride, RIDES, np.where(steps.is_gap, LOST, WALKS))
 
     # Before every row and after the last one a pause, which may be none; a short one beside a step is walking
     edge = np.column_stack([steps.time - steps.duration, steps.time]).ravel()
@@ -68,7 +64,7 @@ def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Seg
     if len(kind):
         before, after = np.append(kind[0], kind), np.append(kind, kind[-1])
         pause = np.where((before == WALKS) | (after == WALKS), WALKS, before)
-        parts[::2] = np.where(np.diff(edge)[::2] > LONGEST_PAUSE, STANDS, pause)
+        parts[::2] = np.where(np.diff(edge)[::2] > RIDING.pause, STANDS, pause)
     moved, distance = np.diff(length_along(trajectory.position)), np.zeros(len(parts))
     distance[1::2], distance[-1] = moved[:-1], moved[-1]
 
@@ -104,94 +100,6 @@ def _segments(parts: Index, edge: Array, gone: Array, seen: Mask | bool = False)
 def _run_starts(parts: Index) -> list[int]:
     """Index of the first part of each run of one kind, and the number of parts."""
     return [*np.flatnonzero(np.diff(parts, prepend=-1)).tolist(), len(parts)]
-
-
-# Chosen by hand
-RIDE_SPEED = 10.0  # [m/s] standard deviation per axis of the velocity of a ride: traffic in a town
-SHORTEST_RIDE = 150.0  # [m]
-LONGEST_BOARDING = 30.0  # [s] without steps at either end of a ride, while it is slow
-
-
-def detect_rides(steps: Steps, fixes: Fixes) -> Array:
-    """Start and end ``(r, 2)`` [s] of the rides of the walker of these steps, in order.
-
-    fixes: in order of time, in a metric frame.
-    """
-    fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
-    if len(fixes) < 2:
-        return np.empty((0, 2))
-    way, segments = follow_positions(fixes)
-
-    # Times in which the positions move farther than the steps can have led
-    fast = [s for s in segments if s.kind in (VEHICLE, GAP)]
-    spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
-    ends = interpolate(spans.ravel(), way.time, way.position).reshape(-1, 2, 2)
-    jumps = np.hypot(*np.diff(ends, axis=1)[:, 0].T)
-    far = np.where([s.kind == GAP for s in fast], jumps, [s.distance for s in fast])
-    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
-    reach = FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
-    first, after = np.searchsorted(fixes.time, spans[:, 0]), np.searchsorted(fixes.time, spans[:, 1], side="right")
-    sigma = np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
-    spans = spans[far > np.maximum(reach + FIXES.outlier * sigma, SHORTEST_RIDE)]
-
-    # One ride where the walker does not leave the place of a stop
-    if len(spans) > 1:
-        leave, board = spans[:-1, 1], spans[1:, 0]
-        # farthest at stop [m]: walked during such a stop
-        apart = (board - leave > 600.0) | (  # longest stop [s] between two parts of one ride: a jam, a bus stop
-            distance_walked(steps, board) - distance_walked(steps, leave) > 30.0
-        )
-        spans = np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
-
-    # Rides without the bouts of walking that lead as far as the positions move: between two buses, or at either end
-    begins, ends = steps.time - steps.duration, steps.time
-    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > LONGEST_PAUSE)
-    after = np.append(first[1:], len(steps))[: len(first)]
-    walks = np.column_stack([begins[first], ends[after - 1]])
-    gone = np.diff(np.interp(walks, way.time, length_along(way.position)), axis=1)[:, 0]
-    led = np.diff(distance_walked(steps, walks), axis=1)[:, 0]
-    # least steps of such a walk
-    walks = walks[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
-    spans = np.array([part for span in spans for part in without(span, walks)]).reshape(-1, 2)
-    spans = spans[np.diff(np.interp(spans, way.time, length_along(way.position)), axis=1)[:, 0] > SHORTEST_RIDE]
-
-    # Extended to the steps before and after, by LONGEST_BOARDING at most
-    ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)
-    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
-    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
-    return np.column_stack(
-        [np.maximum(last, spans[:, 0] - LONGEST_BOARDING), np.minimum(next_, spans[:, 1] + LONGEST_BOARDING)]
-    )
-
-
-def with_stated_rides(rides: Array, steps: Steps, stated: Sequence[StatedActivity]) -> Array:
-    """The rides ``(r, 2)`` [s] of a walk, with those that the person states and without times of other activities."""
-    for start, end, kind in stated:
-        start, end = max(start, steps.start), min(end, steps.end)
-        if start >= end:
-            continue
-        before, after = np.minimum(rides, start), np.maximum(rides, end)
-        rides = np.concatenate([before, after])
-        rides = rides[rides[:, 1] - rides[:, 0] > INSTANT]
-        if kind == VEHICLE:
-            rides = np.append(rides, [[start, end]], axis=0)
-        rides = rides[np.argsort(rides[:, 0])]
-    return rides
-
-
-def without_rides(steps: Steps, spans: Array) -> Steps:
-    """The steps, with one row of length 0 and a wide sigma instead of those within each ride ``(r, 2)`` [s]."""
-    if not len(spans):
-        return steps
-    begins, ends = steps.time - steps.duration, steps.time
-    ridden = np.any((ends[:, None] > spans[:, 0] + INSTANT) & (begins[:, None] < spans[:, 1] - INSTANT), axis=1)
-    rides = [gap(start, end, speed=RIDE_SPEED) for start, end in spans.tolist()]
-    columns = {
-        name: np.concatenate([getattr(steps, name)[~ridden], *(getattr(ride, name) for ride in rides)])
-        for name in STEP_COLUMNS
-    }
-    order = np.argsort(columns["time"], kind="stable")
-    return replace(steps, **{name: column[order] for name, column in columns.items()})
 
 
 FRONT_KINDS = ("shop", "place")  # kinds of areas that are solid and looked at; walls are not, even if they have names

@@ -16,9 +16,10 @@ from operator import itemgetter
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without, without_gap_rows
+from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
 from pdr_graph.apps.lifelog.facts import END, FASTEST_WALK, VISIT, Guess
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.geometry import without
 from pdr_graph.priors import TRACK
 from pdr_graph.types import Array, Mask
 
