@@ -930,7 +930,9 @@ class RidingPriors(Table):
     """Rides within a walk, by its steps and positions together."""
 
     speed: float = number(10.0, "m/s", "sigma per axis of the velocity: traffic in a town")
-    shortest: float = number(150.0, "m", "farther than a receiver jumps in a street")
+    slowest: float = number(1.0, "m/s", "faster than the steps, and than a receiver's error moves")
+    shortest: float = number(150.0, "m", "beyond the steps: farther than a receiver jumps in a street")
+    gradual: float = number(40.0, "m", "beyond them, without the longest jump; real walks on foot have up to 5 m")
     boarding: float = number(30.0, "s", "without steps at either end, while it is slow")
     longest_stop: float = number(600.0, "s", "between two parts of one ride: a jam, a bus stop")
     at_stop: float = number(30.0, "m", "walked during such a stop, at most")

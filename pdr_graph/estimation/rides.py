@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_graph.estimation.gps_track import LOST, RIDES, Stated, way_through
+from pdr_graph.estimation.gps_track import RIDES, Stated, way_through
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.geometry import distance_walked, length_along, without
 from pdr_graph.priors import FIXES, RIDING
@@ -25,21 +25,18 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
     if len(fixes) < 2:
         return np.empty((0, 2))
-    way = way_through(fixes)
+    way = way_through(fixes, [(fixes.time[0], fixes.time[-1], RIDES)])
     time, place = way.trajectory.time, way.trajectory.position
     along = length_along(place)
 
-    # Times in which the positions move farther than the steps can have led
-    seen = np.isin(time[:-1], fixes.time[way.used])
-    begin = np.flatnonzero((np.diff(way.kind, prepend=-1) != 0) | (seen & (way.kind == LOST)))
-    end, kind = np.append(begin[1:], len(way.kind)), way.kind[begin]
-    spans, lost = np.column_stack([time[begin], time[end]]), kind == LOST
-    far = np.where(lost, np.hypot(*(place[end] - place[begin]).T), along[end] - along[begin])
+    # Times in which the positions move farther than the steps can have led, and not by one jump of a receiver
     length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
-    reach = FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
-    first, after = np.searchsorted(fixes.time, spans[:, 0]), np.searchsorted(fixes.time, spans[:, 1], side="right")
-    sigma = np.array([fixes.sigma[a:b].max(initial=0.0) for a, b in zip(first, after, strict=True)])
-    spans = spans[(lost | (kind == RIDES)) & (far > np.maximum(reach + FIXES.outlier * sigma, RIDING.shortest))]
+    moved, reach = np.diff(along), FIXES.stretched * np.diff(distance_walked(steps, time, length))
+    excess, noise = moved - reach - RIDING.slowest * np.diff(time), FIXES.outlier * float(np.median(fixes.sigma))
+    rows = largest_sums(excess, max(noise, RIDING.gradual))
+    score, jump = (np.array([of(excess[a:b]) for a, b in rows]) for of in (np.sum, np.max))
+    rides = (score > max(noise, RIDING.shortest)) | (score - jump > max(noise, RIDING.gradual))
+    spans = time[np.array(rows, dtype=np.intp).reshape(-1, 2)[rides.astype(bool)]]
 
     # One ride where the walker does not leave the place of a stop
     if len(spans) > 1:
@@ -60,7 +57,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     agrees = (gone < FIXES.stretched * led) & (led < FIXES.stretched * gone)
     walks = walks[agrees & (after - first >= RIDING.fewest_steps)]
     spans = np.array([part for span in spans for part in without(span, walks)]).reshape(-1, 2)
-    spans = spans[np.diff(np.interp(spans, time, along), axis=1)[:, 0] > RIDING.shortest]
+    spans = spans[np.diff(np.interp(spans, time, along), axis=1)[:, 0] > RIDING.gradual]
 
     # Extended to the steps before and after
     ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)
@@ -69,6 +66,18 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     return np.column_stack(
         [np.maximum(last, spans[:, 0] - RIDING.boarding), np.minimum(next_, spans[:, 1] + RIDING.boarding)]
     )
+
+
+def largest_sums(values: Array, least: float) -> list[tuple[int, int]]:
+    """The parts of values ``(n,)`` that have the largest sums, disjoint, above ``least``: their bounds, in order."""
+    total = np.append(0.0, np.cumsum(values))
+    rise = total - np.minimum.accumulate(total)
+    end = int(np.argmax(rise))
+    if rise[end] <= least:
+        return []
+    begin = int(np.argmin(total[:end]))
+    after = [(a + end, b + end) for a, b in largest_sums(values[end:], least)]
+    return [*largest_sums(values[:begin], least), (begin, end), *after]
 
 
 def with_stated_rides(rides: Array, steps: Steps, stated: Stated) -> Array:
