@@ -87,8 +87,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5315),
-    "online.navigator": (66, 11730),
+    "estimation.smoother": (30, 5538),
+    "online.navigator": (66, 12680),
 }
 
 
