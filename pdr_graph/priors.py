@@ -449,6 +449,12 @@ class WalkerPriors(Table):
         "sigma of the change of R_s by that of the pace, in logarithms",
         "0.5 with noise at 15 changes in real malls; 1.5 in simulated browsing",
     )
+    blind: float = number(
+        0.06,
+        "-",
+        "sigma of R_s where most turns are unmeasured: a longer walk fits the noise of its fixes better",
+        "6 % between walks: docs/results/steps.md",
+    )
     between_walks: tuple[float, float, float] = number(
         (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person"
     )

@@ -204,7 +204,8 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
 
     graph = WalkGraph(steps, fixes_at(time, where, sigma))
     k = graph.positions.keyframe
-    velocity = as_points(velocities(*graph.chain.track, graph.chain.time)[k])
+    way, heading = graph.chain.track
+    velocity = as_points((velocities(way, graph.chain.time) * np.exp(-1j * heading))[k])
     ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
     white = RECEIVERS.white * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)

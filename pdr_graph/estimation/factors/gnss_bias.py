@@ -190,9 +190,10 @@ class GnssBias(Measurement):
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
         lead = np.zeros(len(chain.time), dtype=complex) if chain.heading is None else chain.lead
-        velocity = velocities(*chain.track, chain.time) * np.exp(1j * chain.direction)
+        moves = (chain.delta[:, 0] + 1j * chain.delta[:, 1]) * np.exp(1j * chain.direction[:-1])
+        velocity = as_points(velocities(np.append(0.0, np.cumsum(moves)), chain.time))
         fixes, courses = self.fixes.bind(chain), self.courses.bind(chain)
-        return replace(self, fixes=fixes, velocity=as_points(velocity), lead=as_points(lead), courses=courses)
+        return replace(self, fixes=fixes, velocity=velocity, lead=as_points(lead), courses=courses)
 
     def variables(self, poses: Array) -> Sequence[Variables]:
         """A node (g_x, g_y [-], lag [s]) every few seconds in which there are fixes; o [-] of each receiver."""
@@ -415,12 +416,9 @@ def _number(source: str) -> int:
     return zlib.crc32(source.encode()) % SOURCE_NODES
 
 
-def velocities(track: Complex, heading: Array, time: Array) -> Complex:
-    """Mean velocity ``(k + 1,)`` [m/s] of a dead-reckoned track over LATELY, forward and to the left.
-
-    track: ``(k + 1,)`` [m]; heading: ``(k + 1,)`` [rad]; time: ``(k + 1,)`` [s].
-    """
-    return (track - np.interp(time - RECEIVERS.lately, time, track)) * np.exp(-1j * heading) / RECEIVERS.lately
+def velocities(way: Complex, time: Array) -> Complex:
+    """Mean velocity ``(k + 1,)`` [m/s] over the last RECEIVERS.lately. way: ``(k + 1,)`` positions [m]."""
+    return (way - np.interp(time - RECEIVERS.lately, time, way)) / RECEIVERS.lately
 
 
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
