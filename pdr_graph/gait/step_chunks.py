@@ -55,7 +55,7 @@ def join(parts: Sequence[Steps]) -> Steps:
     for part in parts[1:]:
         joined = append_steps(append_steps(joined, gap(joined.end, part.start)), part)
     if len(parts) > 1:
-        joined = replace(joined, unknown=(*joined.unknown, f"{count(len(parts) - 1, 'gap')} in the recording"))
+        joined = replace(joined, unknown=(*joined.unknown, f"steps in {count(len(parts) - 1, 'gap')} of the recording"))
     return joined
 
 

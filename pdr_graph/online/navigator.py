@@ -183,7 +183,7 @@ class Navigator:
     @property
     def unknown(self) -> tuple[str, ...]:
         """What the sensors did not measure so far, a line each."""
-        gaps = (f"{count(self._gaps, 'gap')} in the recording",) if self._gaps else ()
+        gaps = (f"steps in {count(self._gaps, 'gap')} of the recording",) if self._gaps else ()
         return (*self._unknown, *gaps)
 
     @property
@@ -381,6 +381,8 @@ class Navigator:
 
     def _extend(self, steps: Steps) -> None:
         """Append the next certain steps; those of a ride wait for the fixes that end it."""
+        self._gaps += int(steps.is_gap.sum())
+        self._unknown |= dict.fromkeys(steps.unknown)
         for part in self._rides.steps(steps):
             self._append_steps(part)
 
@@ -401,8 +403,6 @@ class Navigator:
         self._certain += int((~steps.is_gap).sum())
         self._on_steps += time_on_steps(steps)
         self._stepless += steps.stepless
-        self._gaps += int(steps.is_gap.sum())
-        self._unknown |= dict.fromkeys(steps.unknown)
         self._floors.add_steps(steps)
         anew, goings = self._floors.advance(self._tail), self._floors.goings
         if anew and len(goings):

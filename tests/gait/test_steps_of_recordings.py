@@ -139,7 +139,7 @@ def test_a_gap_is_a_row_of_length_0_with_a_wide_sigma(walk, steps):
     assert found.time[gap] - found.duration[gap] == pytest.approx(10.0, abs=0.05)
     assert found.time[gap] == pytest.approx(20.0, abs=0.05)
     assert found.sigma_length[gap] == pytest.approx(10.0, abs=0.1), "a metre a second"
-    assert found.unknown == ("1 gap in the recording",)
+    assert found.unknown == ("steps in 1 gap of the recording",)
     outside = (steps.time < 10.0) | (steps.time > 20.5)
     assert len(found) - 1 == pytest.approx(outside.sum(), abs=2)
 
