@@ -288,7 +288,7 @@ def kinds_and_durations(made):
 
 def rows(made):
     """The rows of the table, by column."""
-    return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
+    return list(csv.DictReader(io.StringIO(timeline_csv(overview_of(made).days[0].entries))))
 
 
 legs = st.lists(st.tuples(st.sampled_from(ACTIVITIES), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
@@ -352,7 +352,7 @@ def test_the_table_has_local_times_and_absolute_positions():
     made = outing(
         [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
     )
-    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == TIMELINE_HEADER
+    assert timeline_csv(timeline(day(made))).split("\n")[0] == TIMELINE_HEADER
     [row] = rows(day(made))
     assert row["start"] == "2024-05-01T09:00:00-04:00"
     assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
@@ -395,7 +395,7 @@ def test_totals_are_those_of_segments_and_expected_times_at_places():
 def test_control_characters_in_names_do_not_reach_the_terminal():
     """Names come from plans of any origin."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
-    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)), ZONE)
+    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)))
     assert "\x1b" not in text
     assert "\t" not in text
     assert len(rows(day(made))) == 1

@@ -9,7 +9,7 @@ spots and a leg its stops. Outings on a floor plan, or without positions on Eart
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -117,10 +117,14 @@ def dates_of(log: Store) -> list[tuple[str, str]]:
     """Each person and date that is recorded, or of which another program guessed something, in order."""
     fixed, found = log.setting(ZONE), set(log.days())
     for person in log.people():
-        for guess in log.guesses(person):
-            zone = fixed or (zone_at(guess.latitude, guess.longitude) if np.isfinite(guess.latitude) else "")
-            found.add((person, datetime.fromtimestamp(guess.start, zone_named(zone)).date().isoformat()))
+        found |= {(person, date_of_guess(guess, fixed)) for guess in log.guesses(person)}
     return sorted(found)
+
+
+def date_of_guess(guess: Guess, zone: str) -> str:
+    """The local date of a guess. zone: of the lifelog, "" for that of each place."""
+    name = zone or (zone_at(guess.latitude, guess.longitude) if np.isfinite(guess.latitude) else "")
+    return datetime.fromtimestamp(guess.start, zone_named(name)).date().isoformat()
 
 
 def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0) -> Diary:
@@ -184,6 +188,16 @@ def corrected_rows(
     rows = rows_of(fine, visits_of(fine, track), track)
     rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections)
     return with_places(rows, place_names(corrections))
+
+
+def detailed(rows: Iterable[TimelineEntry]) -> Iterator[TimelineEntry]:
+    """The finest entries of rows, each with place and guess of its row; a row that the person stated is one entry."""
+    for row in rows:
+        if row.corrected or not row.parts:
+            yield row
+            continue
+        about = {name: getattr(row, name) for name in ("place", "place_number", "guess", "offset", "end_offset")}
+        yield from (replace(part, **about) for part in row.parts)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime
 from itertools import groupby
 from types import MappingProxyType
 from typing import Any
@@ -34,7 +34,15 @@ from pdr_graph.apps.lifelog.places import (
     local_date,
     places_of_visits,
 )
-from pdr_graph.apps.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, csv_table, duration_text
+from pdr_graph.apps.lifelog.timeline import (
+    KIND_NAMES,
+    PASSING,
+    STAY,
+    TimelineEntry,
+    csv_table,
+    duration_text,
+    local_iso,
+)
 from pdr_graph.errors import count, one_line
 from pdr_graph.types import DAY_LENGTH, OneLineRepr
 
@@ -80,7 +88,7 @@ def overview(diaries: Iterable[Diary], period: Period, place: str = "") -> Overv
     found = []
     for own in sorted(diaries, key=lambda own: own.person):
         visits = joined_visits([entry for day in own.days for entry in day.entries])
-        visits = [visit for visit in visits if not place or is_place(place, visit)]
+        visits = [visit for visit in visits if not place or is_place(place, visit.place, visit.place_number)]
         found.append(replace(own, visits=tuple(visits), places=places_of_visits(visits, own.places)))
     label = next((visit.label for own in found for visit in own.visits), "") if place else ""
     return Overview(period, label, tuple(found))
@@ -90,12 +98,6 @@ JSON_FORMAT, JSON_VERSION = "pdr_graph lifelog overview", 1  # raise the number 
 DEGREE_DIGITS = {"latitude": 7, "longitude": 7}  # of columns
 SUM_COLUMNS = "walking riding staying no_data observed walked ridden steps"
 Record = dict[str, Any]
-
-
-def local_iso(time: float, offset: float) -> str:
-    """A Unix time [s] in ISO 8601 at an offset from UTC [s]: ``2024-05-01T07:42:00+02:00``."""
-    moment = datetime.fromtimestamp(round(time), UTC).astimezone(timezone(timedelta(seconds=round(offset))))
-    return moment.isoformat(timespec="seconds")
 
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"

@@ -398,7 +398,7 @@ def _blocks(shown: Overview, on: date, day: DiaryDay | None) -> Iterator[tuple[s
     """
     for entry in day.entries if day else ():
         group = GROUPS[entry.kind]
-        own = not shown.place or (entry.kind == STAY and is_place(shown.place, entry))
+        own = not shown.place or (entry.kind == STAY and is_place(shown.place, entry.place, entry.place_number))
         if group == NO_DATA_GROUP or not own:
             continue
         bounds = _hours_of(entry, on)

@@ -197,10 +197,10 @@ def likely_home(places: Sequence[Place]) -> Place | None:
     return best if most >= FEWEST_NIGHTS * NIGHT_END else None
 
 
-def is_place(text: str, visit: TimelineEntry) -> bool:
-    """True if a text is the name, in any case, or the number of the place of a visit."""
-    plain, number = text.strip().casefold(), visit.place_number
-    return bool(plain) and (plain == visit.place.strip().casefold() or plain in (str(number), f"place {number}"))
+def is_place(text: str, name: str, number: int) -> bool:
+    """True if a text is the name, in any case, or the number of a place."""
+    plain = text.strip().casefold()
+    return bool(plain) and (plain == name.strip().casefold() or plain in (str(number), f"place {number}"))
 
 
 def joined_visits(entries: Sequence[TimelineEntry]) -> list[TimelineEntry]:

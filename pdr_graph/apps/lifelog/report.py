@@ -19,8 +19,8 @@ import numpy as np
 
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
-from pdr_graph.apps.lifelog.diary import Totals
-from pdr_graph.apps.lifelog.export import as_geojson
+from pdr_graph.apps.lifelog.diary import Totals, detailed
+from pdr_graph.apps.lifelog.export import DiaryRows, as_geojson
 from pdr_graph.apps.lifelog.maps import Panel, panels
 from pdr_graph.apps.lifelog.overview import (
     ROW_TITLES,
@@ -39,7 +39,6 @@ from pdr_graph.apps.lifelog.timeline import (
     STAY,
     TimelineEntry,
     duration_text,
-    timeline,
     timeline_csv,
 )
 from pdr_graph.apps.report.charts_and_tables import chart, sigma, table
@@ -74,11 +73,12 @@ def write_day(
 ) -> list[str]:
     """Write the files of the overview of one day of a person; returns a line for a failure, else nothing.
 
-    day: with the outings that began on that date, for ``timeline.csv`` and ``day.geojson``; drawn: the picture of the
+    day: with the outings that began on that date, for ``day.geojson``; drawn: the picture of the
     overview, which is ``day.png``, too; missing, notes: a line each.
     """
-    cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
-    cache.write(out / "day.geojson", as_geojson([day]))
+    rows = DiaryRows({own.date: own.entries for own in shown.days})
+    cache.write(out / "timeline.csv", timeline_csv(detailed(rows.by_date.get(day.date, ()))).encode())
+    cache.write(out / "day.geojson", as_geojson([day], {day.person: rows}))
     cache.write(out / "day.png", drawn)
     try:
         html = interactive_page(content(shown, zone, missing, notes))
