@@ -397,7 +397,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     stated: transport modes that are known, in place of those by the positions; where a stay begins or ends, the track
     may jump.
     """
-    used = _plausible(fixes)
+    used = plausible(fixes)
     fixes = fixes[used]
     knots, lost = _knots(fixes), _lost(fixes)
 
@@ -416,7 +416,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[is_fix])
 
 
-def _plausible(fixes: Fixes) -> Index:
+def plausible(fixes: Fixes) -> Index:
     """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
 
     Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers.

@@ -406,7 +406,7 @@ def was(
     start: From,
     end: To,
     mode: Annotated[
-        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, ride, walk or stop.")
+        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, plane, ride, walk or stop.")
     ],
     person: OnePerson = None,
 ) -> None:

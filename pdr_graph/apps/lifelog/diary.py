@@ -332,13 +332,27 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
 
 
 def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
-    """Sums over days of one person. length: number of days of the period."""
+    """Sums over days of one person. length: number of days of the period.
+
+    Of several days they are of calendar hours: those that a flight west repeats count once, so that a week has 168.
+    """
     every = [day.totals for day in days]
     sums: dict[str, Any] = {name: sum(getattr(own, name) for own in every) for name in SUMMED_FIELDS}
     sums["unknown"] += (length - len(days)) * DAY_LENGTH
+    again = repeated(days) if length > 1 else 0.0
+    for name in ("riding", "unknown", "staying"):
+        less = min(again, sums[name])
+        sums[name], again = sums[name] - less, again - less
     return Totals(days=length, **sums)
 
 
+def repeated(days: Sequence[DiaryDay]) -> float:
+    """Time [s] that the clocks of days show twice: after a flight west; the hour of daylight saving time is none."""
+    back = (day.entries[0].offset - day.entries[-1].end_offset for day in days if day.entries)
+    return float(sum(by for by in back if by > LONGEST_SUMMER_TIME))
+
+
+LONGEST_SUMMER_TIME = 3600.0  # [s] by which clocks are put back in autumn
 SUMMED_FIELDS = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
 
 

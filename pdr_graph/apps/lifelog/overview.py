@@ -22,7 +22,7 @@ import numpy as np
 from rich.cells import cell_len, set_cell_size
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
-from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, repeated, totals_of
 from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
@@ -396,7 +396,10 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         most = max(LIST_ROWS // len(shown.diaries), 10) if short else LIST_ROWS
         yield ShownTable("the day", ROW_TITLES, [texts for day in own.days for texts in list_texts(day.entries, most)])
     elif not (short and shown.place):
-        yield ShownTable("days", PERIOD_TITLES, list(_period_rows(own.days, shown.period, 31 if short else 400)))
+        again = repeated(own.days)
+        note = f"clocks were put back {time_text(again)} on the way: the total counts these hours once" if again else ""
+        rows = list(_period_rows(own.days, shown.period, 31 if short else 400))
+        yield ShownTable("days", PERIOD_TITLES, rows, note)
     if not is_list and (shown.place or not short):
         rows = [
             [v.label, *visit_times(v), duration_text(v.duration), f"{v.observed:.0%}" if v.duration > 0 else ""]
