@@ -127,16 +127,18 @@ def date_of_guess(guess: Guess, zone: str) -> str:
     return datetime.fromtimestamp(guess.start, zone_named(name)).date().isoformat()
 
 
-def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0) -> Diary:
+def diary(
+    log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0, outings: bool = True
+) -> Diary:
     """The diary of a person from one date to another, both included; all days by default.
 
-    Places are those of all days. tolerance: [m] to which the tracks of outings are simplified, 0 for not. Raises
-    InputError if the lifelog is damaged.
+    Places are those of all days. tolerance: [m] to which the tracks of outings are simplified, 0 for not; outings:
+    False for days without outings and steps, which is faster. Raises InputError if the lifelog is damaged.
     """
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
     days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
-    made = [_day(log, person, date, own, whole) for date, own in wanted.items()]
+    made = [_day(log, person, date, own, whole, outings) for date, own in wanted.items()]
     if tolerance:
         made = [replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)) for day in made]
     return Diary(person, tuple(made), whole.places)
@@ -276,11 +278,13 @@ def parted(rows: Sequence[TimelineEntry], clock: LocalClock, track: Track) -> di
     return days
 
 
-def _day(log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary) -> DiaryDay:
+def _day(
+    log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary, with_outings: bool
+) -> DiaryDay:
     """A day of a diary, with the outings that have a part in it."""
     start, end = whole.clock.midnight_before(entries[0].start), whole.clock.next_midnight(entries[-1].start)
     touching = (digest for digest in whole.digests if digest.span[0] < end and digest.span[1] > start)
-    days = [log.day(person, digest.date) for digest in touching]
+    days = [log.day(person, digest.date) for digest in touching if with_outings]
     outings = [outing for day in days if day is not None for outing in day.outings]
     own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
     return DiaryDay.of(person, date, (start, end), entries, own)

@@ -413,10 +413,10 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
     if not (is_list and short):
         rest = own.places[len(places) :]
         note = f"and {count(len(rest), 'other place')}, {time_text(sum(p.duration for p in rest))}" if rest else ""
-        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [_place_row(p, short) for p in places], note)
+        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [place_texts(p, short) for p in places], note)
     if shown.place or not short:
         rows = [
-            [place.label, usual.weekday, *_usual_texts(usual)]
+            [place.label, usual.weekday, *usual_texts(usual)]
             for place in places
             for usual in sorted(place.hours, key=lambda usual: usual.weekday == EVERY_DAY)
             if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
@@ -451,15 +451,15 @@ def _totals_texts(title: str, totals: Totals) -> list[str]:
     return [title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING]
 
 
-def _place_row(place: Place, short: bool) -> list[str]:
-    """A place with the usual hours of every day."""
-    _, comes, _, leaves = _usual_texts(place.hours[0])
+def place_texts(place: Place, short: bool = False) -> list[str]:
+    """A place with the usual hours of every day, as of PLACE_TITLES; short: the first five."""
+    _, comes, _, leaves = usual_texts(place.hours[0])
     row = [fitted(one_line(place.label), 28), str(len(place.visits)), time_text(place.duration), comes, leaves]
     where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
     return row if short else [place.label, *row[1:], place.first, place.last, where]
 
 
-def _usual_texts(usual: UsualHours) -> list[str]:
+def usual_texts(usual: UsualHours) -> list[str]:
     """Number and quartiles of arrivals and of departures, as ``18:42 (18:10–19:05)``."""
     texts = []
     for number, (low, middle, high) in ((usual.arrivals, usual.arrival), (usual.departures, usual.departure)):
