@@ -36,7 +36,7 @@ from pdr_graph.geometry import length_along
 MALL = "maps/mall.geojson"
 HOUR = 3600.0
 STROLL = [(WALKING, 300.0, 0.0), (WALKING, 300.0, 1.5)]
-FILES = {"overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
+FILES = {"dwell.csv", "overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}
 DAY = {"day": "2024-05-16"}
 

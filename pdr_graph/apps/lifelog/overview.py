@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from itertools import groupby
 from types import MappingProxyType
 from typing import Any
@@ -27,8 +28,10 @@ from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
     FEWEST_HOURS,
+    Dwell,
     Place,
     UsualHours,
+    dwells,
     is_place,
     joined_visits,
     local_date,
@@ -45,6 +48,8 @@ from pdr_graph.apps.lifelog.timeline import (
 )
 from pdr_graph.errors import count, one_line
 from pdr_graph.types import DAY_LENGTH, OneLineRepr
+
+MOST_PERSONS = 6  # each of whom has tables on the page
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,16 @@ class Overview(OneLineRepr):
     def persons(self) -> tuple[str, ...]:
         """The persons."""
         return tuple(own.person for own in self.diaries)
+
+    @property
+    def is_fleet(self) -> bool:
+        """True for so many persons that they are shown together."""
+        return len(self.diaries) > MOST_PERSONS
+
+    @cached_property
+    def dwells(self) -> list[Dwell]:
+        """The time of all persons at each place on a plan, longest first."""
+        return dwells((day.person, row) for day in self.days for row in day.entries)
 
     @property
     def days(self) -> list[DiaryDay]:
@@ -106,6 +121,7 @@ ENTRY_COLUMNS = (
 )
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
+DWELL_COLUMNS = "place floor persons stops time sigma median busiest"
 HOURS_COLUMNS = (
     "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
     "departures departure_25 departure_50 departure_75"
@@ -151,6 +167,11 @@ def hours_record(usual: UsualHours) -> Record:
     return about
 
 
+def dwell_record(dwell: Dwell) -> Record:
+    """Time at a place on a plan [s] with its standard deviation, expected persons and stops, and the busiest hour."""
+    return _record(DWELL_COLUMNS, dwell, place=dwell.name, busiest=f"{dwell.hour:02d}:00")
+
+
 def hour_text(hour: float) -> str:
     """A time of day [h] as ``07:42``; "" if unknown."""
     minutes = round(hour * 60) % 1440 if np.isfinite(hour) else 0
@@ -170,6 +191,8 @@ def tables(shown: Overview) -> dict[str, bytes]:
         "visits.csv": ([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
         "hours.csv": (hours, HOURS_COLUMNS),
     }
+    if shown.dwells:
+        records["dwell.csv"] = ([dwell_record(dwell) for dwell in shown.dwells], DWELL_COLUMNS)
     return {name: csv_table(rows, columns.split(), DEGREE_DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
@@ -424,6 +447,43 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         yield ShownTable("usual hours", HOURS_TITLES, rows)
 
 
+DWELL_TITLES = ("place", "floor", "persons", "stops", "time", "a stop (median)", "busiest")
+
+
+def fleet_tables(shown: Overview, short: bool) -> Iterator[ShownTable]:
+    """The tables of all persons together. short: for a screen."""
+    most = 15 if short else 300
+    persons = sorted(shown.diaries, key=lambda own: -sum(day.totals.observed for day in own.days))
+    rows = [_totals_texts(short_text(own.person), totals_of(own.days, len(shown.period))) for own in persons[:most]]
+    note = f"and {count(len(persons) - most, 'other person')} in days.csv" if len(persons) > most else ""
+    yield ShownTable("persons", ("person", *PERIOD_TITLES[1:]), rows, note)
+    dwelt = [
+        [
+            short_text(d.name),
+            d.floor,
+            f"{d.persons:.0f}",
+            f"{d.stops:.0f}",
+            f"{time_text(d.time)} ± {time_text(d.sigma)}",
+            duration_text(d.median),
+            f"{d.hour:02d}:00–{d.hour + 1:02d}:00",
+        ]
+        for d in shown.dwells[:most]
+    ]
+    hidden = len(shown.dwells) - most
+    note = f"and {count(hidden, 'other place')} in dwell.csv. " if hidden > 0 else ""
+    yield ShownTable("time at places", DWELL_TITLES, dwelt, f"{note}Expected values by the probabilities of the stays.")
+
+
+def short_text(name: str) -> str:
+    """A name on one line that fits a column."""
+    return fitted(one_line(name), 28)
+
+
+def fleet_text(shown: Overview) -> str:
+    """The totals of all persons together in one line."""
+    return totals_text(replace(totals_of(shown.days, len(shown.days)), unknown=0.0))
+
+
 def _period_rows(days: Sequence[DiaryDay], period: Period, most: int) -> Iterator[Sequence[str]]:
     """Totals of each day, of each month or year if there are more than `most` days; days without data are counted."""
     by_date = {day.date: day for day in days}
@@ -471,7 +531,13 @@ def usual_texts(usual: UsualHours) -> list[str]:
 def as_text(shown: Overview) -> str:
     """The overview as text, a part per person; lines have at most TEXT_WIDTH columns."""
     parts = []
-    for own in shown.diaries:
+    if shown.is_fleet:
+        lines = [f"{count(len(shown.diaries), 'person')}  {period_title(shown.period)}  {shown.place}".rstrip()]
+        for table in fleet_tables(shown, short=True):
+            if table.rows:
+                lines += [*aligned([table.head, *table.rows]), *filter(None, [table.note]), ""]
+        parts.append("\n".join(fitted(line, TEXT_WIDTH) for line in [*lines, fleet_text(shown)]))
+    for own in () if shown.is_fleet else shown.diaries:
         place = f"  {one_line(shown.place)}" if shown.place else ""
         blocks = [[f"{one_line(own.person)}  {period_title(shown.period)}{place}"]]
         for table in shown_tables(shown, own, short=True):
