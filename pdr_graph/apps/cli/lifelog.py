@@ -262,7 +262,7 @@ def _list_days(path: Path) -> None:
     """Print a line per person and day of a lifelog."""
     from pdr_graph.apps.lifelog.store import Store
 
-    with Store(path) as log:
+    with Store(path, reads=True) as log:
         days = log.days()
     for (person, date), day in days.items():
         echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")

@@ -294,7 +294,7 @@ def export_days(
     if single and file_format in (CSV, PARQUET):
         raise InputError("--out", "", str(out), f"a folder: {file_format} has several files")
     notes, written = list[str](), list[Path]()
-    with Store(path) as log:
+    with Store(path, reads=not (cut or blur)) as log:  # private places need a secret that is stored
         dates = _checked_date("--from", since), _checked_date("--to", until)
         places = _private_places(log, cut), _private_places(log, blur)
         said = {who: Sayings.of(log, who, dates, places if cut or blur else None) for who in _people(log)}

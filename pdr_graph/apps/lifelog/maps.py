@@ -368,7 +368,7 @@ def _indoors(ways: Sequence[_Way], together: bool) -> Iterator[Panel]:
 
 
 def _dots_together(stays: Sequence[Stay], dots: Sequence[Dot]) -> list[Dot]:
-    """A dot for each place that was faced, with the expected time there, at the mean of the stays that name it first."""
+    """A dot for each place that was faced, with the expected time, at the mean of the stays that name it first."""
     lasts, moments = defaultdict[str, float](float), defaultdict[str, Array](lambda: np.zeros(3))
     for stay, dot in zip(stays, dots, strict=True):
         for rank, (name, probability) in enumerate(() if stay.passing else stay.facing):

@@ -243,7 +243,7 @@ def name_place(store: Path, place: str, name: str, radius: float | None = None, 
 
 def listing(store: Path, person: str | None = None) -> list[str]:
     """A line per correction, of all persons by default: number, what it states, and when it was made."""
-    with Store(store) as log:
+    with Store(store, reads=True) as log:
         found = log.corrections(person)
         diaries = {who: OpenDiary.of(log, who) for who in dict.fromkeys(c.person for c in found)}
         return [diaries[c.person].line(c) for c in found] or ["no corrections"]

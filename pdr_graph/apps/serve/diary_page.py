@@ -203,7 +203,7 @@ def _person(log: Store, query: Fields) -> tuple[str, list[str], list[str]]:
 
 def calendar_page(store: Path, query: Fields) -> str:
     """A month of a person: a strip of each day, which links to it; the last month by default."""
-    with Store(store) as log:
+    with Store(store, reads=True) as log:
         person, dates, people = _person(log, query)
         month = period_of(month=query.get("month") or dates[-1][:7])
         if month is None:
@@ -254,7 +254,7 @@ def _strip(day: DiaryDay) -> str:
 
 def _places(store: Path, query: Fields) -> tuple[Diary, list[str]]:
     """All visits and places of a person, most time first, and all persons."""
-    with Store(store) as log:
+    with Store(store, reads=True) as log:
         person, _, people = _person(log, query)
         own = diary(log, person, outings=False)
     everything = Period(ALL, "all days", date.min, LAST_DATE)
@@ -318,7 +318,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
     """The day of a query, the dates around it, and all persons. Raises InputError if there is no such day."""
-    with Store(store) as log:
+    with Store(store, reads=True) as log:
         person, stored, people = _person(log, query)
         on = query.get("date") or stored[-1]
         wanted = period_of(day=on)
