@@ -77,7 +77,7 @@ class DiaryDay(OneLineRepr):
         entries: Sequence[TimelineEntry],
         outings: Sequence[Outing],
     ) -> DiaryDay:
-        """Construct with the totals: times of the rows, distances of their parts; a walk at a place is walked too."""
+        """Construct with the totals of the rows; the distance of a stay is walked too."""
         first, last = (entries[0].start, entries[-1].end) if entries else (0.0, 0.0)  # days overlap in flights east
         steps = sum(_steps_between(outing, first, last) for outing in outings)
         totals = _totals(entries, midnights[1] - midnights[0], steps)
@@ -308,12 +308,11 @@ def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
 
 
 def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
-    """Totals of the rows of a day of a length [s]: times of the rows, distances of their parts."""
+    """Totals of the rows of a day of a length [s]."""
     time, distance, at_places = (defaultdict[str, float](float) for _ in range(3))
     for row in entries:
         time[row.kind] += row.duration
-        for part in row.parts or (row,):
-            distance[part.kind] += part.distance
+        distance[row.kind] += row.distance
         if row.kind == STAY:
             named = row.facing or [(f"place {row.place_number}", row.place_number > 0)]
             for name, probability in [(row.place, 1.0)] if row.place else named:
@@ -328,7 +327,7 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
         staying=float(staying),
         unknown=max(length - (walking + riding + staying), 0.0),
         observed=observed,
-        walked=float(distance[WALKING] + distance[PASSING]),
+        walked=float(distance[WALKING] + distance[PASSING] + distance[STAY] + distance[STANDING]),
         ridden=float(distance[VEHICLE]),
         steps=steps,
         places=tuple(sorted(((n, t) for n, t in at_places.items() if t), key=lambda item: -item[1])),
