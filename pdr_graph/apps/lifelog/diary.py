@@ -355,7 +355,7 @@ def repeated(days: Sequence[DiaryDay]) -> float:
     return float(sum(by for by in back if by > LONGEST_SUMMER_TIME))
 
 
-LONGEST_SUMMER_TIME = 3600.0  # [s] by which clocks are put back in autumn
+LONGEST_SUMMER_TIME = 3600.0  # [s] that clocks repeat in autumn
 SUMMED_FIELDS = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
 
 

@@ -297,20 +297,20 @@ def export_days(
     with Store(path, reads=not (cut or blur)) as log:  # private places need a secret that is stored
         dates = _checked_date("--from", since), _checked_date("--to", until)
         places = _private_places(log, cut), _private_places(log, blur)
-        said = {who: Sayings.of(log, who, dates, places if cut or blur else None) for who in _people(log)}
+        statements = {who: Statements.of(log, who, dates, places if cut or blur else None) for who in _people(log)}
         wanted = _selected_days(log, person, *dates, guesses=not (cut or blur))
         days = _public_days(log, wanted, file_format, places, notes)
         if single:
             if left := list(days):
                 cache.make_folder(out.parent)
-                write_file(out, DOCUMENTS[file_format](left, diary_rows(log, left, said)), private=True)
+                write_file(out, DOCUMENTS[file_format](left, diary_rows(log, left, statements)), private=True)
                 written.append(out)
         else:
             with output_folder(out, private=True) as staged:
                 if file_format == PARQUET:
-                    contents = iter(parquet_tables(days, said).items())
+                    contents = iter(parquet_tables(days, statements).items())
                 else:
-                    contents = _files_by_day(log, file_format, days, said)
+                    contents = _files_by_day(log, file_format, days, statements)
                 for name, content in contents:
                     cache.write(staged / name, content)
                     written.append(out / name)
@@ -396,13 +396,13 @@ def _public_days(
 
 
 def _files_by_day(
-    log: Store, file_format: str, days: Iterator[Day], said: Mapping[str, Sayings]
+    log: Store, file_format: str, days: Iterator[Day], statements: Mapping[str, Statements]
 ) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the files of each day."""
-    public = {who: diary_rows_of(log, who) for who, own in said.items() if own.private is None}
+    public = {who: diary_rows_of(log, who) for who, own in statements.items() if own.private is None}
     for day in days:
         first, *others = _day_files(file_format, day.person, day.date)
-        diaries = public if day.person in public else diary_rows(log, [day], said)
+        diaries = public if day.person in public else diary_rows(log, [day], statements)
         yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day], diaries)
         for file in others:
             yield file, timeline_csv(detailed(diaries[day.person].by_date.get(day.date, ()))).encode()
@@ -415,8 +415,8 @@ def _day_files(file_format: str, person: str, date: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Sayings:
-    """What is said of a person's time. corrections: of the person; guesses: of other programs, of the exported dates;
+class Statements:
+    """Statements about a person's time. corrections: of the person; guesses: of other programs, of the exported dates;
     private: places that are hidden in the export, None for an export of everything.
     """
 
@@ -427,7 +427,7 @@ class Sayings:
     @classmethod
     def of(
         cls, log: Store, person: str, dates: tuple[str, str], places: tuple[Sequence[PrivatePlace], ...] | None
-    ) -> Sayings:
+    ) -> Statements:
         """Of a person of a lifelog. dates: first and last, "" for all; places: to hide, None for nothing."""
         zone, (first, last) = log.setting(ZONE), dates
         guesses = [guess for guess in log.guesses(person) if first <= date_of_guess(guess, zone) <= (last or "9")]
@@ -476,18 +476,18 @@ def _people(log: Store) -> list[str]:
     return sorted({*log.people(), *(person for person, _ in log.days())})
 
 
-def diary_rows(log: Store, days: Sequence[Day], said: Mapping[str, Sayings]) -> dict[str, DiaryRows]:
+def diary_rows(log: Store, days: Sequence[Day], statements: Mapping[str, Statements]) -> dict[str, DiaryRows]:
     """The rows of the diary of each person of some days, with the private places of these days removed."""
     found = dict[str, DiaryRows]()
     for who in dict.fromkeys(day.person for day in days):
-        if said[who].private is None:
+        if statements[who].private is None:
             found[who] = diary_rows_of(log, who)
             continue
         by_date = dict[str, Sequence[TimelineEntry]]()
         for day in (day for day in days if day.person == who):
             track = Track.of(day.outings)
             clock = LocalClock(log.setting(ZONE), track.time, track.lonlat)
-            rows, _ = said[who].rows([day], track)
+            rows, _ = statements[who].rows([day], track)
             by_date[day.date] = [
                 replace(row, offset=clock.offset(row.start), end_offset=clock.offset(row.end)) for row in rows
             ]
@@ -521,10 +521,12 @@ class PersonRows:
     private: bool
 
 
-def parquet_tables(days: Iterable[Day], said: Mapping[str, Sayings] = MappingProxyType({})) -> dict[str, bytes]:
+def parquet_tables(
+    days: Iterable[Day], statements: Mapping[str, Statements] = MappingProxyType({})
+) -> dict[str, bytes]:
     """The tables of days as GeoParquet files by name; a table without rows is left out.
 
-    said: of each person; nothing by default. Raises InputError without the extra `geo`.
+    statements: of each person; nothing by default. Raises InputError without the extra `geo`.
     """
     try:
         import geopandas  # noqa: F401  # pyright: ignore[reportUnusedImport]
@@ -536,10 +538,10 @@ def parquet_tables(days: Iterable[Day], said: Mapping[str, Sayings] = MappingPro
         own = list(same)
         outings = tuple(outing for day in own for outing in day.outings if outing.frame.georeferenced)
         track = Track.of(outings)
-        rows, places = said.get(who, Sayings()).rows(own, track)
+        rows, places = statements.get(who, Statements()).rows(own, track)
         stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
         legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
-        private = said.get(who, Sayings()).private is not None
+        private = statements.get(who, Statements()).private is not None
         people.append(PersonRows(who, stays, legs, places, track, outings, private))
     tables = {}
     frames = _positionfixes(people), _triplegs(people), _staypoints(people), _locations(people)

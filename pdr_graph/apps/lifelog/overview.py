@@ -420,7 +420,7 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         yield ShownTable("the day", ROW_TITLES, [texts for day in own.days for texts in list_texts(day.entries, most)])
     elif not (short and shown.place):
         again = repeated(own.days)
-        note = f"clocks were put back {time_text(again)} on the way: the total counts these hours once" if again else ""
+        note = f"clocks repeated {time_text(again)} on the way: the total counts these hours once" if again else ""
         rows = list(_period_rows(own.days, shown.period, 31 if short else 400))
         yield ShownTable("days", PERIOD_TITLES, rows, note)
     if not is_list and (shown.place or not short):
