@@ -312,7 +312,8 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
     time, distance, at_places = (defaultdict[str, float](float) for _ in range(3))
     for row in entries:
         time[row.kind] += row.duration
-        distance[row.kind] += row.distance
+        for part in (row.parts or (row,)) if row.kind in KINDS_WITHOUT_DATA else (row,):
+            distance[part.kind] += part.distance
         if row.kind == STAY:
             named = row.facing or [(f"place {row.place_number}", row.place_number > 0)]
             for name, probability in [(row.place, 1.0)] if row.place else named:
