@@ -8,6 +8,7 @@ damaged one is kept beside it. A file that cannot be recovered is left as it is.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import shutil
 import sqlite3
@@ -50,7 +51,8 @@ class Kind:
 
     schema: statements that create the tables of a new file; rows: its first rows; upgrades: by version, the statements
     that upgrade a file to the next version; remedy: advice for a file of an older version without upgrade; repair: for
-    a damaged one; keep: chooses the rows of a damaged file, of a reader of its tables, and says what is lost.
+    a damaged one; keep: chooses the rows of a damaged file, of a reader of its tables, and says what is lost; shared:
+    True if others may read while one process writes (`write_lock`, `copied`).
     """
 
     name: str
@@ -62,6 +64,7 @@ class Kind:
     remedy: str
     repair: str
     keep: Callable[[Callable[..., list[Row]]], tuple[Rows, str]]
+    shared: bool = False
 
 
 def open_database(path: Path, kind: Kind, pages: bool) -> tuple[sqlite3.Connection, str]:
@@ -131,7 +134,8 @@ def _opened(path: Path, kind: Kind, rows: Rows) -> sqlite3.Connection:
         database = sqlite3.connect(path, LOCK_CALL, isolation_level=None, check_same_thread=False)
     try:
         with explained(path, kind):
-            database.execute("PRAGMA locking_mode = EXCLUSIVE")
+            if not kind.shared:
+                database.execute("PRAGMA locking_mode = EXCLUSIVE")
             _begin(database)
             version = database.execute("PRAGMA user_version").fetchone()[0]
             upgrades = (statement for older in range(version, kind.version) for statement in kind.upgrades[older])
@@ -144,10 +148,45 @@ def _opened(path: Path, kind: Kind, rows: Rows) -> sqlite3.Connection:
             database.execute(f"PRAGMA user_version = {kind.version}")
             database.execute("COMMIT")
             database.execute("PRAGMA journal_mode = DELETE")  # of a file of an older version too
+            database.execute(f"PRAGMA busy_timeout = {1000 * LOCK_TIMEOUT:.0f}")  # while a reader copies it
         return database
     except BaseException:
         database.close()
         raise
+
+
+def write_lock(path: Path, kind: Kind, wait: bool = True) -> int | None:
+    """A handle that lets this process alone write a shared file until it is closed; the file is created if necessary.
+
+    wait: for up to LOCK_TIMEOUT, after which InputError is raised; else None if another process writes.
+    """
+    with explained(path, kind):
+        handle = os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY)
+    end = time.monotonic() + LOCK_TIMEOUT
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return handle
+        except BlockingIOError:
+            if wait and time.monotonic() < end:
+                time.sleep(0.1)
+                continue
+            os.close(handle)
+            if not wait:
+                return None
+            raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
+        except OSError:  # a file system without locks
+            return handle
+
+
+def copied(path: Path, kind: Kind) -> sqlite3.Connection:
+    """A copy in memory of what is stored in a file that another process writes."""
+    if _recognised(path, kind)[0] != kind.version:
+        raise InputError(path, "", f"a {kind.name} that another process upgrades", "one that none does")
+    with explained(path, kind), _reading(path) as stored:
+        copy = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        stored.backup(copy, sleep=0.01)  # between its transactions
+    return copy
 
 
 def _begin(database: sqlite3.Connection) -> None:

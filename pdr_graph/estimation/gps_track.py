@@ -30,7 +30,7 @@ noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -397,7 +397,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     stated: transport modes that are known, in place of those by the positions; where a stay begins or ends, the track
     may jump.
     """
-    used = _plausible(fixes)
+    used = plausible(fixes)
     fixes = fixes[used]
     knots, lost = _knots(fixes), _lost(fixes)
 
@@ -416,7 +416,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[is_fix])
 
 
-def _plausible(fixes: Fixes) -> Index:
+def plausible(fixes: Fixes) -> Index:
     """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
 
     Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers.
@@ -475,7 +475,56 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), TRAVEL.widest)
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
-    return np.where(lost, LOST, moves(knots, way, begins, ends, straight)), knots
+    kind = np.where(lost, LOST, moves(knots, way, begins, ends, straight))
+    for begin, end in _stretches(kind != STANDS):
+        for first, last in _walks_between_places(knots, int(begin), int(end)):
+            kind[first:last] = WALKS
+    return kind, knots
+
+
+def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tuple[int, int]]:
+    """First and last knot of each walk within a stand, from knot `begin` to `end`, that was at two places.
+
+    Coarse positions of a short walk are no evidence of movement each; those of some minutes before and after it are:
+    their means are farther apart than their errors allow, at worst one error for each of the two, and the way between
+    them took as long as a walk.
+    """
+    time, place = knots.time[begin : end + 1], knots.position[begin : end + 1]
+    variance = (knots.slow**2 + knots.white**2)[begin : end + 1]
+    lasts, n = TRAVEL.lasts, len(time)
+    if time[-1] - time[0] < 3 * lasts:
+        return
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(np.column_stack([place, variance]), axis=0)])
+
+    def means(start: Array, stop: Array) -> tuple[Array, Array]:
+        """Mean place and variance of the knots between times."""
+        first, after = np.searchsorted(time, start - INSTANT), np.searchsorted(time, stop + INSTANT)
+        number = after - first
+        mean = (sums[after] - sums[first]) / np.maximum(number, 1)[:, None]
+        mean[number < 3] = np.nan
+        return mean[:, :2], mean[:, 2]
+
+    middle = np.arange(time[0] + lasts, time[-1] - lasts, TRAVEL.epoch)
+    before, error = means(middle - 1.5 * lasts, middle - 0.5 * lasts)
+    after, other = means(middle + 0.5 * lasts, middle + 1.5 * lasts)
+    apart = after - before
+    gain = np.einsum("ij,ij->i", apart, apart) / (2 * (error + other))
+    price = 2 * np.log(lasts / TRAVEL.epoch) + np.log((time[-1] - time[0]) / lasts)
+    peaks = [k for k in np.argsort(-np.nan_to_num(gain)).tolist() if gain[k] > price]
+    taken = list[float]()
+    for k in peaks:
+        if any(abs(middle[k] - t) < lasts for t in taken):
+            continue
+        taken.append(float(middle[k]))
+        length = float(np.hypot(*apart[k]))
+        share = (place - before[k]) @ apart[k] / length**2  # of the way between both places
+        at = int(np.searchsorted(time, middle[k]))
+        here = np.flatnonzero(share[:at] * length <= np.sqrt(error[k]))
+        there = at + np.flatnonzero((1 - share[at:]) * length <= np.sqrt(other[k]))
+        first, last = (int(here[-1]) if len(here) else 0), (int(there[0]) if len(there) else n - 1)
+        speed = length / (time[last] - time[first])
+        if abs(speed - TRAVEL.walk) <= 2 * TRAVEL.walk_spread:
+            yield begin + first, begin + last
 
 
 def _with_stated(time: Array, kind: Index, stated: Stated) -> tuple[Index, Mask]:

@@ -130,10 +130,11 @@ class Points(OneLineRepr):
 
 @dataclass(frozen=True)
 class Track(OneLineRepr):
-    """A track and its uninterrupted segments."""
+    """A track and its uninterrupted segments. kind: of the activity, as "bus", "" if unknown."""
 
     name: str
     segments: tuple[Points, ...]
+    kind: str = ""
 
 
 def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
@@ -145,20 +146,22 @@ def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None,
     path.write_bytes(document([Track(name, (Points(frame.to_lonlat(trajectory.position), time),))]))
 
 
-def document(tracks: Sequence[Track], places: Sequence[tuple[str, Points]] = ()) -> bytes:
-    """The content of a GPX 1.1 file. places: name and position of each waypoint, at the time of arrival."""
+def document(tracks: Sequence[Track], places: Sequence[tuple[str, str, Points]] = ()) -> bytes:
+    """The content of a GPX 1.1 file. places: name, description and position of each waypoint at its arrival."""
     gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE, "pdr": EXTENSION})
-    for name, point in places:
-        _add_points(gpx, "wpt", point, name)
+    for name, description, point in places:
+        _add_points(gpx, "wpt", point, name, description)
     for track in tracks:
         element = etree.SubElement(gpx, "trk")
         etree.SubElement(element, "name").text = printable(track.name)
+        if track.kind:
+            etree.SubElement(element, "type").text = printable(track.kind)
         for points in track.segments:
             _add_points(etree.SubElement(element, "trkseg"), "trkpt", points)
     return etree.tostring(gpx, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
 
-def _add_points(parent: etree._Element, tag: str, points: Points, name: str = "") -> None:
+def _add_points(parent: etree._Element, tag: str, points: Points, name: str = "", about: str = "") -> None:
     """Add an element for each point, with its parts in the order that the format requires."""
     for n, (lon, lat) in enumerate(points.lonlat):
         element = etree.SubElement(parent, tag, {"lat": f"{lat:.8f}", "lon": f"{lon:.8f}"})
@@ -167,6 +170,8 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
             etree.SubElement(element, "time").text = when.replace("+00:00", "Z")
         if name:
             etree.SubElement(element, "name").text = printable(name)
+        if about:
+            etree.SubElement(element, "desc").text = printable(about)
         if points.accuracy is not None:
             extensions = etree.SubElement(element, "extensions")
             etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 from streets import SIGMA
 
-from pdr_graph.estimation.gps_track import LOST, GpsKnots, Motion, smooth_track, way_through
+from pdr_graph.estimation.gps_track import LOST, RIDES, WALKS, GpsKnots, Motion, smooth_track, way_through
 from pdr_graph.priors import TRACK
 from pdr_graph.types import Fixes
 
@@ -55,3 +55,24 @@ def test_the_covariance_of_a_gap_is_honest():
             variance = np.interp(at, way.time, way.covariance[:, 0, 0])
             inside.append(np.sum((truth[time == at][0] - mean) ** 2) / variance < chi2.ppf(0.9, 2))
     assert 0.8 < np.mean(inside) < 0.98
+
+
+@pytest.mark.parametrize("sigma", [40.0, 50.0])
+@pytest.mark.parametrize("error", [0.0, 15.0, 35.0])
+def test_a_short_walk_between_coarse_positions_is_found_and_none_where_there_is_none(sigma, error):
+    """400 m at 1.3 m/s, to a place of 40 minutes and back, a position a minute; and as long at one place."""
+    length, walk = 400.0, 400.0 / 1.3
+    bounds = np.cumsum([0.0, 7200.0, walk, 2400.0, walk, 7200.0])
+    time = np.arange(0.0, bounds[-1], 60.0)
+    there = np.interp(time, bounds, [0.0, 0.0, length, length, 0.0, 0.0])
+    noise = np.random.default_rng(0).normal(0, 1, (len(time), 2)) * error
+
+    def walks(east):
+        place = np.column_stack([east, np.zeros(len(time))]) + noise
+        way = way_through(Fixes(time, place, np.full(len(time), sigma), source=("GNSS",) * len(time)))
+        edge = np.flatnonzero(np.diff(np.r_[False, way.kind == WALKS, False]))
+        assert not (way.kind == RIDES).any()
+        return way.trajectory.time[edge.reshape(-1, 2)]
+
+    assert walks(there) == pytest.approx(bounds[1:5].reshape(2, 2), abs=180.0)
+    assert not len(walks(np.zeros(len(time))))

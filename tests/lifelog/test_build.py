@@ -43,7 +43,7 @@ def added(folder, people=3, days=5):
 
 def days_of(log):
     """The days of a lifelog by person and date."""
-    with Store(log) as store:
+    with Store(log, reads=True) as store:
         return store.days()
 
 

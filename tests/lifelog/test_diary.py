@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from gps_days import gps_day, true_stays
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_days import outing
-from made_past import overland
+from made_past import imported, location, overland, records
+from pyproj import Geod
 
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
-from pdr_graph.apps.lifelog.diary import UnpartedDiary, diary
+from pdr_graph.apps.lifelog.diary import UnpartedDiary, diary, totals_of
 from pdr_graph.apps.lifelog.facts import ALWAYS, PLACE_NAME, Correction
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.past.importing import import_past
@@ -279,3 +281,65 @@ def test_no_stay_is_longer_than_its_silences_allow(tmp_path_factory, log):
         total = day.totals.walking + day.totals.riding + day.totals.staying + day.totals.unknown
         assert total == pytest.approx(day.end - day.start, abs=1)
         assert sum(row.distance for row in day.entries) == pytest.approx(day.totals.walked + day.totals.ridden)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize(
+    ("to", "hours", "zone"), [((40.75, -73.98), 9, "America/New_York"), ((35.68, 139.76), 12, "Asia/Tokyo")]
+)
+def test_a_flight_is_said_and_either_end_has_its_own_metres_and_clock(tmp_path, to, hours, zone, recorded):
+    """Against geodesics: a walk of 4 km and a ride of 15 km after the flight, with and without positions in the air."""
+    geod, random = Geod(ellps="WGS84"), np.random.default_rng(1)
+    track = [(at("2024-05-20T05:00"), 13.4, 52.52)]
+
+    def go(metres, seconds, bearing=None, step=10.0):
+        time, lon, lat = track[-1]
+        for share in np.arange(step, seconds + 1, step) / seconds:
+            track.append((time + share * seconds, *geod.fwd(lon, lat, bearing or 0.0, share * metres)[:2]))
+
+    def walk_and_ride():
+        go(0, 3600, step=60.0)
+        for bearing in (0, 90, 180, 270):
+            go(1000, 800, bearing)
+        go(0, 900)
+        go(15000, 1000, 60)
+        go(0, 3600, step=60.0)
+
+    walk_and_ride()
+    bearing, _, far = geod.inv(*track[-1][1:], *to[::-1])
+    if recorded:
+        go(far, hours * 3600, bearing, step=60.0)
+    else:
+        track.append((track[-1][0] + hours * 3600, *to[::-1]))
+    walk_and_ride()
+    noise = random.normal(0, 3 / 111_000, (len(track), 2))
+    export = records(
+        tmp_path / "Records.json",
+        [location(t, lat + e, lon + n) for (t, lon, lat), (e, n) in zip(track, noise, strict=True)],
+    )
+    imported(tmp_path / "log", export)
+    assert build(tmp_path / "log").failures == ()
+    with Store(tmp_path / "log") as log:
+        own = diary(log, "me")
+        outings = [one for person, date in log.days() for one in log.day(person, date).outings]
+    rows = [row for day in own.days for row in day.entries if row.is_known]
+    [plane] = [row for row in rows if row.mode == "plane"]
+    assert (plane.kind, plane.observed) == (VEHICLE, 0.0)
+    assert plane.distance == pytest.approx(far, rel=0.005)
+    assert plane.duration == pytest.approx(hours * 3600, abs=300)
+    for kind, metres in ((WALKING, 4000), (VEHICLE, 15000)):
+        found = [row.distance for row in rows if row.kind == kind and row is not plane]
+        assert found == pytest.approx([metres, metres], rel=0.01)
+    offsets = [ZoneInfo(name).utcoffset(datetime(2024, 5, 20)).total_seconds() for name in ("Europe/Berlin", zone)]
+    assert [(row.offset, row.end_offset) for row in (rows[0], plane, rows[-1])] == [
+        (offsets[0], offsets[0]),
+        tuple(offsets),
+        (offsets[1], offsets[1]),
+    ]
+    for one in outings:  # near its frame's origin, whose north is true
+        assert np.hypot(*one.trajectory.position.T).max() < 20_000
+    week = totals_of(own.days, 7)
+    assert week.walking + week.riding + week.staying + week.unknown <= 168 * 3600 + 1
+    for day in own.days:
+        own_sum = day.totals.walking + day.totals.riding + day.totals.staying + day.totals.unknown
+        assert own_sum == pytest.approx(day.end - day.start)

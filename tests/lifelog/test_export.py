@@ -24,6 +24,7 @@ from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported, parquet_tables
+from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.errors import InputError
@@ -223,6 +224,57 @@ def test_a_place_of_the_diary_is_cut_by_its_name_or_number(tmp_path, text):
         return np.hypot(*frame.from_lonlat(points).T).min()
 
     assert nearest(whole) < 30 < 75 < nearest(part)
+
+
+@pytest.fixture
+def stated(tmp_path):
+    """A lifelog in which a place has a name, a ride a mode, and another program guessed the night."""
+    store = made.lifelog(tmp_path)
+    revision.name_place(store, made.clock(10), "the office")
+    revision.name_place(store, made.place(0, 0), "home")
+    revision.state_mode(store, made.clock(9), made.clock(9 + 1 / 6), "tram")
+    with Store(store) as log:
+        latitude, longitude = map(float, made.place(0, 0).split(","))
+        log.put_guesses("me", [Guess("google", made.at(1), made.at(7), "visit", "HOME", latitude, longitude, 0.78)])
+    return store
+
+
+def test_names_modes_and_guesses_are_in_every_format(stated, tmp_path, read_tables):
+    gpx, table, folder = tmp_path / "a.gpx", tmp_path / "csv", tmp_path / "tables"
+    features = [f["properties"] for f in exported_features(stated, tmp_path / "a.geojson")]
+    visits = [f for f in features if f["kind"] == "visit"]
+    assert [visit["place"] for visit in visits] == ["home", "home", "the office", "home"]
+    assert (visits[0]["guess"], visits[0]["observed"]) == ("google: HOME, 78%", 0)
+    [ride] = [f for f in features if f.get("mode")]
+    assert (ride["mode"], ride["kind"], ride["corrected"]) == ("tram", VEHICLE, True)
+    assert {f["place"] for f in features if f["kind"] == STANDING} == {"home", "the office"}
+
+    export_days(stated, gpx, "gpx")
+    read = gpxpy.parse(gpx.read_text())
+    assert [point.name for point in read.waypoints] == ["home", "home", "the office", "home"]
+    assert read.waypoints[0].description == "google: HOME, 78%"
+    assert [track.type for track in read.tracks] == [None, "tram", None]
+
+    export_days(stated, table, "csv")
+    rows = list(csv.DictReader((table / "me_2024-05-01_timeline.csv").open()))
+    assert {row["place"] for row in rows if row["kind"] == "stay"} == {"home", "the office"}
+    assert [row["mode"] for row in rows if row["corrected"] == "true"] == ["tram"]
+
+    export_days(stated, folder, "parquet")
+    tables = read_tables(folder)
+    assert tables["triplegs"]["mode"].tolist() == ["tram", "vehicle"]
+    assert set(tables["locations"]["name"]) == {"home", "the office"}
+    assert tables["staypoints"]["guess"][0] == "google: HOME, 78%"
+
+
+def test_an_export_without_home_names_other_places_and_modes_alone(stated, tmp_path):
+    for kind in ("geojson", "gpx", "csv", "parquet"):
+        out = tmp_path / kind / "all.geojson" if kind == "geojson" else tmp_path / kind
+        export_days(stated, out, kind, cut=["home"])
+    text = b"".join(file.read_bytes() for file in tmp_path.glob("g*/*"))
+    assert b"the office" in text
+    assert b"tram" in text
+    assert not any(b"home" in file.read_bytes().lower() for file in tmp_path.glob("[gcp]*/*"))
 
 
 LON, LAT = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]

@@ -281,3 +281,38 @@ def test_what_was_imported_is_named_when_it_is_forgotten(tmp_path):
     assert line in revision.forget(log, "2024-05-01 14:10", "2024-05-01 14:20")
     assert line in revision.forget_person(log, "me")
     assert left(tmp_path, [b"imported: me"]) == set()
+
+
+@pytest.mark.parametrize("imported", [False, True])
+def test_a_place_is_forgotten_with_its_name_and_the_rest_of_the_day_remains(tmp_path, imported):
+    """No position within its radius is left, also none that only passes; the file it came from is named."""
+    where = np.concatenate([made.positions()[1], np.linspace((0, 0), made.OFFICE, 60)])
+    time = np.concatenate([made.positions()[0], at(13.1) + 10.0 * np.arange(60)])
+    store, raw = tmp_path / "store" / "days.db", tmp_path / "raw" / "0.plt"
+    store.parent.mkdir()
+    if imported:
+        lonlat = made.FRAME.to_lonlat(where)
+        raw = past.records(
+            tmp_path / "Records.json", [past.location(t, y, x) for t, (x, y) in zip(time, lonlat, strict=True)]
+        )
+        past.imported(store, raw)
+    else:
+        made.write(raw, time, where)
+        add(store, [raw])
+    build(store, "UTC")
+    revision.name_place(store, clock(10.5), "the office")
+    lines = revision.forget_place(store, "The Office")
+    assert f"still on your disk: {raw}" in lines
+    assert left(store.parent, [b"the office"]) == set()
+    with Store(store) as log:
+        day, own = log.day("me", DATE), diary(log, "me")
+        [entry] = log.entries()
+        fixes = read_observation(log.folder / cache.OBSERVATIONS / entry.observation)
+    near = fixes.frame.from_lonlat(made.FRAME.to_lonlat(np.array([made.OFFICE])))
+    assert np.hypot(*(fixes.fixes.position - near).T).min() > 100
+    assert len(own.places) == 1
+    times = np.concatenate([o.epoch + o.trajectory.time for o in day.outings])
+    assert (times < at(9)).sum() > 300
+    assert (times > at(12.25)).sum() > 200
+    with pytest.raises(InputError, match=r"found 'The Office', expected .* a place of the diary: place 1"):
+        revision.forget_place(store, "The Office")

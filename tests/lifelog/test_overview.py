@@ -19,8 +19,10 @@ from typer.testing import CliRunner
 from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.local_time import period_of
-from pdr_graph.apps.lifelog.overview import LIST_ROWS, as_text, day_list, distance_text, row_texts, tables
+from pdr_graph.apps.lifelog.overview import LIST_ROWS, as_text, day_list, distance_text, overview, row_texts, tables
+from pdr_graph.apps.lifelog.picture import picture
 from pdr_graph.apps.lifelog.places import EVERY_DAY, Place, clock_quartiles, joined_visits
+from pdr_graph.apps.lifelog.report import page
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.timeline import (
     PASSING,
@@ -288,7 +290,7 @@ def kinds_and_durations(made):
 
 def rows(made):
     """The rows of the table, by column."""
-    return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
+    return list(csv.DictReader(io.StringIO(timeline_csv(overview_of(made).days[0].entries))))
 
 
 legs = st.lists(st.tuples(st.sampled_from(ACTIVITIES), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
@@ -352,7 +354,7 @@ def test_the_table_has_local_times_and_absolute_positions():
     made = outing(
         [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
     )
-    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == TIMELINE_HEADER
+    assert timeline_csv(timeline(day(made))).split("\n")[0] == TIMELINE_HEADER
     [row] = rows(day(made))
     assert row["start"] == "2024-05-01T09:00:00-04:00"
     assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
@@ -395,7 +397,7 @@ def test_totals_are_those_of_segments_and_expected_times_at_places():
 def test_control_characters_in_names_do_not_reach_the_terminal():
     """Names come from plans of any origin."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
-    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)), ZONE)
+    text = as_text(overview_of(day(made))) + timeline_csv(timeline(day(made)))
     assert "\x1b" not in text
     assert "\t" not in text
     assert len(rows(day(made))) == 1
@@ -409,3 +411,39 @@ def test_the_text_agrees_with_the_table():
     assert "Bakery 80% (Bank 15%)" in text
     assert "no data" in text
     assert "walked 150 m in 2 min" in text
+
+
+def fleet(number):
+    """An overview of a day of some persons at a kiosk (80 %) or a bank; the nth stays for 100 (n + 1) s."""
+    diaries = []
+    for n in range(number):
+        lasts = 100.0 * (n + 1)
+        facing = [("Kiosk", 0.8), ("Bank", 0.2)]
+        made = outing([(WALKING, 60.0, EAST), (STANDING, lasts, EAST)], stays=[stay(60, 60 + lasts, (75, 0), facing)])
+        own = replace(day(made), person=f"walker {n}")
+        diaries += overview_of(own).diaries
+    return overview(diaries, period_of(day="2024-05-01"))
+
+
+def test_time_at_places_over_all_persons_is_the_expected_one_with_its_spread():
+    """Against 20,000 draws of where each stay was."""
+    shown = fleet(20)
+    kiosk, bank = shown.dwells
+    lasted = 100.0 * np.arange(1, 21)
+    drawn = (np.random.default_rng(0).random((20_000, 20)) < 0.8) @ lasted
+    assert kiosk.time == pytest.approx(drawn.mean(), rel=0.01)
+    assert kiosk.sigma == pytest.approx(drawn.std(), rel=0.02)
+    assert (kiosk.stops, kiosk.persons, kiosk.hour) == (pytest.approx(16), pytest.approx(16), 9)
+    assert kiosk.time + bank.time == pytest.approx(lasted.sum())
+    [first, *_] = csv.DictReader(io.StringIO(tables(shown)["dwell.csv"].decode()))
+    assert (first["place"], float(first["time"])) == ("Kiosk", pytest.approx(kiosk.time, abs=0.1))
+
+
+def test_the_page_of_fifty_persons_is_bounded_and_names_places_and_persons():
+    few, many = (page(fleet(number), b"<svg></svg>", ()).decode() for number in (20, 50))
+    assert many.count("<table>") == few.count("<table>") == 2
+    assert all(f"walker {n}" in many for n in range(50))
+    assert "Kiosk" in many
+    assert len(as_text(fleet(50)).splitlines()) < 60
+    figures = [picture(fleet(number))[0].get_figheight() for number in (20, 50, 100)]
+    assert figures[2] < figures[1] < 23

@@ -191,7 +191,7 @@ def test_what_a_person_has_deleted_stays_deleted(tmp_path):
     log, file = tmp_path / "log", records(tmp_path / "a.json", a_walk())
     imported(log, file)
     with Store(log) as store:
-        assert cut_past(store, "me", NOON + 300, NOON + 600) == 6
+        assert cut_past(store, "me", [(NOON + 300, NOON + 600)]) == 6
         store.put_correction(Correction(0, "me", NOON, FORGOTTEN, NOON + 300, NOON + 600))
     for _ in range(2):
         assert len(rows(log)) == 14

@@ -6,7 +6,9 @@ import re
 import stat
 import threading
 import warnings
+from collections import defaultdict
 from dataclasses import replace
+from datetime import date
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -23,7 +25,7 @@ from pdr_graph.apps.lifelog import maps
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.local_time import period_of
 from pdr_graph.apps.lifelog.maps import ENLARGED_SHARE, MercatorFrame, check_template, panels, tiles
-from pdr_graph.apps.lifelog.picture import offset_text, picture
+from pdr_graph.apps.lifelog.picture import GROUPS, _blocks, offset_text, picture
 from pdr_graph.apps.lifelog.report import content, page
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
@@ -36,7 +38,7 @@ from pdr_graph.geometry import length_along
 MALL = "maps/mall.geojson"
 HOUR = 3600.0
 STROLL = [(WALKING, 300.0, 0.0), (WALKING, 300.0, 1.5)]
-FILES = {"overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
+FILES = {"dwell.csv", "overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}
 DAY = {"day": "2024-05-16"}
 
@@ -161,7 +163,9 @@ def test_places_far_apart_have_maps_of_their_own_with_all_their_places_and_track
         assert ((at > region.corners[0]) & (at < region.corners[1])).all()
     for kind, total in ((VEHICLE, "ridden"), (WALKING, "walked")):
         lengths = [length_along(part.track.position)[-1] for own in regions for part in own.drawn if part.kind == kind]
-        assert sum(lengths) == pytest.approx(sum(getattr(day.totals, total) for day in month.days), rel=0.02)
+        flown = sum(row.distance for day in month.days for row in day.entries if row.kind == kind and row.mode)
+        gone = sum(getattr(day.totals, total) for day in month.days)
+        assert sum(lengths) == pytest.approx(gone - flown, rel=0.02)
 
 
 def test_labels_do_not_overlap_and_stay_on_their_map():
@@ -414,3 +418,26 @@ def test_a_place_without_a_track_has_a_map_of_its_own():
 def test_days_of_any_kind_have_a_page(browser, tmp_path, outings):
     (tmp_path / "report.html").write_bytes(report_page(content(overview_of(day(*outings)), ZONE, [], [])))
     assert Page(browser, tmp_path / "report.html").errors == []
+
+
+def test_the_picture_the_rows_and_the_totals_of_a_day_agree(month_log):
+    """Hours drawn, rows and totals by kind, and the times at the places on the maps."""
+    for on in [f"2024-05-{number:02d}" for number in range(1, 20)]:
+        if on == "2024-05-11":
+            continue
+        shown = chosen_from(month_log, "Ada", day=on)
+        [own] = shown.days
+        drawn, lasts, gone = (defaultdict(float) for _ in range(3))
+        for group, start, end in _blocks(shown, date.fromisoformat(on), own):
+            drawn[group] += 3600 * (end - start)
+        for row in own.entries:
+            lasts[GROUPS[row.kind]] += row.duration
+            gone[GROUPS[row.kind]] += row.distance
+        totals = own.totals
+        for group, total in (("walking", totals.walking), ("riding", totals.riding), ("staying", totals.staying)):
+            assert drawn[group] == pytest.approx(total, abs=1.0)
+            assert lasts[group] == pytest.approx(total, abs=1e-3)
+        assert gone["walking"] + gone["staying"] == pytest.approx(totals.walked)
+        assert gone["riding"] == pytest.approx(totals.ridden)
+        dots = sum(dot.time for dot in maps._places(shown))
+        assert dots == pytest.approx(totals.staying, abs=1.0)

@@ -63,7 +63,7 @@ def backwards(walk):
 
 def exported(days, leave_out=()):
     """The exports of days in all formats, without some columns of the tables."""
-    tables = [text for own in days for text in (as_csv(own).decode(), timeline_csv(timeline(own), ZONE))]
+    tables = [text for own in days for text in (as_csv(own).decode(), timeline_csv(timeline(own)))]
     rows = [row.items() for text in tables for row in csv.DictReader(text.splitlines())]
     cells = [",".join(f"{name}={value}" for name, value in row if name not in leave_out) for row in rows]
     return "\n".join([as_gpx(days).decode(), as_geojson(days).decode(), *cells])

@@ -244,8 +244,8 @@ with Store(pathlib.Path(sys.argv[1]), thorough=True) as log:
 """
 
 
-def test_one_process_at_a_time_opens_a_store_and_another_waits(stored):
-    """`lifelog show` waits for 30 s, until a build ends, instead of saying that the store is locked."""
+def test_one_process_at_a_time_writes_a_store_and_another_waits_or_reads(stored):
+    """A correction waits for 30 s, until a build ends, instead of saying that the store is locked; `show` reads."""
     command = [sys.executable, "-c", WRITING, stored[0]]
     with Store(stored[0]):
         other = subprocess.run([*command, "1", "0"], capture_output=True, text=True)
@@ -253,6 +253,11 @@ def test_one_process_at_a_time_opens_a_store_and_another_waits(stored):
     with subprocess.Popen([*command, "30", "4"], stdout=subprocess.PIPE, text=True) as build:
         assert build.stdout.readline() == "open\n"
         assert recovery.LOCK_TIMEOUT >= 30.0
+        for _ in range(5):  # between its transactions
+            with Store(stored[0], reads=True) as log:
+                assert list(log.days()) == [("me", DATE)]
+                log.delete_days([("me", DATE)])  # of the copy
+        assert build.poll() is None
         with Store(stored[0]) as log:
             assert list(log.days()) == [("me", DATE)]
             assert build.wait(30) == 0

@@ -6,20 +6,23 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from functools import partial
-from time import monotonic
+from pathlib import Path
+from time import monotonic, sleep
 
 import days_standin as standin
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_build import added, built, content
+from test_build import HERE, added, built, content, days_of
 from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
 from pdr_graph.apps.lifelog import workers
 from pdr_graph.apps.lifelog.build import BuildResult, DayChain, PlannedDay, build
+from pdr_graph.apps.lifelog.export import export_days
 from pdr_graph.apps.lifelog.store import StoredDay
 from pdr_graph.apps.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, FleetLostError, fleet, pack
 
@@ -307,3 +310,48 @@ def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
         (b"", 1),
         (b"", 1),
     ]
+
+
+KILLED = """
+import pathlib, sys, time
+sys.path.insert(0, sys.argv[2])
+import days_standin
+from pdr_graph.apps.lifelog.build import build
+def slow(*day):
+    time.sleep(1)
+    return days_standin.reconstruct(*day)
+build(pathlib.Path(sys.argv[1]), "UTC", workers=2, reconstruct=slow)
+"""
+
+
+def children_of(process):
+    """Ids of the processes that a process has started."""
+    found = list[int]()
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended
+            if int(file.read_text().rpartition(")")[2].split()[1]) == process:
+                found.append(int(file.parent.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_build_can_be_read_and_its_workers_end_with_it_when_it_is_killed(tmp_path):
+    """`export` has the days that are finished; kill -9 leaves no process."""
+    log, _ = added(tmp_path, people=12, days=2)
+    with subprocess.Popen([sys.executable, "-c", KILLED, log, HERE]) as process:
+        end = monotonic() + 60
+        while not days_of(log):
+            assert monotonic() < end
+            sleep(0.1)
+        begun = monotonic()
+        written, _ = export_days(log, tmp_path / "out", "csv")
+        assert process.poll() is None, "a control: it goes on"
+        assert monotonic() - begun < 20
+        assert written
+        workers = children_of(process.pid)
+        assert len(workers) >= 2
+        process.kill()
+    end = monotonic() + 10
+    while left := [pid for pid in workers if Path(f"/proc/{pid}").exists()]:
+        assert monotonic() < end, left
+        sleep(0.1)

@@ -22,6 +22,7 @@ sys.path.append(str(Path(__file__).parents[1] / "lifelog"))
 from gps_days import gps_day
 
 from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.serve.diary_page import application
@@ -103,6 +104,22 @@ def test_a_form_does_what_the_command_does(page, made):
     assert "the office" not in page.get("/").text
 
 
+def test_the_calendar_and_the_places_lead_to_every_day_and_place(page, made):
+    with Store(made) as log:
+        own = diary(log, "Ada")
+    month = page.get("/calendar", params={"person": "Ada"}).text
+    days = set(re.findall(r'href="./\?person=Ada&amp;date=([0-9-]+)"', month))
+    assert days == {day.date for day in own.days}
+    assert month.count("<svg") == len(days)
+    listed = page.get("/places").text
+    numbers = re.findall(r'href="place\?person=Ada&amp;number=(\d+)"', listed)
+    assert sorted(numbers) == sorted(str(place.number) for place in own.places)
+    for place in own.places:
+        text = page.get("/place", params={"person": "Ada", "number": place.number}).text
+        assert f"{place.latitude:.5f}, {place.longitude:.5f}" in text
+        assert text.count(f"date={DATE}") >= len(place.visits) - 1, "a link for each visit of the day"
+
+
 @pytest.mark.parametrize(
     ("path", "params"),
     [
@@ -115,6 +132,10 @@ def test_a_form_does_what_the_command_does(page, made):
         ("/entry", {"date": DATE, "n": "-1"}),
         ("/entry", {"date": DATE, "n": "1" * 5000}),
         ("/picture.svg", {"person": "Eve", "date": DATE}),
+        ("/calendar", {"month": "May"}),
+        ("/calendar", {"person": "Eve"}),
+        ("/places", {"person": "Eve"}),
+        ("/place", {"number": "<script>"}),
     ],
 )
 def test_a_wrong_address_is_one_line(page, path, params):
@@ -132,6 +153,7 @@ def test_a_wrong_address_is_one_line(page, path, params):
         ({"do": "undo", "value": "1" * 5000}, 400, "expected"),
         ({"do": "split", "value": "noon"}, 400, "expected"),
         ({"do": "forget", "sure": ""}, 400, "found no yes"),
+        ({"do": "forget-place", "sure": ""}, 400, "found no yes"),
         ({"value": "x" * 20_000}, 413, ""),
     ],
 )
@@ -146,7 +168,7 @@ def test_a_wrong_form_is_one_line_and_changes_nothing(page, made, fields, status
 
 def test_nobody_else_sees_or_changes_anything(made):
     with TestClient(application(made, TOKEN)) as stranger:
-        for path in ("/", "/entry", "/picture.svg", "/corrections"):
+        for path in ("/", "/entry", "/picture.svg", "/corrections", "/calendar", "/places", "/place?number=1"):
             assert stranger.get(path, follow_redirects=False).status_code == 401
         assert stranger.post("/correct", data={"do": "undo", "value": "1"}).status_code == 401
         assert stranger.get(f"/?token={TOKEN}", follow_redirects=False).status_code == 303
@@ -267,6 +289,35 @@ def test_every_form_of_the_page_corrects_the_diary_in_a_browser(diary_browser):
         page.browser.find_element(By.LINK_TEXT, "corrections").click()
     assert "no corrections" in page.browser.find_element(By.TAG_NAME, "body").text
     assert "the office" not in {row[5] for row in page.rows}
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(180)
+def test_a_place_is_named_and_forgotten_on_its_page_in_a_browser(diary_browser):
+    page, store = diary_browser
+    find = page.browser.find_element
+
+    def open_place(text):
+        find(By.LINK_TEXT, "places").click()
+        find(By.LINK_TEXT, text).click()
+        return page.browser.find_elements(By.TAG_NAME, "form")
+
+    name, _ = open_place("place 2")
+    name.find_element(By.NAME, "value").send_keys("the office")
+    assert page.press(name).splitlines()[1] == "saved"
+    _, forget = open_place("the office")
+    assert "found no yes" in page.press(forget)
+    _, forget = open_place("the office")
+    forget.find_element(By.NAME, "sure").send_keys("yes")
+    assert "deleted of Ada" in page.press(forget)
+    find(By.LINK_TEXT, "back to the places").click()
+    assert "the office" not in find(By.TAG_NAME, "body").text
+    find(By.LINK_TEXT, "calendar").click()
+    page.browser.find_elements(By.CSS_SELECTOR, "table.month a")[0].click()
+    assert "the office" not in find(By.TAG_NAME, "body").text
+    assert page.browser.find_elements(By.LINK_TEXT, "correct")
+    with Store(store) as log:
+        assert {fact.kind for fact in log.corrections()} == {"forgotten"}
 
 
 @pytest.mark.thorough

@@ -262,7 +262,7 @@ def _list_days(path: Path) -> None:
     """Print a line per person and day of a lifelog."""
     from pdr_graph.apps.lifelog.store import Store
 
-    with Store(path) as log:
+    with Store(path, reads=True) as log:
         days = log.days()
     for (person, date), day in days.items():
         echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")
@@ -406,7 +406,7 @@ def was(
     start: From,
     end: To,
     mode: Annotated[
-        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, ride, walk or stop.")
+        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, plane, ride, walk or stop.")
     ],
     person: OnePerson = None,
 ) -> None:
@@ -464,8 +464,13 @@ def forget(
     recording: Annotated[
         str | None, typer.Option(metavar="PATH|HASH", help="One recording, and what was made of it.")
     ] = None,
+    place: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|NUMBER|LAT,LON", help="All times at a place, and its name; of all days."),
+    ] = None,
+    radius: Annotated[float | None, typer.Option(metavar="M", help="Radius of that place; default: 100.")] = None,
 ) -> None:
-    """Delete the time from FROM to TO for good.
+    """Delete the time from FROM to TO for good, or all times at a place.
 
     No byte of it remains in the lifelog and its files.
 
@@ -473,19 +478,23 @@ def forget(
 
     \b
     pdr-graph lifelog correct forget days.db "2024-05-01 18:00" "2024-05-01 19:00"
+    pdr-graph lifelog correct forget days.db --place "the library"
     pdr-graph lifelog correct forget days.db --person ben --everything
     """
     from pdr_graph.apps.lifelog import revision
 
     span = [text for text in (start, end) if text is not None]
-    if len(span) == 2 and not everything and recording is None:
+    several = bool(span) + everything + (recording is not None) + (place is not None) != 1
+    if len(span) == 2 and not several:
         _print(revision.forget(store, span[0], span[1], person))
-    elif not span and everything and person is not None and recording is None:
+    elif place is not None and not several:
+        _print(revision.forget_place(store, place, radius, person))
+    elif everything and person is not None and not several:
         _print(revision.forget_person(store, person))
-    elif not span and not everything and recording is not None:
+    elif recording is not None and not several:
         _print(revision.forget_recording(store, recording))
     else:
-        expected = "FROM and TO, or --person NAME --everything, or --recording PATH"
+        expected = "FROM and TO, or --place PLACE, or --person NAME --everything, or --recording PATH"
         raise InputError("forget", "", "another combination of arguments", expected)
 
 

@@ -127,7 +127,7 @@ def serve_lifelog(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.lifelog.store import Store
 
-    with Store(store):
+    with Store(store, reads=True):
         pass  # refuses what is no lifelog
     token = secrets.token_urlsafe(24)
     app = diary_page.application(store, token)

@@ -28,13 +28,14 @@ class Segment(OneLineRepr):
     """A part of an outing with one activity; segments are contiguous.
 
     kind: one of ACTIVITIES; a gap has no data. start, end: [s]. distance: along the path [m], 0 for standing and for
-    gaps (unknown).
+    gaps (unknown). mode: what the person calls it, in an export whose times are moved; not stored.
     """
 
     kind: str
     start: float
     end: float
     distance: float
+    mode: str = ""
 
     def _summary(self) -> list[str]:
         return [self.kind, f"{self.start:.1f} to {self.end:.1f} s", f"{self.distance:.0f} m"]
@@ -300,7 +301,7 @@ def _outing(row: Sequence[Any], tables: Mapping[str, Sequence[Sequence[Any]]]) -
         frame=decode_json(frame, Frame),
         plan=plan,
         trajectory=decompress(track, Trajectory),
-        segments=tuple(Segment(kind, *map(_number, numbers)) for _, kind, *numbers in own["segment"]),
+        segments=tuple(Segment(kind, _number(a), _number(b), _number(far)) for _, kind, a, b, far in own["segment"]),
         stays=tuple(_stay(r, own["facing"]) for r in own["stay"]),
         steps=steps,
         notes=notes,

@@ -9,7 +9,7 @@ spots and a leg its stops. Outings on a floor plan, or without positions on Eart
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -77,7 +77,7 @@ class DiaryDay(OneLineRepr):
         entries: Sequence[TimelineEntry],
         outings: Sequence[Outing],
     ) -> DiaryDay:
-        """Construct with the totals: times of the rows, distances of their parts; a walk at a place is walked too."""
+        """Construct with the totals of the rows; the distance of a stay is walked too."""
         first, last = (entries[0].start, entries[-1].end) if entries else (0.0, 0.0)  # days overlap in flights east
         steps = sum(_steps_between(outing, first, last) for outing in outings)
         totals = _totals(entries, midnights[1] - midnights[0], steps)
@@ -117,22 +117,28 @@ def dates_of(log: Store) -> list[tuple[str, str]]:
     """Each person and date that is recorded, or of which another program guessed something, in order."""
     fixed, found = log.setting(ZONE), set(log.days())
     for person in log.people():
-        for guess in log.guesses(person):
-            zone = fixed or (zone_at(guess.latitude, guess.longitude) if np.isfinite(guess.latitude) else "")
-            found.add((person, datetime.fromtimestamp(guess.start, zone_named(zone)).date().isoformat()))
+        found |= {(person, date_of_guess(guess, fixed)) for guess in log.guesses(person)}
     return sorted(found)
 
 
-def diary(log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0) -> Diary:
+def date_of_guess(guess: Guess, zone: str) -> str:
+    """The local date of a guess. zone: of the lifelog, "" for that of each place."""
+    name = zone or (zone_at(guess.latitude, guess.longitude) if np.isfinite(guess.latitude) else "")
+    return datetime.fromtimestamp(guess.start, zone_named(name)).date().isoformat()
+
+
+def diary(
+    log: Store, person: str, first: str = "", last: str = "", tolerance: float = 0.0, outings: bool = True
+) -> Diary:
     """The diary of a person from one date to another, both included; all days by default.
 
-    Places are those of all days. tolerance: [m] to which the tracks of outings are simplified, 0 for not. Raises
-    InputError if the lifelog is damaged.
+    Places are those of all days. tolerance: [m] to which the tracks of outings are simplified, 0 for not; outings:
+    False for days without outings and steps, which is faster. Raises InputError if the lifelog is damaged.
     """
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
     days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
-    made = [_day(log, person, date, own, whole) for date, own in wanted.items()]
+    made = [_day(log, person, date, own, whole, outings) for date, own in wanted.items()]
     if tolerance:
         made = [replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)) for day in made]
     return Diary(person, tuple(made), whole.places)
@@ -184,6 +190,16 @@ def corrected_rows(
     rows = rows_of(fine, visits_of(fine, track), track)
     rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections)
     return with_places(rows, place_names(corrections))
+
+
+def detailed(rows: Iterable[TimelineEntry]) -> Iterator[TimelineEntry]:
+    """The finest entries of rows, each with place and guess of its row; a row that the person stated is one entry."""
+    for row in rows:
+        if row.corrected or not row.parts:
+            yield row
+            continue
+        about = {name: getattr(row, name) for name in ("place", "place_number", "guess", "offset", "end_offset")}
+        yield from (replace(part, **about) for part in row.parts)
 
 
 @dataclass(frozen=True)
@@ -262,11 +278,13 @@ def parted(rows: Sequence[TimelineEntry], clock: LocalClock, track: Track) -> di
     return days
 
 
-def _day(log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary) -> DiaryDay:
+def _day(
+    log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary, with_outings: bool
+) -> DiaryDay:
     """A day of a diary, with the outings that have a part in it."""
     start, end = whole.clock.midnight_before(entries[0].start), whole.clock.next_midnight(entries[-1].start)
     touching = (digest for digest in whole.digests if digest.span[0] < end and digest.span[1] > start)
-    days = [log.day(person, digest.date) for digest in touching]
+    days = [log.day(person, digest.date) for digest in touching if with_outings]
     outings = [outing for day in days if day is not None for outing in day.outings]
     own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
     return DiaryDay.of(person, date, (start, end), entries, own)
@@ -290,11 +308,11 @@ def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
 
 
 def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Totals:
-    """Totals of the rows of a day of a length [s]: times of the rows, distances of their parts."""
+    """Totals of the rows of a day of a length [s]."""
     time, distance, at_places = (defaultdict[str, float](float) for _ in range(3))
     for row in entries:
         time[row.kind] += row.duration
-        for part in row.parts or (row,):
+        for part in (row.parts or (row,)) if row.kind in KINDS_WITHOUT_DATA else (row,):
             distance[part.kind] += part.distance
         if row.kind == STAY:
             named = row.facing or [(f"place {row.place_number}", row.place_number > 0)]
@@ -310,7 +328,7 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
         staying=float(staying),
         unknown=max(length - (walking + riding + staying), 0.0),
         observed=observed,
-        walked=float(distance[WALKING] + distance[PASSING]),
+        walked=float(distance[WALKING] + distance[PASSING] + distance[STAY] + distance[STANDING]),
         ridden=float(distance[VEHICLE]),
         steps=steps,
         places=tuple(sorted(((n, t) for n, t in at_places.items() if t), key=lambda item: -item[1])),
@@ -318,13 +336,27 @@ def _totals(entries: Sequence[TimelineEntry], length: float, steps: int) -> Tota
 
 
 def totals_of(days: Sequence[DiaryDay], length: int) -> Totals:
-    """Sums over days of one person. length: number of days of the period."""
+    """Sums over days of one person. length: number of days of the period.
+
+    Of several days they are of calendar hours: those that a flight west repeats count once, so that a week has 168.
+    """
     every = [day.totals for day in days]
     sums: dict[str, Any] = {name: sum(getattr(own, name) for own in every) for name in SUMMED_FIELDS}
     sums["unknown"] += (length - len(days)) * DAY_LENGTH
+    again = repeated(days) if length > 1 else 0.0
+    for name in ("riding", "unknown", "staying"):
+        less = min(again, sums[name])
+        sums[name], again = sums[name] - less, again - less
     return Totals(days=length, **sums)
 
 
+def repeated(days: Sequence[DiaryDay]) -> float:
+    """Time [s] that the clocks of days show twice: after a flight west; the hour of daylight saving time is none."""
+    back = (day.entries[0].offset - day.entries[-1].end_offset for day in days if day.entries)
+    return float(sum(by for by in back if by > LONGEST_SUMMER_TIME))
+
+
+LONGEST_SUMMER_TIME = 3600.0  # [s] that clocks repeat in autumn
 SUMMED_FIELDS = ("recorded", "walking", "riding", "staying", "unknown", "observed", "walked", "ridden", "steps")
 
 

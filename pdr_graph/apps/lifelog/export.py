@@ -1,6 +1,7 @@
 """Export days of a lifelog as GPX 1.1, GeoJSON (RFC 7946), CSV or GeoParquet, without private places.
 
-Exports have no paths of recordings and plans. A line ends at each gap.
+Exports have no paths of recordings and plans. A line ends at each gap. Names, modes and guesses are those of the diary;
+of an export without private places, the names of places that are not hidden, and stated modes.
 
 The GeoParquet tables ``positionfixes``, ``triplegs``, ``staypoints`` and ``locations`` are trackintel's model (Martin
 et al., "Trackintel: an open-source Python library for human mobility analysis", Computers, Environment and Urban
@@ -13,11 +14,15 @@ from __future__ import annotations
 import io
 import json
 import secrets
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
+from functools import cached_property
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -37,11 +42,27 @@ from pdr_graph.apps.lifelog.day import (
     floors_visited,
     split_at_gaps,
 )
-from pdr_graph.apps.lifelog.diary import corrected_rows, diary, with_places, without_overlaps
-from pdr_graph.apps.lifelog.facts import Correction
-from pdr_graph.apps.lifelog.local_time import zone_of_outings
+from pdr_graph.apps.lifelog.diary import (
+    UnpartedDiary,
+    corrected_rows,
+    date_of_guess,
+    dates_of,
+    detailed,
+    diary,
+    parted,
+    with_places,
+    without_overlaps,
+)
+from pdr_graph.apps.lifelog.facts import MODE, VISIT, Correction, Guess
+from pdr_graph.apps.lifelog.local_time import LocalClock
 from pdr_graph.apps.lifelog.places import NamedArea, Place
-from pdr_graph.apps.lifelog.privacy import CIRCLE, PrivatePlace, private_places, without_private_places
+from pdr_graph.apps.lifelog.privacy import (
+    CIRCLE,
+    PrivatePlace,
+    normalized_name,
+    private_places,
+    without_private_places,
+)
 from pdr_graph.apps.lifelog.stays_and_legs import VISIT_RADIUS, Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, timeline, timeline_csv
@@ -71,20 +92,80 @@ def not_exported(days: Sequence[Day]) -> list[str]:
     ]
 
 
-def as_gpx(days: Sequence[Day]) -> bytes:
-    """GPX: a track per outing, a track segment per part without a gap, a waypoint per stay."""
-    tracks, places = [], []
+@dataclass
+class DiaryRows:
+    """The rows of a person's diary by date, in order: the labels of what is exported."""
+
+    by_date: dict[str, Sequence[TimelineEntry]]
+
+    @cached_property
+    def _ordered(self) -> list[TimelineEntry]:
+        return sorted((row for own in self.by_date.values() for row in own), key=lambda row: row.start)
+
+    def at(self, time: float) -> TimelineEntry | None:
+        """The row at a Unix time [s]; None without one."""
+        n = bisect_right(self._ordered, time, key=lambda row: row.start) - 1
+        return self._ordered[n] if n >= 0 and time < self._ordered[n].end else None
+
+    def labels(self, outing: Outing, what: Segment | Stay) -> dict[str, Any]:
+        """What the diary says of the middle of a segment or stay; nothing where it says nothing."""
+        row = self.at(outing.epoch + (what.start + what.end) / 2)
+        return {} if row is None else _labels(row)
+
+    def visits(self, date: str) -> list[TimelineEntry]:
+        """The stays of a date whose place on Earth is known."""
+        return [row for row in self.by_date.get(date, ()) if row.kind == STAY and np.isfinite(row.latitude)]
+
+
+def _labels(row: TimelineEntry) -> dict[str, Any]:
+    """Name and number of the place, mode, guess of another program, True if the person stated it; without blanks."""
+    named = {"place": row.place, "mode": row.mode, "guess": row.guess}
+    number = {"number": row.place_number} if row.place_number >= 0 else {}
+    stated = {"corrected": True} if row.corrected else {}
+    return {name: text for name, text in named.items() if text} | number | stated
+
+
+NO_ROWS = DiaryRows({})
+
+
+def as_gpx(days: Sequence[Day], diaries: Mapping[str, DiaryRows] = MappingProxyType({})) -> bytes:
+    """GPX: a track per outing and stated mode, a track segment per part without a gap, a waypoint per stay.
+
+    diaries: of each person, for names and modes; without one the stays of outings are waypoints.
+    """
+    tracks, places = list[gpx.Track](), list[tuple[str, str, gpx.Points]]()
     for day, number, outing in _numbered_outings(days):
-        if outing.frame.georeferenced:
-            lines = tuple(
-                _points(outing, track.time, track.position, track.covariance) for track, _ in split_at_gaps(outing)
+        if not outing.frame.georeferenced:
+            continue
+        own, lines = diaries.get(day.person, NO_ROWS), list[tuple[str, gpx.Points]]()
+        for track, segments in split_at_gaps(outing):
+            modes = groupby(segments, key=lambda segment: own.labels(outing, segment).get("mode", ""))
+            parts = [(mode, list(same)) for mode, same in modes]
+            for mode, same in parts:
+                rows = track if len(parts) == 1 else clipped(track, same[0].start, same[-1].end)
+                lines.append((mode, _points(outing, rows.time, rows.position, rows.covariance)))
+        for mode, same in groupby(lines, key=itemgetter(0)):
+            name = ", ".join(filter(None, [f"{day.person} {day.date}", str(number), mode]))
+            tracks.append(gpx.Track(name, tuple(points for _, points in same), mode))
+        for stay in (stay for stay in outing.stays if not stay.passing and day.person not in diaries):
+            at = _points(outing, np.array([stay.start]), stay.position[None], stay.covariance[None])
+            places.append((_name_faced(stay.facing) or STAY, "", at))
+    for day in days:
+        for visit in diaries.get(day.person, NO_ROWS).visits(day.date):
+            lonlat, accuracy = np.array([[visit.longitude, visit.latitude]]), np.array([RADIUS_68 * visit.sigma])
+            about = [visit.mode, visit.guess, "corrected" if visit.corrected else ""]
+            at = gpx.Points(lonlat, np.array([visit.start]), None if np.isnan(visit.sigma) else accuracy)
+            places.append(
+                (_name_faced(visit.facing, visit.place) or visit.label or STAY, "; ".join(filter(None, about)), at)
             )
-            tracks.append(gpx.Track(f"{day.person} {day.date}, {number}", lines))
-            for stay in (stay for stay in outing.stays if not stay.passing):
-                name = f"{stay.facing[0][0]} ({stay.facing[0][1]:.0%})" if stay.facing else STAY
-                at = _points(outing, np.array([stay.start]), stay.position[None], stay.covariance[None])
-                places.append((name, at))
     return gpx.document(tracks, places)
+
+
+def _name_faced(facing: Sequence[tuple[str, float]], place: str = "") -> str:
+    """The place that was faced with its probability, unless the person gave it another name; "" without any."""
+    if place and (not facing or facing[0][0] != place):
+        return place
+    return f"{facing[0][0]} ({facing[0][1]:.0%})" if facing else ""
 
 
 def _numbered_outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
@@ -98,25 +179,39 @@ def _points(outing: Outing, time: Array, position: Array, covariance: Array | No
     return gpx.Points(outing.frame.to_lonlat(position), outing.epoch + time, radius)
 
 
-def as_geojson(days: Sequence[Day]) -> bytes:
-    """A LineString for each segment, with the times and covariances of its points, and a Point for each stay."""
+def as_geojson(days: Sequence[Day], diaries: Mapping[str, DiaryRows] = MappingProxyType({})) -> bytes:
+    """A LineString for each segment, with the times and covariances of its points, and a Point for each stay.
+
+    diaries: of each person: labels, and a Point of kind `visit` for each stay of the diary.
+    """
     features = [
         feature
         for day, number, outing in _numbered_outings(days)
         if outing.frame.georeferenced
-        for feature in _features(outing, {"person": day.person, "date": day.date, "outing": number})
+        for feature in _features(
+            outing, {"person": day.person, "date": day.date, "outing": number}, diaries.get(day.person, NO_ROWS)
+        )
     ]
+    for day in days:
+        for visit in diaries.get(day.person, NO_ROWS).visits(day.date):
+            about = {"person": day.person, "date": day.date, "kind": VISIT, **_span(visit.start, visit.end)}
+            known = {"sigma": round(visit.sigma, 2)} if np.isfinite(visit.sigma) else {}
+            about |= {"observed": round(visit.observed, 3), **known, **_labels(visit)}
+            features.append(_feature("Point", [round(visit.longitude, 8), round(visit.latitude, 8)], about))
     collection = {"type": "FeatureCollection", "features": features}
     return json.dumps(collection, ensure_ascii=False, allow_nan=False).encode()
 
 
-def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Features of the segments and stays; a segment with a single row is a Point. about: properties of all."""
+def _features(outing: Outing, about: dict[str, Any], own: DiaryRows) -> Iterator[dict[str, Any]]:
+    """Features of the segments and stays; a segment with a single row is a Point.
+
+    about: properties of all; own: labels.
+    """
     for track, segments in split_at_gaps(outing):
         for segment in segments:
             line = clipped(track, segment.start, segment.end)
             lonlat = np.round(outing.frame.to_lonlat(line.position), 8).tolist()
-            properties = about | {"kind": segment.kind, **_times(outing, segment)}
+            properties = about | {"kind": segment.kind, **_times(outing, segment), **own.labels(outing, segment)}
             properties |= {"distance": round(segment.distance, 2), "floors": list(floors_visited(line))}
             properties["times"] = np.round(outing.epoch + line.time, 3).tolist()
             if line.covariance is not None:
@@ -130,14 +225,21 @@ def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]
         heading = round(stay.heading, 4) if np.isfinite(stay.heading) else None
         properties = about | {"kind": PASSING if stay.passing else STAY, **_times(outing, stay), "floor": stay.floor}
         properties |= {"heading": heading, "covariance": _covariance(stay.covariance), "facing": facing}
+        properties |= own.labels(outing, stay)
         yield _feature("Point", lonlat, properties)
 
 
 def _times(outing: Outing, what: Segment | Stay) -> dict[str, Any]:
-    """Start and end in ISO 8601, and the duration [s]."""
-    utc = (datetime.fromtimestamp(outing.epoch + time, UTC) for time in (what.start, what.end))
-    start, end = (time.isoformat(timespec="milliseconds").replace("+00:00", "Z") for time in utc)
-    return {"start": start, "end": end, "duration": round(what.end - what.start, 3)}
+    """Start, end and duration of a segment or stay."""
+    return _span(outing.epoch + what.start, outing.epoch + what.end)
+
+
+def _span(start: float, end: float) -> dict[str, Any]:
+    """Start and end in ISO 8601 of Unix times [s], and the duration [s]."""
+    utc = (datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds") for time in (start, end))
+    return dict(zip(("start", "end"), (text.replace("+00:00", "Z") for text in utc), strict=True)) | {
+        "duration": round(end - start, 3)
+    }
 
 
 def _covariance(matrix: Array) -> list[float]:
@@ -192,22 +294,23 @@ def export_days(
     if single and file_format in (CSV, PARQUET):
         raise InputError("--out", "", str(out), f"a folder: {file_format} has several files")
     notes, written = list[str](), list[Path]()
-    with Store(path) as log:
-        zone = log.setting(ZONE)
-        wanted = _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until))
+    with Store(path, reads=not (cut or blur)) as log:  # private places need a secret that is stored
+        dates = _checked_date("--from", since), _checked_date("--to", until)
         places = _private_places(log, cut), _private_places(log, blur)
+        statements = {who: Statements.of(log, who, dates, places if cut or blur else None) for who in _people(log)}
+        wanted = _selected_days(log, person, *dates, guesses=not (cut or blur))
         days = _public_days(log, wanted, file_format, places, notes)
         if single:
             if left := list(days):
                 cache.make_folder(out.parent)
-                write_file(out, DOCUMENTS[file_format](left), private=True)
+                write_file(out, DOCUMENTS[file_format](left, diary_rows(log, left, statements)), private=True)
                 written.append(out)
         else:
             with output_folder(out, private=True) as staged:
                 if file_format == PARQUET:
-                    contents = iter(parquet_tables(days, log.corrections(), bool(cut or blur)).items())
+                    contents = iter(parquet_tables(days, statements).items())
                 else:
-                    contents = _files_by_day(file_format, days, zone)
+                    contents = _files_by_day(log, file_format, days, statements)
                 for name, content in contents:
                     cache.write(staged / name, content)
                     written.append(out / name)
@@ -232,9 +335,14 @@ def _checked_date(option: str, text: str) -> str:
         raise InputError(option, "", repr(text), "a date such as 2024-05-01") from None
 
 
-def _selected_days(log: Store, person: str | None, since: str, until: str) -> list[tuple[str, str]]:
-    """Person and date of the days of a choice. Raises InputError if there is none."""
-    days = [key for key in log.days() if person in (None, key[0])]
+def _selected_days(
+    log: Store, person: str | None, since: str, until: str, guesses: bool = False
+) -> list[tuple[str, str]]:
+    """Person and date of the days of a choice. Raises InputError if there is none.
+
+    guesses: with days of which another program guessed something.
+    """
+    days = [key for key in (dates_of(log) if guesses else log.days()) if person in (None, key[0])]
     if not days:
         expected = "a built lifelog: run pdr-graph lifelog build" if person is None else "a person with days"
         raise InputError(log.path, "" if person is None else person, "no day", expected)
@@ -276,27 +384,121 @@ def _public_days(
     """Yield the days with private places removed, if anything is left; notes are appended to ``notes``."""
     for person, day in wanted:
         stored = log.day(person, day)
-        left, lines = without_private_places([stored] if stored else [], *places)
+        whole = stored or Day(person, day, ())
+        left, lines = without_private_places([with_modes(whole, log) if any(places) else whole], *places)
         notes += lines if file_format == CSV else [*lines, *not_exported(left)]
-        if any(file_format == CSV or outing.frame.georeferenced for own in left for outing in own.outings):
+        if stored is None or any(
+            file_format == CSV or outing.frame.georeferenced for own in left for outing in own.outings
+        ):
             yield from left
         else:
             notes.append(f"{person}, {day}: nothing left to export")
 
 
-def _files_by_day(file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[str, bytes]]:
+def _files_by_day(
+    log: Store, file_format: str, days: Iterator[Day], statements: Mapping[str, Statements]
+) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the files of each day."""
+    public = {who: diary_rows_of(log, who) for who, own in statements.items() if own.private is None}
     for day in days:
         first, *others = _day_files(file_format, day.person, day.date)
-        yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day])
+        diaries = public if day.person in public else diary_rows(log, [day], statements)
+        yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day], diaries)
         for file in others:
-            yield file, timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
+            yield file, timeline_csv(detailed(diaries[day.person].by_date.get(day.date, ()))).encode()
 
 
 def _day_files(file_format: str, person: str, date: str) -> list[str]:
     """The file of a day, or its ``trajectory.csv`` and ``timeline.csv``."""
     endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (f".{file_format}",)
     return [f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Statements about a person's time. corrections: of the person; guesses: of other programs, of the exported dates;
+    private: places that are hidden in the export, None for an export of everything.
+    """
+
+    corrections: tuple[Correction, ...] = ()
+    guesses: tuple[Guess, ...] = ()
+    private: tuple[PrivatePlace, ...] | None = None
+
+    @classmethod
+    def of(
+        cls, log: Store, person: str, dates: tuple[str, str], places: tuple[Sequence[PrivatePlace], ...] | None
+    ) -> Statements:
+        """Of a person of a lifelog. dates: first and last, "" for all; places: to hide, None for nothing."""
+        zone, (first, last) = log.setting(ZONE), dates
+        guesses = [guess for guess in log.guesses(person) if first <= date_of_guess(guess, zone) <= (last or "9")]
+        private = None if places is None else tuple(place for group in places for place in group)
+        return cls(log.corrections(person), tuple(guesses), private)
+
+    def rows(self, days: Sequence[Day], track: Track) -> tuple[list[TimelineEntry], tuple[Place, ...]]:
+        """The rows of the diary of days, and their places. track: of the days.
+
+        With hidden places stays are not joined over what was cut out, and guesses are left out, as are names of places
+        that are hidden or called like one.
+        """
+        fine = without_overlaps([entry for day in days for entry in timeline(day)])
+        if self.private is None:
+            return corrected_rows(fine, track, self.corrections, self.guesses)
+        areas = place_names(self.corrections)
+        at = [(area, np.array([[area[1], area[0]]])) for area in areas]
+        hidden = {area[3] for area, lonlat in at if any(place.hides(lonlat)[0] for place in self.private)}
+        names = {normalized_name(name) for name in (*hidden, *(place.name for place in self.private))}
+        rows, places = with_places(fine, [area for area in areas if normalized_name(area[3]) not in names])
+        every = [(outing.epoch, segment) for day in days for outing in day.outings for segment in outing.segments]
+        for epoch, segment in every if any(segment.mode for _, segment in every) else ():
+            start, end = epoch + segment.start, epoch + segment.end
+            for n, row in enumerate(rows):
+                if segment.mode and start <= (row.start + row.end) / 2 <= end:
+                    rows[n] = replace(row, mode=segment.mode, corrected=True)
+        return rows, places
+
+
+def with_modes(day: Day, log: Store) -> Day:
+    """The day with the mode that the person stated of the middle of each segment."""
+    stated = [c for c in log.corrections(day.person) if c.kind == MODE]
+
+    def mode(time: float) -> str:
+        return next((c.text("mode") for c in reversed(stated) if c.start <= time <= c.end), "")
+
+    outings = (
+        replace(o, segments=tuple(replace(s, mode=mode(o.epoch + (s.start + s.end) / 2)) for s in o.segments))
+        for o in day.outings
+    )
+    return replace(day, outings=tuple(outings)) if stated else day
+
+
+def _people(log: Store) -> list[str]:
+    """All persons with days, corrections or guesses."""
+    return sorted({*log.people(), *(person for person, _ in log.days())})
+
+
+def diary_rows(log: Store, days: Sequence[Day], statements: Mapping[str, Statements]) -> dict[str, DiaryRows]:
+    """The rows of the diary of each person of some days, with the private places of these days removed."""
+    found = dict[str, DiaryRows]()
+    for who in dict.fromkeys(day.person for day in days):
+        if statements[who].private is None:
+            found[who] = diary_rows_of(log, who)
+            continue
+        by_date = dict[str, Sequence[TimelineEntry]]()
+        for day in (day for day in days if day.person == who):
+            track = Track.of(day.outings)
+            clock = LocalClock(log.setting(ZONE), track.time, track.lonlat)
+            rows, _ = statements[who].rows([day], track)
+            by_date[day.date] = [
+                replace(row, offset=clock.offset(row.start), end_offset=clock.offset(row.end)) for row in rows
+            ]
+        found[who] = DiaryRows(by_date)
+    return found
+
+
+def diary_rows_of(log: Store, person: str) -> DiaryRows:
+    """The rows of a person's whole diary."""
+    whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
+    return DiaryRows(dict(parted(whole.rows, whole.clock, whole.track)))
 
 
 TRACKINTEL_MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
@@ -306,8 +508,8 @@ NO_ID = -1
 
 @dataclass(frozen=True)
 class PersonRows:
-    """A person's rows. stays and legs of the diary; places; track: all positions of `outings`; private: as of
-    `parquet_tables`.
+    """A person's rows. stays and legs of the diary; places; track: all positions of `outings`; private: True if
+    places are hidden.
     """
 
     person: str
@@ -320,12 +522,11 @@ class PersonRows:
 
 
 def parquet_tables(
-    days: Iterable[Day], corrections: Sequence[Correction] = (), private: bool = False
+    days: Iterable[Day], statements: Mapping[str, Statements] = MappingProxyType({})
 ) -> dict[str, bytes]:
     """The tables of days as GeoParquet files by name; a table without rows is left out.
 
-    corrections: of all persons. private: True for days from which private places were removed: their stays are not
-    joined over what was cut out, and no correction is used. Raises InputError without the extra `geo`.
+    statements: of each person; nothing by default. Raises InputError without the extra `geo`.
     """
     try:
         import geopandas  # noqa: F401  # pyright: ignore[reportUnusedImport]
@@ -337,11 +538,10 @@ def parquet_tables(
         own = list(same)
         outings = tuple(outing for day in own for outing in day.outings if outing.frame.georeferenced)
         track = Track.of(outings)
-        fine = without_overlaps([entry for day in own for entry in timeline(day)])
-        stated = [correction for correction in corrections if correction.person == who]
-        rows, places = with_places(fine) if private else corrected_rows(fine, track, stated)
+        rows, places = statements.get(who, Statements()).rows(own, track)
         stays = tuple(row for row in rows if row.kind == STAY and np.isfinite(row.latitude))
         legs = tuple(row for row in rows if row.kind in TRACKINTEL_MODES and _line_of(track, row) is not None)
+        private = statements.get(who, Statements()).private is not None
         people.append(PersonRows(who, stays, legs, places, track, outings, private))
     tables = {}
     frames = _positionfixes(people), _triplegs(people), _staypoints(people), _locations(people)
@@ -355,7 +555,7 @@ def parquet_tables(
 
 def _line_of(track: Track, row: TimelineEntry) -> Array | None:
     """Longitudes and latitudes ``(n, 2)`` of a track during a row, with interpolated ends; None for a single point."""
-    if not len(track.time):
+    if not len(track.time) or not row.is_seen:
         return None
     begin, after = (int(np.searchsorted(track.time, time, side="right")) for time in (row.start, row.end))
     near = slice(max(begin - 1, 0), after + 1)  # with the rows from which the ends are interpolated
@@ -405,7 +605,7 @@ def _triplegs(people: Sequence[PersonRows]) -> GeoDataFrame:
     """A row per walk or ride."""
     rows = [(own, leg) for own in people for leg in own.legs]
     about = _about(rows) | {
-        "mode": [TRACKINTEL_MODES[leg.kind] for _, leg in rows],
+        "mode": [leg.mode or TRACKINTEL_MODES[leg.kind] for _, leg in rows],
         "distance": [leg.distance for _, leg in rows],
         "observed": [leg.observed for _, leg in rows],
     }
@@ -470,6 +670,8 @@ def _about(rows: Sequence[tuple[PersonRows, TimelineEntry]]) -> dict[str, Any]:
         "user_id": [own.person for own, _ in rows],
         "started_at": _timestamps(np.array([row.start for _, row in rows])),
         "finished_at": _timestamps(np.array([row.end for _, row in rows])),
+        "corrected": [row.corrected for _, row in rows],
+        "guess": [row.guess for _, row in rows],
     }
 
 

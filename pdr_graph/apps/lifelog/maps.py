@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import struct
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -256,9 +257,13 @@ def panels(shown: Overview) -> tuple[Panel, ...]:
             if not tracks or any(not way.outing.plan for way in tracks)  # some leave the floor plans
         ]
         whole = [_outdoors(*own, True) for own in groups[:MOST_MAPS]]
-        found = [*whole, *(place for panel in whole for place in _enlarged_places(panel)), *_indoors(ways)]
+        found = [*whole, *(place for panel in whole for place in _enlarged_places(panel))]
+        found += _indoors(ways, shown.is_fleet)
     else:
-        found = [_outdoors(*own, False) for own in _groups(dots, outdoors)[:MOST_MAPS]]
+        apart = [way for way in outdoors if not (shown.is_fleet and way.outing.plan)]
+        near = [dot for dot in dots if apart] if shown.is_fleet else dots
+        found = [_outdoors(*own, False) for own in _groups(near, apart)[:MOST_MAPS]]
+        found += _indoors([way for way in ways if way.outing.plan], True) if shown.is_fleet else []
     letters = PANEL_LETTERS[: len(found)] if len(found) > 1 else ("",)
     return tuple(replace(panel, letter=letter) for panel, letter in zip(found, letters, strict=False))
 
@@ -341,9 +346,13 @@ def _outdoors(dots: Sequence[Dot], ways: Sequence[_Way], is_day: bool, side: flo
     return replace(panel, corners=_corners_around(placed[0].position[None], side)) if side else panel
 
 
-def _indoors(ways: Sequence[_Way]) -> Iterator[Panel]:
-    """A map for each outing without an absolute position or plan, and for each floor of each plan, with its stays."""
-    for outing in _outings(way for way in ways if not (way.outing.frame.georeferenced or way.outing.plan)):
+def _indoors(ways: Sequence[_Way], together: bool) -> Iterator[Panel]:
+    """A map for each outing without an absolute position or plan, and for each floor of each plan, with its stays.
+
+    together: one dot for each place that anybody faced, and no outings without a plan.
+    """
+    nowhere = [way for way in ways if not (way.outing.frame.georeferenced or way.outing.plan)]
+    for outing in () if together else _outings(nowhere):
         own = [way for way in ways if way.outing is outing]
         yield _panel(outing.frame, own, [_dot_of(stay, stay.position) for stay in outing.stays])
     for plan in dict.fromkeys(way.outing.plan for way in ways if way.outing.plan):
@@ -352,7 +361,27 @@ def _indoors(ways: Sequence[_Way]) -> Iterator[Panel]:
         for floor in dict.fromkeys(part.floor for way in own for part in way.drawn):
             stays = [(o, stay) for o in outings for stay in o.stays if floor in ("", stay.floor)]
             dots = [_dot_of(stay, frame.from_frame(o.frame, stay.position[None])[0]) for o, stay in stays]
-            yield _panel(frame, own, dots, plan, floor)
+            if together:
+                dots = _dots_together([stay for _, stay in stays], dots)
+            panel = _panel(frame, own, dots, plan, floor)
+            yield replace(panel, ways=(), starts=()) if together else panel
+
+
+def _dots_together(stays: Sequence[Stay], dots: Sequence[Dot]) -> list[Dot]:
+    """A dot for each place that was faced, with the expected time, at the mean of the stays that name it first."""
+    lasts, moments = defaultdict[str, float](float), defaultdict[str, Array](lambda: np.zeros(3))
+    for stay, dot in zip(stays, dots, strict=True):
+        for rank, (name, probability) in enumerate(() if stay.passing else stay.facing):
+            weight = probability * (stay.end - stay.start)
+            lasts[name] += weight
+            moments[name] += weight * np.append(dot.position, 1.0) if rank == 0 else 0.0
+    found = list[Dot]()
+    for name, lasted in sorted(lasts.items(), key=lambda item: -item[1]):
+        *moment, weight = moments[name].tolist()
+        if weight > 0:
+            text = f"{short_name(name)}, {time_text(lasted)}"
+            found.append(Dot(np.array(moment) / weight, STAY, lasted, text, text))
+    return found
 
 
 def _outings(ways: Iterable[_Way]) -> list[Outing]:

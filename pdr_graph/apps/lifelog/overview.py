@@ -13,7 +13,8 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime
+from functools import cached_property
 from itertools import groupby
 from types import MappingProxyType
 from typing import Any
@@ -22,21 +23,33 @@ import numpy as np
 from rich.cells import cell_len, set_cell_size
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
-from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, totals_of
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, repeated, totals_of
 from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
     FEWEST_HOURS,
+    Dwell,
     Place,
     UsualHours,
+    dwells,
     is_place,
     joined_visits,
     local_date,
     places_of_visits,
 )
-from pdr_graph.apps.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, csv_table, duration_text
+from pdr_graph.apps.lifelog.timeline import (
+    KIND_NAMES,
+    PASSING,
+    STAY,
+    TimelineEntry,
+    csv_table,
+    duration_text,
+    local_iso,
+)
 from pdr_graph.errors import count, one_line
 from pdr_graph.types import DAY_LENGTH, OneLineRepr
+
+MOST_PERSONS = 6  # each of whom has tables on the page
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,16 @@ class Overview(OneLineRepr):
     def persons(self) -> tuple[str, ...]:
         """The persons."""
         return tuple(own.person for own in self.diaries)
+
+    @property
+    def is_fleet(self) -> bool:
+        """True for so many persons that they are shown together."""
+        return len(self.diaries) > MOST_PERSONS
+
+    @cached_property
+    def dwells(self) -> list[Dwell]:
+        """The time of all persons at each place on a plan, longest first."""
+        return dwells((day.person, row) for day in self.days for row in day.entries)
 
     @property
     def days(self) -> list[DiaryDay]:
@@ -80,7 +103,7 @@ def overview(diaries: Iterable[Diary], period: Period, place: str = "") -> Overv
     found = []
     for own in sorted(diaries, key=lambda own: own.person):
         visits = joined_visits([entry for day in own.days for entry in day.entries])
-        visits = [visit for visit in visits if not place or is_place(place, visit)]
+        visits = [visit for visit in visits if not place or is_place(place, visit.place, visit.place_number)]
         found.append(replace(own, visits=tuple(visits), places=places_of_visits(visits, own.places)))
     label = next((visit.label for own in found for visit in own.visits), "") if place else ""
     return Overview(period, label, tuple(found))
@@ -92,18 +115,13 @@ SUM_COLUMNS = "walking riding staying no_data observed walked ridden steps"
 Record = dict[str, Any]
 
 
-def local_iso(time: float, offset: float) -> str:
-    """A Unix time [s] in ISO 8601 at an offset from UTC [s]: ``2024-05-01T07:42:00+02:00``."""
-    moment = datetime.fromtimestamp(round(time), UTC).astimezone(timezone(timedelta(seconds=round(offset))))
-    return moment.isoformat(timespec="seconds")
-
-
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
 ENTRY_COLUMNS = (
     "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess"
 )
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
+DWELL_COLUMNS = "place floor persons stops time sigma median busiest"
 HOURS_COLUMNS = (
     "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
     "departures departure_25 departure_50 departure_75"
@@ -149,6 +167,11 @@ def hours_record(usual: UsualHours) -> Record:
     return about
 
 
+def dwell_record(dwell: Dwell) -> Record:
+    """Time at a place on a plan [s] with its standard deviation, expected persons and stops, and the busiest hour."""
+    return _record(DWELL_COLUMNS, dwell, place=dwell.name, busiest=f"{dwell.hour:02d}:00")
+
+
 def hour_text(hour: float) -> str:
     """A time of day [h] as ``07:42``; "" if unknown."""
     minutes = round(hour * 60) % 1440 if np.isfinite(hour) else 0
@@ -168,6 +191,8 @@ def tables(shown: Overview) -> dict[str, bytes]:
         "visits.csv": ([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
         "hours.csv": (hours, HOURS_COLUMNS),
     }
+    if shown.dwells:
+        records["dwell.csv"] = ([dwell_record(dwell) for dwell in shown.dwells], DWELL_COLUMNS)
     return {name: csv_table(rows, columns.split(), DEGREE_DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
@@ -394,7 +419,10 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         most = max(LIST_ROWS // len(shown.diaries), 10) if short else LIST_ROWS
         yield ShownTable("the day", ROW_TITLES, [texts for day in own.days for texts in list_texts(day.entries, most)])
     elif not (short and shown.place):
-        yield ShownTable("days", PERIOD_TITLES, list(_period_rows(own.days, shown.period, 31 if short else 400)))
+        again = repeated(own.days)
+        note = f"clocks repeated {time_text(again)} on the way: the total counts these hours once" if again else ""
+        rows = list(_period_rows(own.days, shown.period, 31 if short else 400))
+        yield ShownTable("days", PERIOD_TITLES, rows, note)
     if not is_list and (shown.place or not short):
         rows = [
             [v.label, *visit_times(v), duration_text(v.duration), f"{v.observed:.0%}" if v.duration > 0 else ""]
@@ -408,15 +436,52 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
     if not (is_list and short):
         rest = own.places[len(places) :]
         note = f"and {count(len(rest), 'other place')}, {time_text(sum(p.duration for p in rest))}" if rest else ""
-        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [_place_row(p, short) for p in places], note)
+        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [place_texts(p, short) for p in places], note)
     if shown.place or not short:
         rows = [
-            [place.label, usual.weekday, *_usual_texts(usual)]
+            [place.label, usual.weekday, *usual_texts(usual)]
             for place in places
             for usual in sorted(place.hours, key=lambda usual: usual.weekday == EVERY_DAY)
             if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
         ]
         yield ShownTable("usual hours", HOURS_TITLES, rows)
+
+
+DWELL_TITLES = ("place", "floor", "persons", "stops", "time", "a stop (median)", "busiest")
+
+
+def fleet_tables(shown: Overview, short: bool) -> Iterator[ShownTable]:
+    """The tables of all persons together. short: for a screen."""
+    most = 15 if short else 300
+    persons = sorted(shown.diaries, key=lambda own: -sum(day.totals.observed for day in own.days))
+    rows = [_totals_texts(short_text(own.person), totals_of(own.days, len(shown.period))) for own in persons[:most]]
+    note = f"and {count(len(persons) - most, 'other person')} in days.csv" if len(persons) > most else ""
+    yield ShownTable("persons", ("person", *PERIOD_TITLES[1:]), rows, note)
+    dwelt = [
+        [
+            short_text(d.name),
+            d.floor,
+            f"{d.persons:.0f}",
+            f"{d.stops:.0f}",
+            f"{time_text(d.time)} ± {time_text(d.sigma)}",
+            duration_text(d.median),
+            f"{d.hour:02d}:00–{d.hour + 1:02d}:00",
+        ]
+        for d in shown.dwells[:most]
+    ]
+    hidden = len(shown.dwells) - most
+    note = f"and {count(hidden, 'other place')} in dwell.csv. " if hidden > 0 else ""
+    yield ShownTable("time at places", DWELL_TITLES, dwelt, f"{note}Expected values by the probabilities of the stays.")
+
+
+def short_text(name: str) -> str:
+    """A name on one line that fits a column."""
+    return fitted(one_line(name), 28)
+
+
+def fleet_text(shown: Overview) -> str:
+    """The totals of all persons together in one line."""
+    return totals_text(replace(totals_of(shown.days, len(shown.days)), unknown=0.0))
 
 
 def _period_rows(days: Sequence[DiaryDay], period: Period, most: int) -> Iterator[Sequence[str]]:
@@ -446,15 +511,15 @@ def _totals_texts(title: str, totals: Totals) -> list[str]:
     return [title, *texts, f"{totals.steps:,}" if totals.steps else NOTHING]
 
 
-def _place_row(place: Place, short: bool) -> list[str]:
-    """A place with the usual hours of every day."""
-    _, comes, _, leaves = _usual_texts(place.hours[0])
+def place_texts(place: Place, short: bool = False) -> list[str]:
+    """A place with the usual hours of every day, as of PLACE_TITLES; short: the first five."""
+    _, comes, _, leaves = usual_texts(place.hours[0])
     row = [fitted(one_line(place.label), 28), str(len(place.visits)), time_text(place.duration), comes, leaves]
     where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
     return row if short else [place.label, *row[1:], place.first, place.last, where]
 
 
-def _usual_texts(usual: UsualHours) -> list[str]:
+def usual_texts(usual: UsualHours) -> list[str]:
     """Number and quartiles of arrivals and of departures, as ``18:42 (18:10–19:05)``."""
     texts = []
     for number, (low, middle, high) in ((usual.arrivals, usual.arrival), (usual.departures, usual.departure)):
@@ -466,7 +531,13 @@ def _usual_texts(usual: UsualHours) -> list[str]:
 def as_text(shown: Overview) -> str:
     """The overview as text, a part per person; lines have at most TEXT_WIDTH columns."""
     parts = []
-    for own in shown.diaries:
+    if shown.is_fleet:
+        lines = [f"{count(len(shown.diaries), 'person')}  {period_title(shown.period)}  {shown.place}".rstrip()]
+        for table in fleet_tables(shown, short=True):
+            if table.rows:
+                lines += [*aligned([table.head, *table.rows]), *filter(None, [table.note]), ""]
+        parts.append("\n".join(fitted(line, TEXT_WIDTH) for line in [*lines, fleet_text(shown)]))
+    for own in () if shown.is_fleet else shown.diaries:
         place = f"  {one_line(shown.place)}" if shown.place else ""
         blocks = [[f"{one_line(own.person)}  {period_title(shown.period)}{place}"]]
         for table in shown_tables(shown, own, short=True):

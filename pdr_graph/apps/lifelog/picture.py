@@ -28,13 +28,13 @@ from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDIN
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, YEAR
 from pdr_graph.apps.lifelog.maps import Dot, MercatorFrame, Panel, panels, short_name, tiles
-from pdr_graph.apps.lifelog.overview import Overview, distance_text, period_title, sums_text
+from pdr_graph.apps.lifelog.overview import Overview, distance_text, fleet_text, period_title, sums_text
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
 from pdr_graph.apps.report.page import RADIO
 from pdr_graph.apps.report.plotting import HALO, draw_plan, draw_scale, draw_uncertainty
 from pdr_graph.apps.report.plotting import STYLE as FIGURE_STYLE
-from pdr_graph.errors import InputError, one_line
+from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.notebook_html import BLUE, GREY, RED
@@ -117,7 +117,9 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     for line in lines_of(panel):
         near = line.tracks if line.unseen else [part for track in line.tracks for part in _parts_near(track, shown)]
         parts = [part.position for part in near]
-        look: dict[str, Any] = {"lw": 2.0} if panel.ways else {"lw": 0.8, "alpha": 0.5}
+        look: dict[str, Any] = (
+            {"lw": 2.0} if panel.ways else {"lw": 0.8, "alpha": 0.5 if len(panel.drawn) < 1000 else 0.2}
+        )
         look = {"ls": ":"} if line.unseen else look
         drawn = LineCollection(parts, colors=line.colour, **look)
         # many points of tracks, above which a vector graphic has them as pixels
@@ -240,6 +242,7 @@ BLOCK_COLOURS = {STAYED: COLOURS[STAY], WALK: BLUE, RIDE: RED, UNSEEN: "#c9b8dc"
 WIDTH, SPACE, LEFT, RIGHT = 13.0, 0.15, 1.5, 2.6  # of the picture; between maps; beside the rows of days
 ROW_HEIGHT, DAY_ROW, NAME_ROW, DAY_TILE = 0.27, 0.6, 0.16, 0.2  # of a day, of the only day, of names, of a day's tile
 MAP_HEIGHTS = (4.0, 5.0, 7.5)  # of a map: least; most beside others; most of the only one
+MOST_ROWS = 62  # of a calendar of many persons
 HOURS_HEIGHT, MOST_HOURS = 2.3, 3  # of the usual hours of places, and how many places
 Box = Callable[[float, float, float, float], Axes]  # axes at left, bottom, width, height in a part of the picture
 Part = tuple[float, Callable[[Box], None]]  # height of a part of the picture, and what draws it
@@ -256,7 +259,7 @@ def picture(shown: Overview, template: str = "") -> tuple[Figure, list[str]]:
         server = TileServer(template)
         parts = list(_parts(shown, server))
         top = sum(height for height, _ in parts)
-        total = top + 0.5 + 0.25 * len(shown.persons)
+        total = top + 0.5 + 0.25 * (1 if shown.is_fleet else len(shown.persons))
         figure = Figure(figsize=(WIDTH, total), facecolor="white")
         FigureCanvasAgg(figure)
         _draw_head(figure, shown)
@@ -282,8 +285,12 @@ def _parts(shown: Overview, server: TileServer) -> Iterator[Part]:
         height = min(max(WIDTH / len(row) * high / wide, least), only if len(maps) == 1 else several)
         drawn.append((height, partial(_draw_maps, row, maps, height, server)))
     yield from drawn if shown.period.kind == DAY else []
+    dates = [date.fromisoformat(on) for on in sorted({day.date for day in shown.days})]
+    if shown.is_fleet and (len(shown.period) > 1 or len(shown.persons) > MOST_ROWS):
+        number = len(dates) if len(dates) <= MOST_ROWS else len(WEEKDAYS)
+        yield 0.75 + ROW_HEIGHT * number, partial(_draw_busy, shown, dates)
     # longest rows: days of a period whose calendar has rows
-    if shown.period.kind in (YEAR, ALL) and len(shown.period) > 45:
+    elif shown.period.kind in (YEAR, ALL) and len(shown.period) > 45:
         for own in shown.diaries:
             for year in range(shown.period.first.year, shown.period.last.year + 1):
                 days = {day.date: day for day in own.days if day.date.startswith(f"{year}-")}
@@ -300,16 +307,18 @@ def _parts(shown: Overview, server: TileServer) -> Iterator[Part]:
         yield from drawn
         # least arrivals of a place whose usual hours are drawn
         usual = [(who, place) for who, place in shown.places if place.hours[0].arrivals >= 3][:MOST_HOURS]
-        if usual:
+        if usual and not shown.is_fleet:
             yield HOURS_HEIGHT, partial(_draw_usual, usual, len(shown.persons) > 1)
 
 
 def _draw_head(figure: Figure, shown: Overview) -> None:
     """Write persons, period and totals, and the legend of the colours."""
     names = ", ".join(short_name(person) for person in shown.persons)
+    names = count(len(shown.persons), "person") if shown.is_fleet else names
     title = "  ·  ".join(filter(None, [names, period_title(shown.period), one_line(shown.place)]))
     whose = [f"{short_name(own.person)}:  " if len(shown.persons) > 1 else "" for own in shown.diaries]
     sums = [f"{who}{sums_text(shown, own)}" for who, own in zip(whose, shown.diaries, strict=True)]
+    sums = [fleet_text(shown)] if shown.is_fleet else sums
     inch = 1 / figure.get_figheight()
     figure.text(0.012, 1 - 0.15 * inch, title, size="xx-large", weight="bold", va="top")
     figure.text(0.012, 1 - 0.45 * inch, "\n".join(sums).replace("; ", "  ·  "), size="large", va="top", linespacing=1.6)
@@ -356,6 +365,28 @@ def _draw_rows(
                 side.text(0, n + 0.5, f" {distance_text(day.totals.walked)}{steps}", va="center")
 
 
+def _draw_busy(shown: Overview, dates: Sequence[date], box: Box) -> None:
+    """Draw how many persons had data in each quarter of an hour: a row per date, of weekdays if there are many."""
+    weekly = len(dates) > MOST_ROWS
+    row_of = {on.isoformat(): on.weekday() if weekly else n for n, on in enumerate(dates)}
+    present = np.zeros((len(WEEKDAYS) if weekly else len(dates), 96))
+    for day in (day for day in shown.days if day.date in row_of):
+        quarters = np.zeros(96, dtype=bool)
+        for entry in (entry for entry in day.entries if entry.is_seen):
+            first, last = ((t - day.start) / 900 for t in (entry.start, entry.end))
+            quarters[int(first) : max(int(np.ceil(last)), int(first) + 1)] = True
+        present[row_of[day.date]] += quarters
+    axes = box(LEFT, 0.4, WIDTH - LEFT - RIGHT, ROW_HEIGHT * len(present))
+    axes.imshow(present, cmap="Purples", vmin=0, aspect="auto", extent=(0, 24, len(present), 0))
+    axes.set(yticks=[], facecolor="none")
+    axes.set_xticks(range(0, 25, 3), [f"{hour:02d}:00" for hour in range(0, 25, 3)])
+    for n in range(len(present)):
+        axes.text(-0.15, n + 0.5, WEEKDAYS[n] if weekly else f"{dates[n]:%a} {dates[n]:%m-%d}", ha="right", va="center")
+        most = int(present[n].max())
+        text = f"at most {count(most, 'person')}" + (f", {int(present[n].argmax()) // 4:02d}:00" if most else "")
+        axes.text(24.15, n + 0.5, text, va="center", size="small")
+
+
 def _names(day: DiaryDay) -> Iterator[tuple[TimelineEntry, str]]:
     """The stays of a day at places with names, the longest first, and the names."""
     for stay in sorted((entry for entry in day.entries if entry.kind == STAY), key=lambda entry: -entry.duration):
@@ -398,7 +429,7 @@ def _blocks(shown: Overview, on: date, day: DiaryDay | None) -> Iterator[tuple[s
     """
     for entry in day.entries if day else ():
         group = GROUPS[entry.kind]
-        own = not shown.place or (entry.kind == STAY and is_place(shown.place, entry))
+        own = not shown.place or (entry.kind == STAY and is_place(shown.place, entry.place, entry.place_number))
         if group == NO_DATA_GROUP or not own:
             continue
         bounds = _hours_of(entry, on)

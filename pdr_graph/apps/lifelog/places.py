@@ -10,7 +10,8 @@ after a time without data.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property
@@ -197,10 +198,53 @@ def likely_home(places: Sequence[Place]) -> Place | None:
     return best if most >= FEWEST_NIGHTS * NIGHT_END else None
 
 
-def is_place(text: str, visit: TimelineEntry) -> bool:
-    """True if a text is the name, in any case, or the number of the place of a visit."""
-    plain, number = text.strip().casefold(), visit.place_number
-    return bool(plain) and (plain == visit.place.strip().casefold() or plain in (str(number), f"place {number}"))
+@dataclass(frozen=True)
+class Dwell:
+    """Time of all persons at a place on a plan, by the probability of each stay that it was there.
+
+    name; floor: its labels; persons, stops: expected numbers; time: expected time [s]; sigma: its standard deviation,
+    since each stay was at one place alone [s]; median: of the duration of a stop [s]; hour: of the day in which most
+    time was spent there, local.
+    """
+
+    name: str
+    floor: str
+    persons: float
+    stops: float
+    time: float
+    sigma: float
+    median: float
+    hour: int
+
+
+def dwells(rows: Iterable[tuple[str, TimelineEntry]]) -> list[Dwell]:
+    """The time at each place that some persons faced, longest first. rows: persons with entries of their days."""
+    stays = defaultdict[tuple[str, str], list[tuple[str, float, TimelineEntry]]](list)
+    for person, row in rows:
+        for part in (part for part in row.parts or (row,) if part.kind == STAY):
+            for name, probability in part.facing:
+                stays[name, " > ".join(part.floor)].append((person, probability, replace(part, offset=row.offset)))
+    found = list[Dwell]()
+    for (name, floor), own in stays.items():
+        p, lasted = np.array([p for _, p, _ in own]), np.array([part.duration for _, _, part in own])
+        absent, hours = defaultdict[str, float](lambda: 1.0), np.zeros(24)
+        for person, probability, part in own:
+            absent[person] *= 1 - probability
+            hours[int((part.start + part.duration / 2 + part.offset) // 3600 % 24)] += probability * part.duration
+        order = np.argsort(lasted)
+        half = np.searchsorted(np.cumsum(p[order]), p.sum() / 2)
+        spread = float(np.sqrt((p * (1 - p) * lasted**2).sum()))
+        persons, median = sum(1 - none for none in absent.values()), float(lasted[order][half])
+        found.append(
+            Dwell(name, floor, persons, float(p.sum()), float(p @ lasted), spread, median, int(hours.argmax()))
+        )
+    return sorted(found, key=lambda dwell: (-dwell.time, dwell.name))
+
+
+def is_place(text: str, name: str, number: int) -> bool:
+    """True if a text is the name, in any case, or the number of a place."""
+    plain = text.strip().casefold()
+    return bool(plain) and (plain == name.strip().casefold() or plain in (str(number), f"place {number}"))
 
 
 def joined_visits(entries: Sequence[TimelineEntry]) -> list[TimelineEntry]:

@@ -458,7 +458,7 @@ def _exported_parts(
             start, end = float(rows.time[0]), float(rows.time[-1])
             by = begin - start
             segments = tuple(
-                Segment(s.kind, a + by, b + by, s.distance * share)
+                replace(s, start=a + by, end=b + by, distance=s.distance * share)
                 for s in outing.segments
                 if (b := min(s.end, end)) > (a := max(s.start, start))
                 for share in [float(path_shares(track, [s.start, a, b, s.end])[1])]

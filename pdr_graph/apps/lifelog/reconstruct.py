@@ -17,6 +17,7 @@ from pdr_graph.apps.lifelog.sessions import (
     doubted_positions,
     is_located,
     join,
+    local_parts,
     restart_closures,
     sessions_of,
 )
@@ -186,15 +187,16 @@ def reconstruct_outings(
     for session in sessions_of(observations):
         if session.observations[0].steps is None:
             joined, plan = join(session.observations), session.parts[0][1].plan
-            track, segments = follow_positions(joined.fixes, joined.activities)
-            stays = stays_of_positions(track, segments, building_of(plan) if plan else None)
-            outing = _outing(session, joined, track, segments)
             fixes, sources = (
                 joined.fixes[np.argsort(joined.fixes.time, kind="stable")],
                 [part.source for part in session.observations],
             )
             notes = doubted_positions(fixes.time, fixes.position, fixes.sigma, sources)
-            outings.append(replace(outing, stays=stays, notes=(*notes, *outing.notes)))
+            for part in local_parts(joined):
+                track, segments = follow_positions(part.fixes, part.activities)
+                stays = stays_of_positions(track, segments, building_of(plan) if plan else None)
+                outing = _outing(session, part, track, segments)
+                outings.append(replace(outing, stays=stays, notes=(*notes, *outing.notes)))
         else:
             walk = estimate_walk(session, outings[-1] if outings else None, profile)
             profile = walk.profile_after

@@ -19,14 +19,15 @@ import numpy as np
 
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
-from pdr_graph.apps.lifelog.diary import Totals
-from pdr_graph.apps.lifelog.export import as_geojson
+from pdr_graph.apps.lifelog.diary import Totals, detailed
+from pdr_graph.apps.lifelog.export import DiaryRows, as_geojson
 from pdr_graph.apps.lifelog.maps import Panel, panels
 from pdr_graph.apps.lifelog.overview import (
     ROW_TITLES,
     Overview,
     ShownTable,
     distance_text,
+    fleet_tables,
     period_title,
     row_texts,
     shown_tables,
@@ -39,14 +40,13 @@ from pdr_graph.apps.lifelog.timeline import (
     STAY,
     TimelineEntry,
     duration_text,
-    timeline,
     timeline_csv,
 )
 from pdr_graph.apps.report.charts_and_tables import chart, sigma, table
 from pdr_graph.apps.report.page import CENTIMETRE, CENTISECOND, ON_NO_MAP, column, plan_drawing, rings, runs, track
 from pdr_graph.apps.report.page import page as interactive_page
 from pdr_graph.apps.report.plotting import picture_bytes
-from pdr_graph.errors import InputError, one_line
+from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.geometry import confidence_band
 from pdr_graph.notebook_html import BLUE
 from pdr_graph.types import Trajectory
@@ -74,11 +74,12 @@ def write_day(
 ) -> list[str]:
     """Write the files of the overview of one day of a person; returns a line for a failure, else nothing.
 
-    day: with the outings that began on that date, for ``timeline.csv`` and ``day.geojson``; drawn: the picture of the
+    day: with the outings that began on that date, for ``day.geojson``; drawn: the picture of the
     overview, which is ``day.png``, too; missing, notes: a line each.
     """
-    cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
-    cache.write(out / "day.geojson", as_geojson([day]))
+    rows = DiaryRows({own.date: own.entries for own in shown.days})
+    cache.write(out / "timeline.csv", timeline_csv(detailed(rows.by_date.get(day.date, ()))).encode())
+    cache.write(out / "day.geojson", as_geojson([day], {day.person: rows}))
     cache.write(out / "day.png", drawn)
     try:
         html = interactive_page(content(shown, zone, missing, notes))
@@ -105,13 +106,16 @@ th { font-weight: 600; color: #6b655b; }
 def page(shown: Overview, svg: bytes, remarks: Sequence[str]) -> bytes:
     """The page. svg: the picture of the overview; remarks: a line each."""
     names = ", ".join(one_line(person) for person in shown.persons)
+    names = count(len(shown.persons), "person") if shown.is_fleet else names
     title = "  ".join(filter(None, [names, period_title(shown.period), one_line(shown.place)]))
     head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
     head += '<meta name="viewport" content="width=device-width, initial-scale=1">'
     head += f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style>"
     body = [f"<h1>{escape(title)}</h1>", *(f"<p>{escape(line)}</p>" for line in remarks)]
     body.append(f"<div>{svg[svg.index(b'<svg') :].decode()}</div>")
-    for own in shown.diaries:
+    if len(shown.diaries) > 1 and (shown.is_fleet or shown.dwells):
+        body += [_html_table("", shown_table) for shown_table in fleet_tables(shown, short=False)]
+    for own in () if shown.is_fleet else shown.diaries:
         whose = f"{own.person}: " if len(shown.persons) > 1 else ""
         body += [_html_table(whose, shown_table) for shown_table in shown_tables(shown, own, short=False)]
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'.encode()

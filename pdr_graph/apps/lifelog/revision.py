@@ -19,8 +19,10 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
+
 from pdr_graph.apps.lifelog import build, cache
-from pdr_graph.apps.lifelog.corrections import SLIVER, place_names
+from pdr_graph.apps.lifelog.corrections import SLIVER, distance, place_names
 from pdr_graph.apps.lifelog.diary import UnpartedDiary
 from pdr_graph.apps.lifelog.facts import (
     ALWAYS,
@@ -48,10 +50,13 @@ from pdr_graph.apps.lifelog.observation import (
 from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past, sources_of
+from pdr_graph.apps.lifelog.places import Place, is_place
+from pdr_graph.apps.lifelog.stays_and_legs import VISIT_RADIUS, Track, on_sphere
 from pdr_graph.apps.lifelog.store import TOGETHER, Entry, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.errors import InputError, count, one_line
-from pdr_graph.types import DAY_LENGTH
+from pdr_graph.io.past_day import E7, MS
+from pdr_graph.types import DAY_LENGTH, Array
 
 AT_RADIUS = 15.0  # [m] default standard deviation per axis of a stated place: a point on a map, in a building
 NAME_RADIUS = 75.0  # [m] default radius of a named place: positions of stays in one house scatter as far
@@ -70,6 +75,8 @@ class OpenDiary:
     person: str
     rows: tuple[TimelineEntry, ...]
     clock: LocalClock
+    places: tuple[Place, ...]
+    track: Track
 
     @classmethod
     @contextmanager
@@ -91,7 +98,7 @@ class OpenDiary:
             first, last = (min(days) - DIARY_MARGIN).isoformat(), (max(days) + DIARY_MARGIN).isoformat()
             dates = [date for date in dates if first <= date <= last]
         whole = UnpartedDiary.of(log, who, dates)
-        return cls(log, who, whole.rows, whole.clock)
+        return cls(log, who, whole.rows, whole.clock, whole.places, whole.track)
 
     def time(self, option: str, text: str) -> float:
         """The Unix time [s] of a text, local time by default. Raises InputError."""
@@ -236,7 +243,7 @@ def name_place(store: Path, place: str, name: str, radius: float | None = None, 
 
 def listing(store: Path, person: str | None = None) -> list[str]:
     """A line per correction, of all persons by default: number, what it states, and when it was made."""
-    with Store(store) as log:
+    with Store(store, reads=True) as log:
         found = log.corrections(person)
         diaries = {who: OpenDiary.of(log, who) for who in dict.fromkeys(c.person for c in found)}
         return [diaries[c.person].line(c) for c in found] or ["no corrections"]
@@ -325,6 +332,8 @@ def _effect(log: Store, correction: Correction) -> list[str]:
     return [*(f"  {diary.text(row)}" for row in shown or diary.between(start, end)), *lines]
 
 
+LONGEST_FREE = 60.0  # [s] beside a forgotten position, and between two, that are forgotten with them
+MOST_LINES = 10  # forgotten times that are named
 SHOWN_PAGES = ("overview.html", "report.html")  # of a folder that ``lifelog show`` writes beside the store by default
 
 
@@ -335,38 +344,126 @@ def forget(store: Path, start: str, end: str, person: str | None = None) -> list
     missing is then deleted by calling it again.
     """
     with OpenDiary.opened(store, person) as diary:
-        log = diary.log
-        who, span = diary.person, diary.span(start, end)
-        fact = Correction(0, who, clock.time(), FORGOTTEN, *span)
-        if fact.span not in forgotten_times(log.corrections(who)):  # else it was interrupted, and goes on
+        return _forget(diary, [diary.span(start, end)])
+
+
+def forget_place(store: Path, place: str, radius: float | None = None, person: str | None = None) -> list[str]:
+    """Delete all that a lifelog holds of a person's times at a place, and its names; returns the lines to print.
+
+    place: "LAT,LON", or the name or number of a place of the diary; radius: [m] within which positions are deleted,
+    VISIT_RADIUS by default. Raises as `forget`.
+    """
+    radius = VISIT_RADIUS if radius is None else radius
+    with OpenDiary.opened(store, person) as diary:
+        places = [own for own in diary.places if is_place(place, own.name, own.number)]
+        middles = [(own.latitude, own.longitude) for own in places if np.isfinite(own.latitude)]
+        if found := LATLON.fullmatch(place):
+            middles.append(_degrees(found))
+            places = [own for own in diary.places if distance(*middles[0], own.latitude, own.longitude) <= radius]
+        elif not places:
+            named = ", ".join(own.label for own in diary.places) or "none"
+            raise InputError("--place", "", repr(place), f"LAT,LON in degrees or a place of the diary: {named}")
+        _value(0.0, 0.0, radius, radius)  # checks the radius
+        times = [(visit.start, visit.end) for own in places for visit in own.visits]
+        for middle in middles:
+            times += _times_near(diary, middle, radius)
+        spans = joined_spans(times, LONGEST_FREE)
+        if not spans:
+            raise InputError("--place", "", f"nothing of {diary.person} within {radius:.0f} m", "a larger --radius")
+        for correction in diary.log.corrections(diary.person):
+            near = "latitude" in correction.value and any(
+                distance(*middle, *correction.place) <= radius for middle in middles
+            )
+            if near or (correction.text("name") and correction.text("name") in {own.name for own in places}):
+                diary.log.delete_correction(correction.number)
+        return _forget(diary, spans)
+
+
+def _times_near(diary: OpenDiary, middle: tuple[float, float], radius: float) -> Iterator[tuple[float, float]]:
+    """Times [s] with a position, recorded or estimated, or a guess within a radius [m] of a place [deg]."""
+    log, track = diary.log, diary.track
+
+    def runs(time: Array, lonlat: Array) -> Iterator[tuple[float, float]]:
+        order = np.argsort(time, kind="stable")
+        time, sphere = time[order], on_sphere(lonlat[order].reshape(-1, 2))
+        near = np.linalg.norm(sphere - on_sphere(np.array([middle[::-1]])), axis=1) <= radius
+        edges = np.flatnonzero(np.diff(np.r_[False, near, False]))
+        for first, after in edges.reshape(-1, 2).tolist():  # half-way to the neighbours, where they are near in time
+            beside = time[max(first - 1, 0)], time[min(after, len(time) - 1)]
+            before, later = (time[first] + beside[0]) / 2, (time[after - 1] + beside[1]) / 2
+            yield max(before, time[first] - LONGEST_FREE), min(later, time[after - 1] + LONGEST_FREE)
+
+    yield from runs(track.time, track.lonlat)
+    for entry in log.entries():
+        file = log.folder / cache.OBSERVATIONS / entry.observation
+        seen = read_observation(file) if entry.person == diary.person and entry.observation else None
+        if seen is not None and seen.frame.georeferenced and len(seen.fixes):
+            yield from runs(seen.epoch + seen.fixes.time, seen.frame.to_lonlat(seen.fixes.position))
+    past = PastDays(log, diary.person)
+    for day in past.days():
+        rows, _ = past.read(day)
+        yield from runs(rows["time"] / MS, np.column_stack([rows["lon"], rows["lat"]]) / E7)
+    for guess in log.guesses(diary.person):
+        if distance(*middle, guess.latitude, guess.longitude) <= radius:
+            yield guess.start, guess.stop
+
+
+def joined_spans(spans: Iterable[tuple[float, float]], apart: float) -> list[tuple[float, float]]:
+    """Times as few spans, in order: those at most `apart` [s] from one another are one."""
+    found: list[tuple[float, float]] = []
+    for start, end in sorted(spans):
+        if found and start - found[-1][1] <= apart:
+            found[-1] = found[-1][0], max(found[-1][1], end)
+        else:
+            found.append((start, end))
+    return found
+
+
+def _forget(diary: OpenDiary, spans: Sequence[tuple[float, float]]) -> list[str]:
+    """Delete all that a lifelog holds of some times [s] of a person; returns the lines to print."""
+    log, who = diary.log, diary.person
+    known = forgotten_times(log.corrections(who))
+    facts = [Correction(0, who, clock.time(), FORGOTTEN, *span) for span in spans]
+    for fact in facts:
+        if fact.span not in known:  # else it was interrupted, and goes on
             log.put_correction(fact)
-        dates = build.touched_dates(log, who, *fact.span)
-        cut_past(log, who, *fact.span)
-        touched = [entry for entry in log.entries() if entry.person == who and entry.overlaps(*fact.span)]
-        removed = [entry for entry in touched if not _cut(log, entry, forgotten_times(log.corrections(who)))]
-        _remove(log, removed)
-        for correction in log.corrections(who):
-            kept_kind = correction.kind == FORGOTTEN or correction.span == ALWAYS
-            if kept_kind or not correction.touches(*span):
-                continue
-            if span[0] <= correction.start and correction.end <= span[1]:
-                log.delete_correction(correction.number)
-            else:  # it holds longer, and keeps the rest
-                begin = span[1] if span[0] <= correction.start < span[1] else correction.start
-                after = span[0] if span[0] < correction.end <= span[1] else correction.end
-                log.put_correction(replace(correction, start=begin, end=after))
-        log.delete_days((who, date) for date in dates)
-        _clean(log)
-        build.observe_new(log, who)
-        lines = [f"deleted of {one_line(who)}: {diary.statement(fact).removesuffix(': deleted')}"]
-        lines.append(f"{count(len(touched), 'recording')} had data then, {len(removed)} of them nothing else")
-        kept = {entry.hash for entry in touched} - {entry.hash for entry in removed}
-        now = [date for (name, date), own in build.recordings_by_day(log).items() if name == who and kept & own.keys()]
-        lines += _rebuilt(log, who, {*dates, *now})
-        log.compact()
-        named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
-        remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
-        return lines + _still_there(log, touched, who) + ([remain] if named else [])
+    touched = [e for e in log.entries() if e.person == who and any(e.overlaps(*span) for span in spans)]
+    own = {entry.hash for entry in touched}
+    dates = [date for (name, date), day in log.days().items() if name == who and own & set(day.recordings)]
+    cut_past(log, who, spans)
+    present = {entry.hash for entry in log.entries()}  # imported days were cut above
+    forgotten = forgotten_times(log.corrections(who))
+    removed = [entry for entry in touched if entry.hash in present and not _cut(log, entry, forgotten)]
+    _remove(log, removed)
+    for correction in log.corrections(who):
+        if correction.kind != FORGOTTEN and correction.span != ALWAYS:
+            _cut_correction(log, correction, spans)
+    log.delete_days((who, date) for date in dates)
+    _clean(log)
+    build.observe_new(log, who)
+    deleted = [diary.statement(fact).removesuffix(": deleted") for fact in facts]
+    lines = [f"deleted of {one_line(who)}: {text}" for text in deleted[:MOST_LINES]]
+    lines += [f"and {count(len(deleted) - MOST_LINES, 'other time')}"] if len(deleted) > MOST_LINES else []
+    lines.append(f"{count(len(touched), 'recording')} had data then, {len(removed)} of them nothing else")
+    kept = {entry.hash for entry in touched} - {entry.hash for entry in removed}
+    now = [date for (name, date), made in build.recordings_by_day(log).items() if name == who and kept & made.keys()]
+    lines += _rebuilt(log, who, {*dates, *now})
+    log.compact()
+    named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
+    remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
+    return lines + _still_there(log, touched, who) + ([remain] if named else [])
+
+
+def _cut_correction(log: Store, correction: Correction, spans: Sequence[tuple[float, float]]) -> None:
+    """Delete a correction of forgotten times, or keep of it what is outside of them."""
+    start, end = correction.span
+    for first, last in spans:
+        if first <= start and end <= last and correction.touches(first, last):
+            log.delete_correction(correction.number)
+            return
+        start, end = (last if first <= start < last else start), (first if first < end <= last else end)
+    if (start, end) != correction.span:
+        log.put_correction(replace(correction, start=start, end=end))
 
 
 def forget_recording(store: Path, recording: str) -> list[str]:

@@ -14,9 +14,12 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
+from pdr_graph.apps.lifelog.facts import SHORTEST_FLIGHT, SLOWEST_FLIGHT
 from pdr_graph.apps.lifelog.observation import MIN_POSITIONS, Observation, in_frame, shifted
+from pdr_graph.apps.lifelog.stays_and_legs import arc, on_sphere
 from pdr_graph.errors import count
-from pdr_graph.frames import Frame
+from pdr_graph.estimation.gps_track import plausible
+from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.priors import FIXES, TRACK
 from pdr_graph.types import (
@@ -189,6 +192,46 @@ def join(parts: Sequence[Observation], beside: Sequence[Observation] = (), frame
         measurements=tuple(take(table, np.argsort(last_time(table), kind="stable")) for table in tables),
         stated=tuple(dict.fromkeys(activity for part in parts for activity in part.stated)),
     )
+
+
+LARGEST_FRAME = 1_000_000.0  # [m] from the origin of a frame: distances are right to 0.4 % there
+
+
+def local_parts(part: Observation) -> list[Observation]:
+    """Positions alone, divided at flights and where they are far from where their frame begins.
+
+    Each part but the first has a frame about its first position, with distances and north of its own. Positions during
+    a flight are left out.
+    """
+    if not part.frame.georeferenced or part.plan:
+        return [part]
+    used = plausible(part.fixes)
+    time, lonlat = part.fixes.time[used], part.frame.to_lonlat(part.fixes.position[used])
+    sphere = on_sphere(lonlat)
+    far = arc(np.linalg.norm(np.diff(sphere, axis=0), axis=1))
+    flown = (far > SHORTEST_FLIGHT) & (far > SLOWEST_FLIGHT * np.diff(time))
+    first, spans = 0, list[tuple[int, int]]()
+    for n in range(1, len(time)):
+        if flown[n - 1]:
+            spans.append((first, n - 1))
+            first = n
+        elif arc(np.linalg.norm(sphere[[n]] - sphere[first], axis=1)) > LARGEST_FRAME:
+            spans.append((first, n - 1))
+            first = n - 1
+    spans.append((first, len(time) - 1))
+    found = list[Observation]()
+    for first, last in spans:
+        begin, end = float(time[first]), float(time[last])
+        # a frame far from all of a part is that of a position during a flight
+        keeps = np.hypot(*part.fixes.position[used[first]]) < SHORTEST_FLIGHT
+        if len(spans) == 1 and keeps:
+            return [part]
+        rows = np.flatnonzero((part.fixes.time >= begin) & (part.fixes.time <= end))
+        if last - first + 1 >= MIN_POSITIONS:
+            frame = part.frame if keeps else enu(*lonlat[first, ::-1].tolist())
+            own = in_frame(replace(part, fixes=part.fixes[rows]), frame)
+            found.append(replace(shifted(own, -begin), duration=end - begin))
+    return found or [part]
 
 
 def _concatenated(tables: Sequence[Table | None]) -> Table | None:

@@ -64,7 +64,7 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
     ``overview.html``, ``overview.png``, ``days.csv``, ``places.csv``, ``visits.csv``, ``hours.csv``; of one day of one
     person also those of `report.write_day`. Raises InputError if there is no such person, place or day.
     """
-    with Store(path) as log:
+    with Store(path, reads=True) as log:
         persons = _persons(log, choice.persons)
         period = choice.period or _default_period(log, persons, choice)
         diaries = list(_diaries(log, persons, period, choice.guess_home))

@@ -17,7 +17,16 @@ from operator import itemgetter
 import numpy as np
 
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
-from pdr_graph.apps.lifelog.facts import END, FASTEST_WALK, VISIT, Guess
+from pdr_graph.apps.lifelog.facts import (
+    ACTIVITY,
+    END,
+    FASTEST_WALK,
+    PLANE,
+    SHORTEST_FLIGHT,
+    SLOWEST_FLIGHT,
+    VISIT,
+    Guess,
+)
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.geometry import without
 from pdr_graph.priors import TRACK
@@ -67,7 +76,7 @@ class Track:
         time, lonlat, plan = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
-        moved = np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1)
+        moved = arc(np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1))
         return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan[order])
 
     def between(self, start: float, end: float) -> slice:
@@ -83,11 +92,18 @@ class Track:
         return float(last - first)
 
 
+EARTH_RADIUS = 6_371_000.0  # [m] of a sphere: distances within a place need no ellipsoid
+
+
+def arc(chord: Array) -> Array:
+    """Distances along the sphere [m] of distances through it."""
+    return 2 * EARTH_RADIUS * np.arcsin(np.minimum(chord / (2 * EARTH_RADIUS), 1.0))
+
+
 def on_sphere(lonlat: Array) -> Array:
     """Points ``(n, 3)`` on a sphere [m] of longitudes and latitudes ``(n, 2)`` [deg]; distances are chords."""
     lon, lat = np.radians(lonlat).T
-    # earth radius [m] of a sphere: distances within a place need no ellipsoid
-    return 6_371_000.0 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    return EARTH_RADIUS * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
 
 
 def lonlat_of(point: Array) -> tuple[float, float]:
@@ -249,6 +265,10 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
         named.append((next(filter(None, (kinds[n], *moving, *beside)), piece.kind), piece))
     for kind, own in groupby(named, key=lambda pair: pair[0]):
         parts = [piece for _, piece in own]
+        if kind == PLANE:
+            start, end = parts[0].start, parts[-1].end
+            yield TimelineEntry(VEHICLE, start, end, track.length(start, end), observed=0.0, mode=PLANE)
+            continue
         if len(parts) == 1 and parts[0].kind == kind:
             yield parts[0]
             continue
@@ -264,9 +284,11 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
 
 def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
-    lasted = piece.duration
+    lasted, far = piece.duration, track.length(piece.start, piece.end) if piece.kind == GAP else 0.0
+    if far > max(SHORTEST_FLIGHT, SLOWEST_FLIGHT * lasted):
+        return PLANE
     # shortest jump [m] over a short silence, from which a fast one is a ride
-    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALK * lasted, 300.0):
+    if far > max(FASTEST_WALK * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
     if piece.kind in MOVING:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
@@ -311,8 +333,9 @@ def with_guesses(rows: Sequence[TimelineEntry], guesses: Sequence[Guess]) -> lis
     named = list[TimelineEntry]()
     for row in known:
         first, after = np.searchsorted(ended, row.start), np.searchsorted(starts, row.end)
-        near = guesses[int(first) : int(after)] if row.kind == STAY else ()
-        same = [guess for guess in near if guess.kind == VISIT and _overlap(guess, row) > row.duration / 2]
+        kind = VISIT if row.kind == STAY else ACTIVITY if row.mode == PLANE else ""
+        near = guesses[int(first) : int(after)] if kind else ()
+        same = [guess for guess in near if guess.kind == kind and _overlap(guess, row) > row.duration / 2]
         named.append(replace(row, guess=max(same, key=lambda g: _overlap(g, row)).text) if same else row)
     filled = list[TimelineEntry]()
     for row in sorted([*named, *found], key=lambda row: row.start):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import sqlite3
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,9 +21,9 @@ from typing import Any
 
 from pdr_graph.apps.lifelog.day import DAY_SCHEMA, TABLES, Day, Rows, day_of, profile_of
 from pdr_graph.apps.lifelog.facts import Correction, Guess
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, check_not_special, count
 from pdr_graph.gait.walker import Profile
-from pdr_graph.recovery import DataLossWarning, Kind, Row, explained, open_database
+from pdr_graph.recovery import DataLossWarning, Kind, Row, copied, explained, open_database, write_lock
 from pdr_graph.types import OneLineRepr
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
@@ -155,8 +156,9 @@ class StoredDay(OneLineRepr):
 class Store:
     """An open lifelog, a context manager. folder: ``STORE.d``, which may not exist."""
 
-    def __init__(self, path: Path, new: bool = False, thorough: bool = False):
-        """Open a lifelog; new: create it if it does not exist; thorough: examine all of it, which reads it once.
+    def __init__(self, path: Path, new: bool = False, thorough: bool = False, reads: bool = False):
+        """Open a lifelog; new: create it if it does not exist; thorough: examine all of it, which reads it once; reads:
+        while another process writes, open a copy of what is stored, changes of which are lost.
 
         Of a damaged one the rows that can be read are recovered, but days, which a build makes again, with a
         `DataLossWarning`; the damaged file is kept beside it.
@@ -166,7 +168,16 @@ class Store:
         if not new and not path.exists():
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
-        self._database, loss = open_database(path, LIFELOG, pages=thorough)
+        check_not_special(path, "a lifelog, or a name that is not taken")
+        self._lock = write_lock(path, LIFELOG, wait=not reads)
+        if self._lock is None:
+            self._database, loss = copied(path, LIFELOG), ""
+        else:
+            try:
+                self._database, loss = open_database(path, LIFELOG, pages=thorough)
+            except BaseException:
+                os.close(self._lock)
+                raise
         if loss:
             advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
             warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
@@ -336,6 +347,9 @@ class Store:
     def close(self) -> None:
         """Close the file, so that another process may open it."""
         self._database.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def __enter__(self) -> Store:
         return self
@@ -424,4 +438,5 @@ LIFELOG = Kind(
     REMEDY,
     ": pdr-graph lifelog build recovers what is left of it",
     _rows_kept,
+    shared=True,
 )

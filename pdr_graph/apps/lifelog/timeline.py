@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, tzinfo
+from datetime import UTC, datetime, timedelta, timezone
 from itertools import pairwise
 from typing import Any
 
@@ -31,8 +31,19 @@ from pdr_graph.types import OneLineRepr
 
 STAY, PASSING = "stay", "passing"
 KIND_NAMES = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
-TIMELINE_DIGITS = {"latitude": 7, "longitude": 7, "probability": 3, "x": 2, "y": 2, "sigma": 2}  # of its table
-TIMELINE_HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
+TIMELINE_DIGITS = {
+    "latitude": 7,
+    "longitude": 7,
+    "probability": 3,
+    "x": 2,
+    "y": 2,
+    "sigma": 2,
+    "observed": 3,
+}  # of its table
+TIMELINE_HEADER = (
+    "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma,"
+    "number,mode,corrected,guess,observed"
+)
 # Chosen by hand
 SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
 LONGEST_SLIVER = 3.0  # [s] of standing at the edge of a stay, by which the detectors of standing and stays disagree
@@ -193,23 +204,32 @@ def _entry(outing: Outing, piece: _Piece) -> TimelineEntry:
     return replace(entry, x=x, y=y, latitude=lat, longitude=lon, sigma=sigma)
 
 
-def timeline_csv(entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
-    """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where a value is unknown."""
+def timeline_csv(entries: Iterable[TimelineEntry]) -> str:
+    """``timeline.csv``: ISO 8601 times at the offset of each entry, metres, degrees; empty where a value is unknown.
+
+    The name that the person gave a place goes before that of a plan, which has a probability.
+    """
     records = []
     for entry in entries:
         name, probability = entry.facing[0] if entry.facing else ("", np.nan)
-        start, end = (datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end))
         changed = {
-            "start": start,
-            "end": end,
+            "start": local_iso(entry.start, entry.offset),
+            "end": local_iso(entry.end, entry.end_offset),
             "distance": entry.distance if entry.is_known else np.nan,
             "floor": " > ".join(entry.floor),
-            "place": name,
-            "probability": probability,
+            "place": entry.place or name,
+            "probability": probability if entry.place in ("", name) else np.nan,
             "others": "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:]),
+            "number": entry.place_number,
         }
         records.append(vars(entry) | changed)
     return csv_table(records, TIMELINE_HEADER.split(","), TIMELINE_DIGITS)
+
+
+def local_iso(time: float, offset: float) -> str:
+    """A Unix time [s] in ISO 8601 at an offset from UTC [s]: ``2024-05-01T07:42:00+02:00``."""
+    moment = datetime.fromtimestamp(round(time), UTC).astimezone(timezone(timedelta(seconds=round(offset))))
+    return moment.isoformat(timespec="seconds")
 
 
 def csv_table(records: Iterable[Mapping[str, Any]], names: Sequence[str], digits: Mapping[str, int]) -> str:

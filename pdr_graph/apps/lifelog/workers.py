@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from threading import Lock, get_ident
+from threading import Lock, Thread, get_ident
 from time import monotonic, sleep
 from typing import Any, Generic, TypeVar
 from unittest.mock import patch
@@ -74,6 +74,17 @@ def _set_deadline(limit: float | None) -> None:
             faulthandler.dump_traceback_later(left, exit=True, file=_nowhere)
         else:
             faulthandler.cancel_dump_traceback_later()
+
+
+def end_with(parent: int) -> None:
+    """End this process soon after its parent, which a kill gives no time to end its workers."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            sleep(LOOK_PERIOD)
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def collected(
@@ -208,7 +219,8 @@ def fleet(workers: int = 1, scheduler: str = "", time_limit: float = ITEM_LIMIT)
         from joblib.externals.loky import get_reusable_executor
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
-        pool: Any = partial(get_reusable_executor, workers, timeout=300, env=ONE_THREAD)
+        ends: dict[str, Any] = {"initializer": end_with, "initargs": (os.getpid(),)}
+        pool: Any = partial(get_reusable_executor, workers, timeout=300, env=ONE_THREAD, **ends)
         try:
             yield Fleet(workers, time_limit, pool, (BrokenProcessPool,))
         finally:

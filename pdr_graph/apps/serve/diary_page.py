@@ -1,4 +1,4 @@
-"""A lifelog in the browser of its owner: each day with its picture and rows, and forms that correct a row.
+"""A lifelog in the browser of its owner: days, a calendar and the places, with forms that correct them.
 
 For this machine alone, with a token in the address that is printed. Pages have no scripts and load nothing. A
 correction does what ``pdr-graph lifelog correct`` does.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import re
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, timedelta
 from html import escape
 from pathlib import Path
@@ -27,20 +27,36 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from pdr_graph.apps.lifelog import report, revision
-from pdr_graph.apps.lifelog.diary import DiaryDay, dates_of, diary
+from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, diary, totals_of
 from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
-from pdr_graph.apps.lifelog.local_time import period_of
-from pdr_graph.apps.lifelog.overview import row_texts
+from pdr_graph.apps.lifelog.local_time import ALL, LAST_DATE, Period, period_of
+from pdr_graph.apps.lifelog.overview import (
+    HOURS_TITLES,
+    PLACE_TITLES,
+    distance_text,
+    overview,
+    place_texts,
+    row_texts,
+    time_text,
+    totals_text,
+    usual_texts,
+    visit_times,
+)
+from pdr_graph.apps.lifelog.picture import COLOURS
 from pdr_graph.apps.lifelog.picture import picture as drawn_picture
+from pdr_graph.apps.lifelog.places import FEWEST_HOURS, WEEKDAYS, local_date
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY, duration_text
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.apps.serve.access import OWNER, Access, cookie_name
 from pdr_graph.apps.serve.application import Guard
-from pdr_graph.errors import InputError, one_line
+from pdr_graph.errors import InputError, count, one_line
 
 NUMBER = re.compile(r"[0-9]{1,9}")  # of an entry or a correction
 KEY = "key"  # field of every form
+MOST_VISITS = 200  # on the page of a place
 LONGEST_FORM = 1 << 14  # [bytes]
 DAYS_AROUND = 40  # days before and after one, among which the next recorded one is looked for
 HEADERS = {
@@ -50,10 +66,26 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-STYLE = report.PAGE_STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.3rem; }")
+STYLE = report.PAGE_STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.4rem; }")
 STYLE += """
-form { margin: 0.5rem 0; } input, select, button { font: inherit; padding: 0.15rem 0.4rem; } nav { margin: 0.6rem 0; }
-.fault { color: #a3261f; } pre { white-space: pre-wrap; }
+:root { color-scheme: light dark; --ink: #26241f; --paper: #fff; --soft: #6b655b; --line: #e4e0d8; --card: #f7f6f3;
+  --link: #1f4fa3; }
+body { color: var(--ink); background: var(--paper); } a { color: var(--link); text-decoration: none; }
+a:hover, a:focus { text-decoration: underline; } h1 { margin: 0.8rem 0 0.4rem; }
+nav { margin: 0.6rem 0; color: var(--soft); } nav.top { border-bottom: 1px solid var(--line); padding-bottom: 0.5rem; }
+th, td { border-color: var(--line); } th { color: var(--soft); } tbody tr:hover { background: var(--card); }
+form { margin: 0.6rem 0; padding: 0.6rem 0.8rem; background: var(--card); border-radius: 6px; max-width: 40rem; }
+input, select, button { font: inherit; padding: 0.25rem 0.5rem; border: 1px solid var(--line); border-radius: 4px;
+  color: inherit; background: var(--paper); } button { cursor: pointer; } pre { white-space: pre-wrap; }
+.fault { color: #c8453c; } .soft { color: var(--soft); } .number { text-align: right; }
+.wide td { white-space: nowrap; } .wide td:nth-child(6) { white-space: normal; min-width: 9rem; }
+table.month { table-layout: fixed; width: 100%; } table.month td { height: 5rem; padding: 0.3rem 0.4rem;
+  border: 1px solid var(--line); overflow: hidden; } table.month svg { height: 0.7rem; margin: 0.3rem 0 0.1rem; }
+.scale { display: inline-block; height: 0.6rem; background: #7b4fa3; border-radius: 2px; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e2da; --paper: #1b1a18; --soft: #a59d90; --line: #3b3833;
+  --card: #262421; --link: #8fb4f0; } img { filter: invert(0.9) hue-rotate(180deg); } }
+@media (max-width: 640px) { body { margin: 0.5rem auto; padding: 0 0.6rem; } table.month td { height: 3.2rem;
+  font-size: 0.75rem; padding: 0.15rem; } table.month .soft { display: none; } }
 """
 Fields = Mapping[str, str]
 
@@ -110,7 +142,9 @@ def application(store: Path, token: str) -> Starlette:
         return await server.run(corrected_page, fields)
 
     routes = [Route("/", day), Route("/picture.svg", shown(day_picture)), Route("/entry", shown(entry_page))]
-    routes += [Route("/corrections", shown(list_page)), Route("/correct", correct, methods=["POST"])]
+    routes += [Route("/calendar", shown(calendar_page)), Route("/places", shown(places_page))]
+    routes += [Route("/place", shown(place_page)), Route("/corrections", shown(list_page))]
+    routes += [Route("/correct", correct, methods=["POST"])]
     return Starlette(False, routes, [Middleware(Guard, Access({OWNER: token}))])
 
 
@@ -118,10 +152,12 @@ def _html(text: str, status: int = 200) -> Response:
     return HTMLResponse(text, status, HEADERS)
 
 
-def _page(title: str, body: str) -> str:
+def _page(title: str, body: str, person: str = "") -> str:
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
     head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
-    nav = '<nav><a href="./">last day</a> · <a href="corrections">corrections</a></nav>'
+    query = urlencode({"person": person} if person else {})
+    links = [("./", "last day"), ("calendar", "calendar"), ("places", "places"), ("corrections", "corrections")]
+    nav = f'<nav class="top">{" · ".join(_link(path, query, text) for path, text in links)}</nav>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{nav}<h1>{escape(title)}</h1>{body}</body></html>'
 
 
@@ -132,25 +168,159 @@ def day_page(store: Path, query: Fields) -> str:
     beside = [(on, f"← {on}") for on in dates[place - 1 : place]] if place else []
     beside += [(on, f"{on} →") for on in dates[place + 1 : place + 2]]
     links = [_link("./", _query(own.person, on), text) for on, text in beside]
-    links += [_link("./", urlencode({"person": name}), one_line(name)) for name in people if name != own.person]
+    links += [_link("calendar", urlencode({"person": own.person, "month": own.date[:7]}), own.date[:7])]
+    links += _others("./", own.person, people)
     picture = f'<img alt="" style="width:100%" src="picture.svg?{escape(_query(own.person, own.date))}">'
     rows = ""
     for n, entry in enumerate(own.entries):
         cells = "".join(f"<td>{escape(text)}</td>" for text in row_texts(entry))
         correct = _link("entry", f"{_query(own.person, own.date)}&n={n}", "correct")
+        correct += f" · {_place_link(own.person, entry.place_number, 'place')}" if entry.place_number >= 0 else ""
         rows += f"<tr>{cells}<td>{correct}</td></tr>"
     table = f'<div class="wide"><table><tbody>{rows}</tbody></table></div>'
-    return _page(f"{one_line(own.person)} {own.date}", f"<nav>{' · '.join(links)}</nav>{picture}{table}")
+    return _page(f"{one_line(own.person)} {own.date}", f"<nav>{' · '.join(links)}</nav>{picture}{table}", own.person)
+
+
+def _others(path: str, person: str, people: Sequence[str]) -> list[str]:
+    """A link to the same page of each other person."""
+    return [_link(path, urlencode({"person": name}), one_line(name)) for name in people if name != person]
+
+
+def _place_link(person: str, number: int, text: str) -> str:
+    return _link("place", urlencode({"person": person, "number": number}), text)
+
+
+def _person(log: Store, query: Fields) -> tuple[str, list[str], list[str]]:
+    """The person of a query, the dates of that person, and all persons. Raises InputError without any."""
+    known = dates_of(log)
+    people = sorted({name for name, _ in known})
+    person = revision.person_of(log, query.get("person") or (people[0] if people else None))
+    dates = [on for name, on in known if name == person]
+    if not dates:
+        raise InputError(log.path, "", "no day", "lifelog build, and more than one position a day")
+    return person, dates, people
+
+
+def calendar_page(store: Path, query: Fields) -> str:
+    """A month of a person: a strip of each day, which links to it; the last month by default."""
+    with Store(store, reads=True) as log:
+        person, dates, people = _person(log, query)
+        month = period_of(month=query.get("month") or dates[-1][:7])
+        if month is None:
+            raise InputError("month", "", "nothing", "a month such as 2024-05")
+        own = diary(log, person, month.first.isoformat(), month.last.isoformat(), outings=False)
+    months = sorted({on[:7] for on in dates} | {month.name})
+    at, by_date = months.index(month.name), {day.date: day for day in own.days if day.known}
+    links = [(name, f"← {name}") for name in months[max(at - 1, 0) : at]]
+    links += [(name, f"{name} →") for name in months[at + 1 : at + 2]]
+    shown = [_link("calendar", urlencode({"person": person, "month": name}), text) for name, text in links]
+    shown += _others("calendar", person, people)
+    cells = [""] * month.first.weekday()
+    for on in month.dates:
+        day = by_date.get(on.isoformat())
+        text = f'<span class="soft">{on.day}</span>'
+        if day is not None:
+            walked = distance_text(day.totals.walked) if day.totals.walked >= 1 else ""
+            places = ", ".join(name for name, _ in day.totals.places[:2])
+            text = f"{_link('./', _query(person, day.date), str(on.day))}{_strip(day)}"
+            text += f'<div class="soft">{escape(" · ".join(filter(None, [walked, places])))}</div>'
+        cells.append(text)
+    cells += [""] * (-len(cells) % 7)
+    weeks = (cells[n : n + 7] for n in range(0, len(cells), 7))
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in week)}</tr>" for week in weeks)
+    head = "".join(f"<th>{name[:3]}</th>" for name in WEEKDAYS)
+    table = f'<table class="month"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    sums = totals_text(totals_of(list(by_date.values()), len(by_date))) if by_date else "no day"
+    key = ", ".join(f'<span style="color:{COLOURS[kind]}">■</span> {name}' for kind, name in KEY_OF_STRIPS)
+    title = f"{one_line(person)} {month.first:%B %Y}"
+    note = f'<p class="soft">{escape(count(len(by_date), "day"))}: {escape(sums)}</p><p class="soft">{key}</p>'
+    return _page(title, f"<nav>{' · '.join(shown)}</nav>{table}{note}", person)
+
+
+KEY_OF_STRIPS = (STAY, "staying"), (WALKING, "walking"), (VEHICLE, "riding")
+
+
+def _strip(day: DiaryDay) -> str:
+    """The day from midnight to midnight as a strip."""
+    long, shapes = max(day.end - day.start, 1.0), ""
+    for entry in day.entries:
+        if entry.kind in COLOURS and entry.is_known:
+            x, wide = (100 * t / long for t in (entry.start - day.start, entry.duration))
+            shapes += f'<rect x="{x:.2f}" width="{wide:.2f}" height="1" fill="{COLOURS[entry.kind]}"/>'
+    frame = '<rect width="100" height="1" fill="gray" fill-opacity="0.15"/>'
+    head = f'<svg viewBox="0 0 100 1" preserveAspectRatio="none" role="img" aria-label="{day.date}">'
+    return f"{head}{frame}{shapes}</svg>"
+
+
+def _places(store: Path, query: Fields) -> tuple[Diary, list[str]]:
+    """All visits and places of a person, most time first, and all persons."""
+    with Store(store, reads=True) as log:
+        person, _, people = _person(log, query)
+        own = diary(log, person, outings=False)
+    everything = Period(ALL, "all days", date.min, LAST_DATE)
+    return overview([own], everything).diaries[0], people
+
+
+def places_page(store: Path, query: Fields) -> str:
+    """The places of a person with visits, time and usual hours; each links to its page."""
+    own, people = _places(store, query)
+    longest, rows = max((place.duration for place in own.places), default=1.0), ""
+    for place in own.places:
+        texts = place_texts(place)
+        scale = f'<span class="scale" style="width:{100 * place.duration / longest:.0f}px"></span>'
+        cells = [_place_link(own.person, place.number, one_line(place.label)), *map(escape, texts[1:7]), scale]
+        rows += f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+    head = "".join(f"<th>{escape(title)}</th>" for title in (*PLACE_TITLES[:7], ""))
+    table = f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    nav = " · ".join(_others("places", own.person, people))
+    return _page(f"{one_line(own.person)}: {count(len(own.places), 'place')}", f"<nav>{nav}</nav>{table}", own.person)
+
+
+def place_page(store: Path, query: Fields) -> str:
+    """A place with its usual hours and visits, and forms that name or forget it."""
+    own, _ = _places(store, query)
+    place = next((place for place in own.places if str(place.number) == query.get("number")), None)
+    if place is None:
+        raise InputError("number", "", query.get("number", ""), "the number of a place")
+    where = [f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m"] if place.sigma >= 0 else []
+    facts = [count(len(place.visits), "visit"), time_text(place.duration), f"{place.first} to {place.last}", *where]
+    hours = [
+        [usual.weekday, *usual_texts(usual)]
+        for usual in place.hours
+        if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
+    ]
+    visits = ""
+    for visit in place.visits[: -MOST_VISITS - 1 : -1]:
+        on = local_date(visit.start + visit.offset).isoformat()
+        cells = [_link("./", _query(own.person, on), visit_times(visit)[0]), escape(visit_times(visit)[1])]
+        cells += [duration_text(visit.duration), f"{visit.observed:.0%} with data"]
+        visits += f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+    body = f'<p class="soft">{escape(" · ".join(facts))}</p>'
+    if np.isfinite(place.latitude):
+        hidden = {"person": own.person, "at": f"{place.latitude:.6f},{place.longitude:.6f}", "page": "places"}
+        value = f'<input name="value" value="{escape(place.name)}" required>'
+        body += _form("name", hidden, "This place is called", value)
+        sure = '<input name="sure" placeholder="type yes" size="8">'
+        body += _form("forget-place", hidden, "Forget this place: delete all times here for good", sure, "Forget")
+    if hours:
+        body += f"<h2>usual hours</h2>{_table(HOURS_TITLES[1:], hours)}"
+    body += f'<h2>visits</h2><div class="wide"><table><tbody>{visits}</tbody></table></div>'
+    hidden_visits = len(place.visits) - MOST_VISITS
+    body += f'<p class="soft">and {count(hidden_visits, "earlier visit")}</p>' if hidden_visits > 0 else ""
+    return _page(one_line(place.label), body, own.person)
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
     """The day of a query, the dates around it, and all persons. Raises InputError if there is no such day."""
-    with Store(store) as log:
-        known = dates_of(log)
-        people = sorted({name for name, _ in known})
-        person = revision.person_of(log, query.get("person") or (people[0] if people else None))
-        stored = [on for name, on in known if name == person]
-        on = query.get("date") or (stored[-1] if stored else "")
+    with Store(store, reads=True) as log:
+        person, stored, people = _person(log, query)
+        on = query.get("date") or stored[-1]
         wanted = period_of(day=on)
         if wanted is None:
             raise InputError(store, "", "no day", "lifelog build, and more than one position a day")
@@ -242,14 +412,19 @@ def corrected_page(store: Path, fields: Fields) -> str:
             lines = revision.state_not_me(store, start, end, person)
         case "forget" if fields.get("sure", "").strip().lower() == "yes":
             lines = revision.forget(store, start, end, person)
-        case "forget":
+        case "forget-place" if fields.get("sure", "").strip().lower() == "yes":
+            lines = revision.forget_place(store, fields.get("at", ""), person=person)
+        case "forget" | "forget-place":
             raise InputError("forget", "", "no yes", "yes: what is deleted does not come back")
         case "undo" if NUMBER.fullmatch(value):
             lines = revision.undo(store, int(value))
         case _:
             raise InputError("do", "", repr(fields.get("do")), "a correction")
     back = _link("./", _query(fields.get("person", ""), fields["date"]), "back to the day") if "date" in fields else ""
-    return _page("saved", f"<pre>{escape(chr(10).join(lines))}</pre>{back}")
+    back = (
+        _link("places", urlencode({"person": person}), "back to the places") if fields.get("page") and person else back
+    )
+    return _page("saved", f"<pre>{escape(chr(10).join(lines))}</pre>{back}", person or "")
 
 
 def list_page(store: Path, _: Fields) -> str:

@@ -389,8 +389,8 @@ def enter(store: Store, past: PastDays, days: Iterable[int]) -> int:
     return changed
 
 
-def cut_past(store: Store, person: str, start: float, stop: float) -> int:
-    """Delete a person's imported positions, receptions and guesses of a time (Unix times [s]); returns how many rows.
+def cut_past(store: Store, person: str, spans: Sequence[tuple[float, float]]) -> int:
+    """Delete a person's imported positions, receptions and guesses of times (Unix times [s]); returns how many rows.
 
     Positions that were computed from receptions are deleted with them, and computed again without them.
     """
@@ -398,15 +398,17 @@ def cut_past(store: Store, person: str, start: float, stop: float) -> int:
     deleted, touched = 0, list[int]()
     for day in past.days():
         first = datetime.combine(FIRST_DAY + timedelta(days=day), datetime.min.time(), UTC).timestamp()
-        if first - DAY_LENGTH > stop or first + 2 * DAY_LENGTH < start:
+        near = [(a * MS, b * MS) for a, b in spans if first - DAY_LENGTH <= b and a <= first + 2 * DAY_LENGTH]
+        if not near:
             continue
         tables = past.read(day)
-        kept = [rows[(rows["time"] < start * MS) | (rows["time"] > stop * MS)] for rows in tables]
+        kept = [rows[~np.any([(rows["time"] >= a) & (rows["time"] <= b) for a, b in near], axis=0)] for rows in tables]
         if lost := sum(map(len, tables)) - sum(map(len, kept)):
             past.write(day, *kept)
             deleted, touched = deleted + lost, [*touched, day]
     if touched:
         past.place_scans()
         enter(store, past, past.days() + touched)
-    store.delete_guesses(person, start, stop)
+    for start, stop in spans:
+        store.delete_guesses(person, start, stop)
     return deleted
