@@ -79,6 +79,7 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 
 
 BOUNCES = "strides, RIDI, Microsoft: 0.013 to 0.04 m at 0.5 to 1.7 m/s, 0.023 to 0.03 m below"
+RUNS = "2.4 to 4.5 m/s at 2.6 to 3.1 steps/s: Cavagna et al. 1988, 2005; no recorded run was at hand"
 SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 
 
@@ -116,6 +117,10 @@ class CandidatePriors(Table):
         still=(1, 2),
     )
     usual_bounce: float = number(0.014, "m", "vertical motion below which a usual step is doubted", BOUNCES)
+    run_bounce: float = number(
+        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988"
+    )
+    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e")
     slow_factor: float = number(2.0, "factor", "length of the filters for slow steps, of those for usual ones")
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
@@ -159,7 +164,7 @@ class StridePriors(Table):
     """Lengths of steps."""
 
     shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.2, "m", "longest length of a step, by any model", still=(1, 2))
+    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(1, 2))
     sigma: float = number(
         0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(0.5, 2)
     )
@@ -169,6 +174,10 @@ class StridePriors(Table):
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps")
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``")
+    run: float = number(0.97, "m", "step of a run of 0.40 s a step", RUNS)
+    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS)
+    run_period: tuple[float, float] = number((0.40, 0.45), "s", "a step that is surely and hardly of a run", RUNS)
+    run_amplitude: tuple[float, float] = number((4.0, 6.0), "m/s²", "hardly and surely of a run", "simulated runs")
 
 
 @dataclass(frozen=True)
@@ -203,6 +212,10 @@ class MotionPriors(Table):
     )
     pace_steps: int = number(12, "steps", "before and after a change of pace, whose median durations are compared")
     pace_change: float = number(0.15, "ratio", "change of these from which it is another pace")
+    run_speed: float = number(2.0, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5")
+    run_change: float = number(
+        3.5, "factor", "of the change of pace between walk and run: strides are off by 0.25", RUNS
+    )
 
 
 # Directions
