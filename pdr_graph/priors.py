@@ -79,6 +79,8 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 
 
 BOUNCES = "strides, RIDI, Microsoft: 0.013 to 0.04 m at 0.5 to 1.7 m/s, 0.023 to 0.03 m below"
+JARS = "45 recorded walks: from 0.11 m/s², 0.07 of the amplitude, 0.14 of slow steps; made ones 0.06, 0.07; waving 0.04"
+LABELLED = "fit: 45 recorded and 40 simulated walks, 300 min of waving, lifting and rides, 15 % of the weight"
 RUNS = "2.4 to 4.5 m/s at 2.6 to 3.1 steps/s: Cavagna et al. 1988, 2005; no recorded run was at hand"
 SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 
@@ -131,6 +133,11 @@ class CandidatePriors(Table):
     sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS)
     limb_weight: float = number(0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings")
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
+    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar")
+    least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
+    jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS)
+    slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
+    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows how landings jar")
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
     tilt_window: float = number(1.5, "s", "over which that direction is averaged")
     steadiest_tilt: float = number(
@@ -157,6 +164,19 @@ class BoutPriors(Table):
     late: float = number(6.0, "s", "after which it is too late to report a step")
     past: float = number(9.0, "s", "samples before a landing on which it may depend")
     future: float = number(4.5, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
+
+
+@dataclass(frozen=True)
+class ConfidencePriors(Table):
+    """The probability that what was accepted as a step is one: a logistic regression."""
+
+    usual: float = number(2.6, "log odds", "of a usual step", LABELLED)
+    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED)
+    slow_jar: float = number(0.38, "share", "the same, of slow steps", LABELLED)
+    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED)
+    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED)
+    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED)
+    sure: float = number(0.9, "probability", "from which a step is as long as the model says")
 
 
 @dataclass(frozen=True)
@@ -1121,7 +1141,7 @@ class VerdictPriors(Table):
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
 
 
-STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()
+STEP, CANDIDATE, BOUT, CONFIDENCE = StepPriors(), CandidatePriors(), BoutPriors(), ConfidencePriors()
 STRIDES, TREADS, MOTION = StridePriors(), TreadPriors(), MotionPriors()
 FORWARD, GRIP, COMPASS, LIVE_COMPASS = ForwardPriors(), GripPriors(), CompassPriors(), LiveCompassPriors()
 REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()

@@ -73,6 +73,7 @@ def steps(data):
     paces = list(true_walks(data))
     pace(paces)
     carry_and_pace(data, paces)
+    confidence(data, paces)
     runs()
     carried(data)
     walks = measured(data)
@@ -237,6 +238,38 @@ def run(manners, hold, seed):
         inside = in_region(pairs, stated_covariance(track, pairs.time)).mean()
         scores[given] = float(np.hypot(*np.diff(track.position, axis=0).T).sum() / body.lengths.sum()), float(inside)
     return scores
+
+
+def confidence(data, walks):
+    """How many of the steps of a stated confidence are steps: of recordings, simulated walks, and where nobody walked.
+
+    The latter have 15 % of the weight; all recordings count the same.
+    """
+    stated = [(walk.gait.landings.confidence, 1) for walk in walks]
+    for _, _, path in oxford(data):
+        attitude = attitude_of(load(path))
+        stated.append((walking_steps(attitude.time, attitude.acceleration).confidence, 1))
+    for hold in HOLDS:
+        for manner in PACES:
+            signal = simulate(Scenario.of(paced(manner, hold, seed=0))).signals["accelerometer"]
+            stated.append((walking_steps(signal.time, signal.values).confidence, 1))
+    for frequency in (0.4, 0.5, 0.7, 0.9):
+        for angle in (0.2, 0.35, 0.5, 0.8):
+            stated.append((walking_steps(*gait_data.waved(frequency, angle)).confidence, 0))
+    for speed in (8.0, 14.0, 30.0):
+        for seed in range(4):
+            rough = gait_data.quarter_car(speed, 256e-6, seed=seed)
+            stated.append((walking_steps(*gait_data.in_hand(rough)).confidence, 0))
+    stated = [(steps, true) for steps, true in stated if len(steps)]
+    said, true = (np.concatenate(v) for v in zip(*((s, np.full(len(s), t)) for s, t in stated), strict=True))
+    weight = np.concatenate([np.full(len(s), 1 / len(s)) for s, _ in stated])
+    weight *= np.where(true == 1, 0.85 / weight[true == 1].sum(), 0.15 / weight[true == 0].sum())
+    rows = []
+    for low, high in ((0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.9), (0.9, 1.0)):
+        of = (said >= low) & (said < high)
+        shares = (np.sum(weight[of]), *(np.average(v[of], weights=weight[of]) for v in (said, true)))
+        rows.append([f"{low} to {high}", *(f"{100 * share:.0f} %" for share in shares)])
+    publish("results/steps.md", "confidence", table(["confidence", "of all", "stated", "true"], rows))
 
 
 def carried(data):

@@ -55,6 +55,8 @@ def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) ->
     swayed = np.repeat(_correlation(sway, lags, between, CANDIDATE.sway_noise), round(between / sampling), 1)
     after_step, after_stride, limb = np.split(swayed[:, : len(level)], [len(USUAL[RUNNING]), 2 * len(USUAL[RUNNING])])
     score[RUNNING] += CANDIDATE.sway_weight * np.maximum(after_stride - after_step, 0) / 2
+    flying = _bounce(level, USUAL[RUNNING][:, None], sampling) / CANDIDATE.usual_bounce
+    score[RUNNING] += CANDIDATE.run_weight * np.log(np.minimum(flying, 1.0))
     score[STRIDES] -= CANDIDATE.limb_weight * np.maximum(limb, 0)
     which, at = np.argmax(score - bobbing, axis=0), np.arange(len(level))
     regularity = np.maximum(once[which, at], twice[which, at])

@@ -19,6 +19,7 @@ def features(**values):
     given = {
         "amplitude": [4.0],
         "period": [0.5],
+        "rhythm": [0.5],
         "turn": [0.0],
         "bend": [0.0],
         "vertical": [5.0],
