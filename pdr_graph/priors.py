@@ -158,7 +158,7 @@ class BoutPriors(Table):
         0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
     )
     push_off: float = number(
-        0.4, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
     late: float = number(6.0, "s", "after which it is too late to report a step")
