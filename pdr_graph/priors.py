@@ -194,9 +194,10 @@ class StridePriors(Table):
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps")
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``")
-    run: float = number(0.97, "m", "step of a run of 0.40 s a step", RUNS)
+    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS)
+    run_duration: float = number(0.40, "s", "duration of that step", RUNS)
     run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS)
-    run_period: tuple[float, float] = number((0.40, 0.45), "s", "a step that is surely and hardly of a run", RUNS)
+    run_period: tuple[float, float] = number((0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS)
     run_amplitude: tuple[float, float] = number((4.0, 6.0), "m/s²", "hardly and surely of a run", "simulated runs")
 
 

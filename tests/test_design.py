@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2690),
+    ".": (15, 2760),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -73,11 +73,11 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (13, 2436),
     "estimation": (17, 2910),
     "estimation/ambiguity": (6, 388),
-    "estimation/factors": (15, 2390),
+    "estimation/factors": (15, 2400),
     "estimation/live": (10, 1730),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
-    "gait": (10, 1400),
+    "gait": (10, 1450),
     "inertial": (6, 518),
     "io": (18, 1720),
     "lab": (2, 0),

@@ -126,7 +126,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude * steps.period)
     strong = np.clip((steps.amplitude - STRIDES.run_amplitude[0]) / np.ptp(STRIDES.run_amplitude), 0, 1)
     short = np.clip((STRIDES.run_period[1] - steps.rhythm) / np.ptp(STRIDES.run_period), 0, 1)
-    run = STRIDES.run * (STRIDES.run_period[0] / steps.period) ** STRIDES.run_cadence
+    run = STRIDES.run * (STRIDES.run_duration / steps.period) ** STRIDES.run_cadence
     length = straight_on + strong * short * (run - straight_on)
     return _plausible(_in_turns(steps.bend) * length * height / REFERENCE_HEIGHT)
 
