@@ -483,6 +483,12 @@ class WalkerPriors(Table):
         "sigma of the change of R_s by that of the pace, in logarithms",
         "0.5 with noise at 15 changes in real malls; 1.5 in simulated browsing",
     )
+    blind: float = number(
+        0.06,
+        "-",
+        "sigma of R_s where most turns are unmeasured: a longer walk fits the noise of its fixes better",
+        "6 % between walks: docs/results/steps.md",
+    )
     between_walks: tuple[float, float, float] = number(
         (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person"
     )
@@ -964,8 +970,14 @@ class RidingPriors(Table):
     """Rides within a walk, by its steps and positions together."""
 
     speed: float = number(10.0, "m/s", "sigma per axis of the velocity: traffic in a town")
-    shortest: float = number(150.0, "m", "farther than a receiver jumps in a street")
+    slowest: float = number(1.0, "m/s", "faster than the steps, and than a receiver's error moves")
+    shortest: float = number(150.0, "m", "beyond the steps: farther than a receiver jumps in a street")
+    gradual: float = number(40.0, "m", "beyond them, without the longest jump; real walks on foot have up to 5 m")
     boarding: float = number(30.0, "s", "without steps at either end, while it is slow")
+    beside: float = number(0.5, "share", "of the way between the fixes before and after, by which one lies beside it")
+    alighted: float = number(15.0, "m", "walked since a ride under way, that end it")
+    stepping: float = number(0.5, "share", "of its time on steps, above which it may be none")
+    watched: float = number(60.0, "s", "of fixes in which a ride under way is sought")
     longest_stop: float = number(600.0, "s", "between two parts of one ride: a jam, a bus stop")
     at_stop: float = number(30.0, "m", "walked during such a stop, at most")
     pause: float = number(5.0, "s", "longest within a bout of walking: it ends with a rest of 3 s", "Kluge et al. 2021")

@@ -24,7 +24,15 @@ from pdr_graph.estimation.gps_track import Stated, follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import POSITIONS_ALONE
-from pdr_graph.estimation.rides import detect_rides, ridden, with_stated_rides, without_rides
+from pdr_graph.estimation.rides import (
+    detect_rides,
+    ridden,
+    ride_contradictions,
+    ride_notes,
+    stepping,
+    with_stated_rides,
+    without_rides,
+)
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
@@ -162,7 +170,8 @@ class Evidence(OneLineRepr):
     counter-clockwise from +x [rad].
     steps: None without an accelerometer, and before they are detected; headings, measurements: tables for the graph;
     floors: of every step, None if unknown; others: the same walk begun on other floors, if nothing says on which.
-    modes: of transport, as stated; rides: ``(r, 2)`` start and end of each [s], of which the steps are left out.
+    modes: of transport, as stated; rides: ``(r, 2)`` start and end of each [s], of which the steps are left out;
+    doubts: contradictions that are known before the estimate.
     """
 
     walk: Recording
@@ -182,6 +191,7 @@ class Evidence(OneLineRepr):
     others: tuple[Evidence, ...] = ()
     modes: Stated = ()
     rides: Array = field(default_factory=lambda: np.empty((0, 2)))
+    doubts: tuple[Contradiction, ...] = ()
 
     @property
     def near(self) -> Array:
@@ -456,13 +466,13 @@ def _on_foot(evidence: Evidence) -> Evidence:
     if steps is None:
         return evidence
     rides = with_stated_rides(detect_rides(steps, evidence.fixes), steps, evidence.modes)
-    notes = [f"a ride from {start:.0f} to {end:.0f} s: positions alone are used there" for start, end in rides.tolist()]
     return replace(
         evidence,
         steps=without_rides(steps, rides, evidence.fixes),
         headings=take(headings, ~ridden(headings.time, headings.time, rides)),
-        notes=(*evidence.notes, *notes),
+        notes=(*evidence.notes, *ride_notes(rides)),
         rides=rides,
+        doubts=ride_contradictions(rides, stepping(steps, rides)),
     )
 
 
@@ -519,6 +529,7 @@ def estimate(evidence: Evidence) -> Result:
         heading = np.interp(headings.time, track.time, np.unwrap(track.heading))
         reports = heading_reports(headings, heading, np.ones(len(headings)))
         walk = replace(walk, reports={**walk.reports, "headings": reports})
+    walk = replace(walk, contradictions=(*walk.contradictions, *evidence.doubts))
     missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     causal = partial(_filter_track, graph) if method in SMOOTHED else dict
     missing = (*graph.steps.unknown, *without_acceleration(evidence.walk), *missing)

@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2760),
+    ".": (15, 2840),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -71,24 +71,24 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1040),
     "apps/report": (8, 1372),
     "apps/serve": (13, 2436),
-    "estimation": (17, 2910),
+    "estimation": (18, 3162),
     "estimation/ambiguity": (6, 388),
     "estimation/factors": (15, 2400),
-    "estimation/live": (10, 1730),
+    "estimation/live": (10, 1824),
     "floor": (9, 1073),
     "floor/formats": (16, 1771),
-    "gait": (10, 1450),
+    "gait": (10, 1490),
     "inertial": (6, 518),
     "io": (18, 1720),
     "lab": (2, 0),
     "lab/papers": (5, 512),
     "lab/simulation": (9, 1190),
-    "online": (7, 890),
+    "online": (7, 936),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5315),
-    "online.navigator": (66, 11730),
+    "estimation.smoother": (30, 5538),
+    "online.navigator": (66, 12680),
 }
 
 
@@ -268,7 +268,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 28, 47, 29
+TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 30
 
 
 def passed(call):

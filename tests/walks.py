@@ -186,9 +186,9 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
     from pdr_graph.estimation.factors.fixes import drift
-    from pdr_graph.estimation.factors.gnss_bias import GnssBias
+    from pdr_graph.estimation.factors.gnss_bias import velocities
     from pdr_graph.estimation.graph import WalkGraph
-    from pdr_graph.geometry import interpolate, rotation
+    from pdr_graph.geometry import as_points, interpolate, rotation
 
     steps, _, truth = drawn_from_the_model(n, seed)
     random, sigma = np.random.default_rng([seed, 1]), 3.0
@@ -203,9 +203,9 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 
     graph = WalkGraph(steps, fixes_at(time, where, sigma))
-    gnss = graph.find(GnssBias)
-    assert gnss is not None
-    velocity = gnss.velocity[graph.positions.keyframe]
+    k = graph.positions.keyframe
+    way, heading = graph.chain.track
+    velocity = as_points((velocities(way, graph.chain.time) * np.exp(-1j * heading))[k])
     ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
     white = RECEIVERS.white * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)

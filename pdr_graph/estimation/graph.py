@@ -91,7 +91,7 @@ class WalkGraph:
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps, self.floor, self.prior, self._others = steps, floor, prior or Prior(), tuple(others)
+        self.steps, self.floor, self.prior, self._others = steps, floor, (prior or Prior()).after(steps), tuple(others)
         self.fixes = Fixes.none() if fixes is None else fixes
         tables = [table for table in (levels, closures, *measurements) if table is not None]
         tables = [table for table in tables if kind_of(table) and len(table)]  # raises for types without a kind

@@ -23,24 +23,23 @@ def gap(
     """The time between two parts of a recording [s]: a row of length 0, or one to each of the times `rows` within.
 
     turn, sigma_turn: heading change and its standard deviation [rad]; speed: standard deviation of the displacement
-    per second and axis [m/s]. Several rows have the errors of one, divided among them.
+    per second and axis [m/s]. Several rows have the displacement of one, divided among them; the last has the turn.
     """
     within = [] if rows is None else rows[(rows > start + INSTANT) & (rows < end - INSTANT)]
     time = np.unique(np.append(within, end))
     duration, nothing = np.diff(time, prepend=start), np.zeros(len(time))
     share = duration / (end - start)
-    sigma_turn = MOTION.gap_turn if sigma_turn is None else sigma_turn
-    speed = MOTION.gap_speed if speed is None else speed
+    speed, last = MOTION.gap_speed if speed is None else speed, time == end
     return Steps(
         start,
         end,
         time=time,
         duration=duration,
         length=nothing,
-        turn=turn * share,
+        turn=turn * last,
         pause_turn=nothing,
         sigma_length=speed * (end - start) * np.sqrt(share),
-        sigma_turn=sigma_turn * np.sqrt(share),
+        sigma_turn=np.where(last, MOTION.gap_turn if sigma_turn is None else sigma_turn, MOTION.standing_turn),
     )
 
 

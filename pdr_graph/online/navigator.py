@@ -27,8 +27,9 @@ from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.window import Window
+from pdr_graph.estimation.live.window import Window, rewound
 from pdr_graph.estimation.results import MOVED, movement_contradictions, time_on_steps
+from pdr_graph.estimation.rides import RideWatch
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
@@ -42,6 +43,7 @@ from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.status import (
+    RIDE,
     Status,
     contradiction_of_fixes,
     contradictions_of,
@@ -125,7 +127,7 @@ class Navigator:
         prior, executor = prior or prior_of(self.walker.profile), shared_thread() if executor == "thread" else executor
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
         self._alone: FixesAlone | None = None
-        self._away = Away()
+        self._away, self._rides = Away(), RideWatch()
         self._display, self._stand = Display(), Stand()
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
@@ -159,7 +161,7 @@ class Navigator:
             return
         self._pose = None
         if isinstance(event, Steps):
-            if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:
+            if (steps := self._checks.in_order(event, self._certain_until)) is not None:
                 self._extend(steps)
         elif isinstance(event, Scan):
             self._scan(event)
@@ -228,14 +230,15 @@ class Navigator:
 
     @property
     def _follows_fixes(self) -> bool:
-        """True if the fixes went away from the walk, and the pose with them."""
-        return self._alone is not None and self._away.is_followed(self._alone, self._walked)
+        """True in a ride, and if the fixes went away from the walk, and the pose with them."""
+        alone = self._alone
+        return alone is not None and (self._rides.since is not None or self._away.is_followed(alone, self._walked))
 
     @property
     def _away_by(self) -> float:
         """Distance of the fixes from the walk where they are followed [m], else 0."""
         alone = self._alone
-        if alone is None or not self._follows_fixes:
+        if alone is None or self._rides.since is not None or not self._follows_fixes:
             return 0.0
         return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
@@ -270,6 +273,7 @@ class Navigator:
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
                 *issues_of(self._gait.health, located and not walking, self._away_by),
+                *((RIDE.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if (moved := self._moved_without_steps) else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
@@ -297,11 +301,14 @@ class Navigator:
         self._tail = self._provisional = self._pose = None
         if last is not None:
             self._extend(last)
+        for part in self._rides.finish():
+            self._append_steps(part)
         self._graph.finish()
-        if self._graph.final is not None:
-            return self._graph.final
+        if (final := self._graph.final) is not None:
+            warnings, doubts = (*final.warnings, *self._rides.notes), self._rides.contradictions
+            return replace(final, warnings=warnings, contradictions=(*final.contradictions, *doubts))
         estimate = self._estimate()
-        warnings = warnings_of(self._graph, self.building, estimate)
+        warnings = (*warnings_of(self._graph, self.building, estimate), *self._rides.notes)
         return replace(estimate, dead_reckoning=dead_reckoning_of(self._chunks, estimate.fixes), warnings=warnings)
 
     def _estimate(self) -> Estimate:
@@ -322,6 +329,7 @@ class Navigator:
                 *contradictions_of(smoother, self.building, rows, reports),
                 *contradiction_of_fixes(self._away_by),
                 *movement_contradictions(self._stepless, self._on_steps),
+                *self._rides.contradictions,
             ),
             placed=smoother.graph.finalized.anchored,
             assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
@@ -372,6 +380,20 @@ class Navigator:
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)
 
     def _extend(self, steps: Steps) -> None:
+        """Append the next certain steps; those of a ride wait for the fixes that end it."""
+        for part in self._rides.steps(steps):
+            self._append_steps(part)
+
+    def _begin_ride(self, since: float) -> None:
+        """Put a gap in place of the steps since the start of a ride, as far as they are in the window."""
+        if self._window.keyframes:
+            end = self._window.steps.end
+            begin = self._graph.rewind(since)
+            ride = self._rides.gap(begin, end)
+            self._chunks = [*rewound(self._chunks, begin), ride]
+            self._graph.extend(ride)
+
+    def _append_steps(self, steps: Steps) -> None:
         if self._start_heading[0] is not None and not self._certain and (len(steps) or not self._window.keyframes):
             first = float(steps.time[0]) if len(steps) else steps.start
             start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
@@ -392,7 +414,12 @@ class Navigator:
 
     @property
     def _now(self) -> float:
-        return self._tail.end if self._tail is not None else self._window.steps.end
+        return self._tail.end if self._tail is not None else self._certain_until
+
+    @property
+    def _certain_until(self) -> float:
+        """End of the certain steps, with those of a ride under way. [s]"""
+        return float(np.fmax(self._rides.end, self._window.steps.end))
 
     def _fix(self, received: Fixes) -> None:
         """Append fixes in the frame of the walk, which the first may define; unusable ones are counted."""
@@ -429,7 +456,11 @@ class Navigator:
             self._floors.add_fixes(data)
         self._graph.append(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
-            self._alone = after_fixes(self._alone, data[n])
+            self._alone, riding = after_fixes(self._alone, data[n]), self._rides.since is not None
+            for part in self._rides.fix(float(data.time[n]), data.position[n], float(data.sigma[n])):
+                self._append_steps(part)
+            if self._rides.since is not None and not riding:
+                self._begin_ride(self._rides.since)
             if self._window.keyframes and self._alone is not None:
                 belief = self._graph.output.belief(self._tail, self._alone.time)
                 self._away = self._away.after(self._alone, belief, self._walked)

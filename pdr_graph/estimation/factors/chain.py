@@ -368,7 +368,7 @@ class Chain:
             pace=self.pace[row:],
             begins=self.begins and first == 0,
             ends=self.ends,
-            led=complex(self.lead[first] * np.exp(-1j * self._direction[first])) if first else self.led,
+            led=complex(self.lead[first] * np.exp(-1j * self.direction[first])) if first else self.led,
             heading=None if self.heading is None else self.heading[first:],
         )
 
@@ -395,7 +395,7 @@ class Chain:
 
         Such a receiver states the mean of where it was, with weights exp(−Δt / STANDING). In the axes of `heading`.
         """
-        turned, past = np.exp(1j * self._direction), np.diff(self.time) / RECEIVERS.standing
+        turned, past = np.exp(1j * self.direction), np.diff(self.time) / RECEIVERS.standing
         weight = -np.expm1(-past) / np.maximum(past, INSTANT)
         moves, lead = (self.delta[:, 0] + 1j * self.delta[:, 1]) * turned[:-1] * weight, [self.led * turned[0]]
         for kept, moved in zip(np.exp(-past).tolist(), moves.tolist(), strict=True):
@@ -403,7 +403,8 @@ class Chain:
         return np.array(lead)
 
     @property
-    def _direction(self) -> Array:
+    def direction(self) -> Array:
+        """Headings of the keyframes ``(k + 1,)`` by an estimate, else by dead reckoning. [rad]"""
         return self.track[1] if self.heading is None else self.heading
 
     def keyframe(self, time: Array) -> Index:

@@ -4,9 +4,9 @@
 its correlation is 0.9 after a second, 0.5 after ten), so a minute of epochs has the information of a few fixes, not of
 sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of stated sigma σ is modelled as
 
-    z = p − R(θ) v lag − l behind + g + white noise of variance ω² σ₀² + n (σ² − σ₀²)
+    z = p − v lag − l behind + g + white noise of variance ω² σ₀² + n (σ² − σ₀²)
 
-with ω = RECEIVERS.white, v the recent walking velocity in the body's axes. g is a Gauss–Markov process of sigma σ₀
+with ω = RECEIVERS.white, v the recent walking velocity. g is a Gauss–Markov process of sigma σ₀
 about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
 under a roof. Its sigma is k times the receiver's median σ₀. How large k is nothing tells where there is no other
 source, so that it is a hypothesis: most receivers have RECEIVERS.throughout, some are several times worse than they
@@ -14,8 +14,9 @@ state. The process runs in units of `drift`, with correlation length 1. σ₀ is
 same error; the excess of worse ones among them is common to them as well.
 
 Indoors receivers smooth their positions over minutes and follow a walk only in part: of three in a museum (IPIN 2023)
-0.87, 0.53 and 0.79 of it. l is how far the walk is ahead of its own recent mean (`Chain.lead`), by the headings of the
-estimate before, and behind, a constant of the receiver, the share that it does not follow. Without it strides shrink.
+0.87, 0.53 and 0.79 of it. l is how far the walk is ahead of its own recent mean (`Chain.lead`), and
+behind, a constant of the receiver, the share that it does not follow. Without it strides shrink. v and l are in the
+axes of the estimate before: along the heading of the pose, a lag of 20 s would let each heading explain each fix.
 
 The course of a receiver, which Doppler measures without the error of the position, is where the walk leads:
 
@@ -62,7 +63,7 @@ BEFORE = 2 * SECOND + 3 * RECEIVERS.lag  # [s] from the keyframe to the fix: lon
 class GnssBias(Measurement):
     """Offset and lag of each receiver along the walk; none before the second pass.
 
-    fixes, steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s], see `velocities`;
+    fixes, steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s];
     lead: ``(k + 1, 2)`` l there [m].
     fix: ``(f,)`` indices of the biased fixes; white: ``(f,)`` sigmas of their independent errors [m]; node: ``(f,)``
     row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
@@ -189,9 +190,10 @@ class GnssBias(Measurement):
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
         lead = np.zeros(len(chain.time), dtype=complex) if chain.heading is None else chain.lead
-        velocity = velocities(*chain.track, chain.time)
-        courses = self.courses.bind(chain)
-        return replace(self, fixes=self.fixes.bind(chain), velocity=velocity, lead=as_points(lead), courses=courses)
+        moves = (chain.delta[:, 0] + 1j * chain.delta[:, 1]) * np.exp(1j * chain.direction[:-1])
+        velocity = as_points(velocities(np.append(0.0, np.cumsum(moves)), chain.time))
+        fixes, courses = self.fixes.bind(chain), self.courses.bind(chain)
+        return replace(self, fixes=fixes, velocity=velocity, lead=as_points(lead), courses=courses)
 
     def variables(self, poses: Array) -> Sequence[Variables]:
         """A node (g_x, g_y [-], lag [s]) every few seconds in which there are fixes; o [-] of each receiver."""
@@ -219,15 +221,13 @@ class GnssBias(Measurement):
         behind = at.state[self.symbol_throughout][receiver, 2:]
         pose, now = at.state.poses[keyframe], (1 - share) * g[node] + share * g[node + 1]
         R = pose_rotation(pose[:, 2])[:, :2, :2]
-        ahead = np.einsum("fij,fj->fi", R, self.velocity[keyframe])
-        lead = self.lead[keyframe]
+        ahead, lead = self.velocity[keyframe], self.lead[keyframe]
         shifted = pose[:, :2] - ahead * now[:, 2:] - lead * behind + now[:, :2]
         value = (shifted - self.fixes.fixes.position[fix]) / white[:, None]
 
         def jacobian() -> list[Array]:
             by_pose, by_now = np.zeros((len(pose), 2, 3)), np.zeros((len(pose), 2, 3))
             by_pose[:, :, :2] = R / white[:, None, None]
-            by_pose[:, :, 2] = -(ahead @ QUARTER.T) * now[:, 2:] / white[:, None]
             by_throughout = np.zeros((len(pose), 2, 3))
             by_throughout[:, :, 2] = -lead / white[:, None]
             by_now[:, [0, 1], [0, 1]] = 1 / white[:, None]
@@ -416,13 +416,9 @@ def _number(source: str) -> int:
     return zlib.crc32(source.encode()) % SOURCE_NODES
 
 
-def velocities(track: Complex, heading: Array, time: Array) -> Array:
-    """Mean velocity ``(k + 1, 2)`` [m/s] of a dead-reckoned track over LATELY, forward and to the left.
-
-    track: ``(k + 1,)`` [m]; heading: ``(k + 1,)`` [rad]; time: ``(k + 1,)`` [s].
-    """
-    way = (track - np.interp(time - RECEIVERS.lately, time, track)) * np.exp(-1j * heading) / RECEIVERS.lately
-    return as_points(way)
+def velocities(way: Complex, time: Array) -> Complex:
+    """Mean velocity ``(k + 1,)`` [m/s] over the last RECEIVERS.lately. way: ``(k + 1,)`` positions [m]."""
+    return (way - np.interp(time - RECEIVERS.lately, time, way)) / RECEIVERS.lately
 
 
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:

@@ -12,8 +12,8 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
-from pdr_graph.priors import PRICES, WALKER, WALLS
-from pdr_graph.types import Array
+from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
+from pdr_graph.types import Array, Steps
 
 if TYPE_CHECKING:
     import gtsam
@@ -64,6 +64,12 @@ class Prior:
         correlation = np.eye(3)
         correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
         return correlation * np.outer(self.sigma, self.sigma)
+
+    def after(self, steps: Steps) -> Prior:
+        """The prior for these steps: if most of their turns are unmeasured, positions say little of the stride."""
+        if 2 * np.count_nonzero(steps.sigma_turn >= MOTION.unmeasured_turn) <= len(steps):
+            return self
+        return replace(self, sigma=(min(self.sigma[0], WALKER.blind), *self.sigma[1:]))
 
     @property
     def longest(self) -> float:

@@ -264,6 +264,15 @@ class LiveAmbiguity:
         self.trial.cancel()
         self.next_batch = -np.inf
 
+    def rewind(self, to: float) -> None:
+        """Drop the steps after ``to`` [s], and all answers that know them."""
+        self.history.rewind(to)
+        for question in self.questions:
+            question.cancel()
+        self.output.particles, self.next_batch = None, -np.inf
+        if self.output.modes.mixture is not None and self.output.modes.time > to:
+            self.output.modes = Modes()
+
     def _first_calibration(self) -> tuple[Array, Array]:
         """Mean ``(3,)`` and covariance ``(3, 3)`` of the window's first calibration, by the walk so far."""
         graph = self.graph

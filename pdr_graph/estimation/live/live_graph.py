@@ -131,6 +131,18 @@ class LiveGraph:
             del self._arrivals[:-WAITING]
         return times
 
+    def rewind(self, to: float) -> None:
+        """Drop the steps and keyframes after ``to`` [s], and the decisions about measurements since; these remain."""
+        self.window.rewind(to)
+        end = self.window.times[-1]
+        self._arrivals = [time for time in self.log.times() if time > end + CLOSE]
+        for name, numbers in self.log.all_numbers(end).items():
+            if "number" in (rows := self.decisions.get(name, {})):
+                kept = np.isin(rows["number"], numbers)
+                self.decisions = self.decisions | {name: {column: values[kept] for column, values in rows.items()}}
+        self.log.version += 1
+        self.moved()
+
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
         """Close the keyframes due after new steps and measurements; those older than the lag leave.
 

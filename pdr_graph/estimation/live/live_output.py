@@ -292,7 +292,7 @@ def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
 
 @dataclass(frozen=True)
 class Away:
-    """Fixes in a row that agree and go away from the walk: a ride, or steps that are not recognised.
+    """Fixes in a row that agree and go away from the walk: a slow ride, or steps that are not recognised.
 
     count: of them; place ``(2,)`` [m], walked [m]: at the first.
     """

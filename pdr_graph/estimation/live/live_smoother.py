@@ -78,6 +78,12 @@ class LiveSmoother:
         self.ambiguity.move_particles(busy)
         self.graph.search()
 
+    def rewind(self, to: float) -> float:
+        """Drop the steps after ``to`` [s], as far as they are in the window; returns when those that are left end."""
+        self.graph.rewind(to)
+        self.ambiguity.rewind(self.graph.window.steps.end)
+        return self.graph.window.steps.end
+
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
         self.ambiguity.history.set_goings(goings)

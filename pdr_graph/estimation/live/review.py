@@ -24,7 +24,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import Excess, moved
 from pdr_graph.estimation.live.live_output import modes_at_end
-from pdr_graph.estimation.live.window import Decisions, MeasurementLog, Path, later_steps, numbered
+from pdr_graph.estimation.live.window import Decisions, MeasurementLog, Path, later_steps, numbered, rewound
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import ANY_HEADING, differences, horizontal_sigma, nearest, pose_rotation
@@ -130,6 +130,10 @@ class History:
         self._chunks.append(steps)
         if steps.end - self._chunks[0].start > 3 * DOUBTS.span:
             self._forget(steps.end - 2 * DOUBTS.span)
+
+    def rewind(self, to: float) -> None:
+        """Drop the steps that end after ``to`` [s]."""
+        self._chunks = rewound(self._chunks, to)
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads, see `with_goings`."""

@@ -189,6 +189,11 @@ class StepBuffer:
         rest = pieces[pieces > last + CLOSE]
         return ends + rest[MOTION.steps_per_keyframe - 1 :: MOTION.steps_per_keyframe].tolist()
 
+    def rewind(self, to: float) -> None:
+        """Drop the pieces that end after ``to`` [s]."""
+        self.whole = self.whole[: int(np.searchsorted(self.whole[:, END], to + CLOSE))]
+        self.chunks = rewound(self.chunks, self.end)
+
     def forget(self, before: float) -> None:
         """Drop steps that ended before the first keyframe of the window, ``before`` [s]."""
         count = int(np.searchsorted(self.whole[:, END], before + CLOSE))
@@ -207,6 +212,17 @@ def later_steps(steps: Steps, before: float) -> Steps:
     return Steps(start=float(steps.time[count - 1]), end=steps.end, final_turn=steps.final_turn, **later)
 
 
+def rewound(chunks: list[Steps], end: float) -> list[Steps]:
+    """The steps that end by ``end`` [s], where the last chunk ends now."""
+    before = [chunk for chunk in chunks if chunk.end <= end]
+    for chunk in chunks[len(before) : len(before) + 1]:
+        if chunk.start < end:
+            count = int(np.searchsorted(chunk.time, end, side="right"))
+            rows = {name: getattr(chunk, name)[:count] for name in STEP_COLUMNS}
+            before.append(replace(chunk, end=end, final_turn=0.0, **rows))
+    return before
+
+
 Others = Mapping[str, Mapping[int, Array]]  # estimates ``(3,)`` of further variables, by symbol and number
 
 
@@ -222,7 +238,7 @@ class Window:
         self.prior, self.plan, self.floor, self.steps = prior, plan, floor, StepBuffer()
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
         self.intervals, self.c, self.pace = list[Interval](), dict[int, Array](), dict[int, float]()
-        self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
+        self.segment, self.in_segment, self.in_gap, self.count, self.finished = 0, 0, False, 0, False
         self.led: complex = 0.0
         self._chain: Chain | None = None  # of the last intervals, None if it must be built again
 
@@ -254,10 +270,12 @@ class Window:
         new: list[Interval] = []
         for end in ends:
             rows = self.steps.rows(self.times[-1], end)
-            due = self.in_segment >= MOTION.steps_per_segment or rows[:, IS_GAP].any()
+            gap = bool(rows[:, IS_GAP].any())
+            due = self.in_segment >= MOTION.steps_per_segment or (gap and not self.in_gap)
             if due and self.intervals:  # an empty window has no link from the segment before
                 self.segment, self.in_segment = self.segment + 1, 0
                 self.c[self.segment] = self.c[self.segment - 1]
+            self.in_gap = gap
             self.in_segment += len(rows)
             new.append(self._interval(self._number(), self.times[-1], end, self.segment, self.floor))
             ahead = self._pose_after(self.pose[-1], new[-1], self.c[self.segment])
@@ -312,6 +330,14 @@ class Window:
         self.keyframes.insert(at, number)
         self.times.insert(at, time)
         self.pose = np.insert(self.pose, at, between, axis=0)
+
+    def rewind(self, to: float) -> None:
+        """Drop what is after the last keyframe until ``to`` [s], or after the first."""
+        count = max(int(np.searchsorted(self.times, to + CLOSE)), 1)
+        del self.keyframes[count:], self.times[count:], self.intervals[count - 1 :]
+        self.pose, self._chain = self.pose[:count], None
+        self.segment = self.intervals[-1].segment if self.intervals else self.segment
+        self.steps.rewind(self.times[-1])
 
     def set_goings(self, goings: Array) -> bool:
         """Give the steps on stairs the length of the treads, see `StepBuffer`; True if any changed."""
@@ -576,6 +602,12 @@ class MeasurementLog:
         """Times ``(n,)`` [s] of the rows that determine positions."""
         times = [last_time(table.data) for table in self._tables.values() if kind_of(table.data).determines_position]
         return np.concatenate([np.empty(0), *times])
+
+    def times(self) -> list[float]:
+        """Times of the rows of all types [s]."""
+        return [
+            time for table in self._tables.values() for time in np.round(table.data.time, DECIMALS).ravel().tolist()
+        ]
 
     def until(self, end: float) -> list[Any]:
         """The rows of all types up to ``end`` [s]."""
