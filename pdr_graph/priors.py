@@ -79,6 +79,9 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 
 
 BOUNCES = "strides, RIDI, Microsoft: 0.013 to 0.04 m at 0.5 to 1.7 m/s, 0.023 to 0.03 m below"
+JARS = "45 recorded walks: from 0.11 m/s², 0.07 of the amplitude, 0.14 of slow steps; made ones 0.06, 0.07; waving 0.04"
+LABELLED = "fit: 45 recorded and 40 simulated walks, 300 min of waving, lifting and rides, 15 % of the weight"
+RUNS = "2.4 to 4.5 m/s at 2.6 to 3.1 steps/s: Cavagna et al. 1988, 2005; no recorded run was at hand"
 SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 
 
@@ -116,6 +119,10 @@ class CandidatePriors(Table):
         still=(1, 2),
     )
     usual_bounce: float = number(0.014, "m", "vertical motion below which a usual step is doubted", BOUNCES)
+    run_bounce: float = number(
+        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988"
+    )
+    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e")
     slow_factor: float = number(2.0, "factor", "length of the filters for slow steps, of those for usual ones")
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
@@ -126,6 +133,11 @@ class CandidatePriors(Table):
     sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS)
     limb_weight: float = number(0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings")
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
+    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar")
+    least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
+    jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS)
+    slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
+    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows how landings jar")
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
     tilt_window: float = number(1.5, "s", "over which that direction is averaged")
     steadiest_tilt: float = number(
@@ -155,11 +167,24 @@ class BoutPriors(Table):
 
 
 @dataclass(frozen=True)
+class ConfidencePriors(Table):
+    """The probability that what was accepted as a step is one: a logistic regression."""
+
+    usual: float = number(2.6, "log odds", "of a usual step", LABELLED)
+    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED)
+    slow_jar: float = number(0.38, "share", "the same, of slow steps", LABELLED)
+    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED)
+    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED)
+    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED)
+    sure: float = number(0.9, "probability", "from which a step is as long as the model says")
+
+
+@dataclass(frozen=True)
 class StridePriors(Table):
     """Lengths of steps."""
 
     shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.2, "m", "longest length of a step, by any model", still=(1, 2))
+    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(1, 2))
     sigma: float = number(
         0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(0.5, 2)
     )
@@ -169,6 +194,11 @@ class StridePriors(Table):
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps")
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``")
+    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS)
+    run_duration: float = number(0.40, "s", "duration of that step", RUNS)
+    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS)
+    run_period: tuple[float, float] = number((0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS)
+    run_amplitude: tuple[float, float] = number((4.0, 6.0), "m/s²", "hardly and surely of a run", "simulated runs")
 
 
 @dataclass(frozen=True)
@@ -203,6 +233,10 @@ class MotionPriors(Table):
     )
     pace_steps: int = number(12, "steps", "before and after a change of pace, whose median durations are compared")
     pace_change: float = number(0.15, "ratio", "change of these from which it is another pace")
+    run_speed: float = number(2.0, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5")
+    run_change: float = number(
+        3.5, "factor", "of the change of pace between walk and run: strides are off by 0.25", RUNS
+    )
 
 
 # Directions
@@ -1120,7 +1154,7 @@ class VerdictPriors(Table):
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
 
 
-STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()
+STEP, CANDIDATE, BOUT, CONFIDENCE = StepPriors(), CandidatePriors(), BoutPriors(), ConfidencePriors()
 STRIDES, TREADS, MOTION = StridePriors(), TreadPriors(), MotionPriors()
 FORWARD, GRIP, COMPASS, LIVE_COMPASS = ForwardPriors(), GripPriors(), CompassPriors(), LiveCompassPriors()
 REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()

@@ -457,7 +457,7 @@ class Recording(OneLineRepr):
         return [*duration, *rates, *([count(len(self.fixes), "fix")] if len(self.fixes) else [])]
 
 
-STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn", "confidence")
 
 
 @dataclass(frozen=True)
@@ -474,6 +474,7 @@ class Steps(Rows):
     final_turn: heading change from the last step to ``end`` [rad].
     stepless: time in which the device moved as a carried one does, and no step was recognised [s].
     unknown: quantities that the sensors do not determine, one line each.
+    confidence: ``(n,)`` probability that each is a step, by the detector; 1 if it is not stated.
 
     A row of length 0 is a gap in the recording (`is_gap`): the displacement is 0 ± ``sigma_length`` per axis.
     """
@@ -490,9 +491,12 @@ class Steps(Rows):
     final_turn: float = 0.0
     unknown: tuple[str, ...] = ()
     stepless: float = 0.0
+    confidence: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""
+        if self.confidence is None:
+            object.__setattr__(self, "confidence", np.ones(len(self.time)))
         check_finite(self, *STEP_COLUMNS)
         if not (np.isfinite([self.start, self.end, self.final_turn]).all() and self.start < self.end):
             raise ValueError(f"Steps: found start {self.start} and end {self.end}, expected start < end")
@@ -502,6 +506,8 @@ class Steps(Rows):
         under_way = (self.duration > 0) & (self.time - self.duration >= before - INSTANT)
         check_each("Steps.duration", under_way, self.duration, "steps that begin after the end of the previous step")
         check_each("Steps.sigma_length", self.sigma_length > 0, self.sigma_length, "standard deviations above 0 m")
+        probable = (self.confidence >= 0) & (self.confidence <= 1)
+        check_each("Steps.confidence", probable, self.confidence, "probabilities from 0 to 1")
         check_each("Steps.sigma_turn", self.sigma_turn > 0, self.sigma_turn, "standard deviations above 0 rad")
 
     @property

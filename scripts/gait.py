@@ -10,7 +10,8 @@ from conditions import percentiles
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import detect_steps, magnetic_headings
+from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.report.evaluation import in_region, pair, stated_covariance
 from pdr_graph.frames import enu
 from pdr_graph.gait import walker
 from pdr_graph.gait.compass import LiveCompass
@@ -18,8 +19,8 @@ from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.gait.walker import StepFeatures
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.gait.walker import StepFeatures, Walker
+from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
@@ -49,6 +50,15 @@ QUIET = {"IPIN 2023": 60.0, "IPIN21": 4.0}  # [s] from the start
 LONG = 35.0  # [m]
 CHAINS = {"site1/B1": "5ddb8a0", "site1/F1": "5dd9ef", "site2/F1": "5dd36"}
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+CARRIES = {"leg": "trouser pocket", "bag": "bag", "handheld": "hand", "body": "body"}  # by RIDI's names
+PACES = ("slow", "normal", "fast", "jog", "run", "sprint")
+RUNS = {
+    "walk": ("normal",) * 5,
+    "jog": ("jog",) * 5,
+    "run": ("run",) * 5,
+    "walk, jog, walk": ("normal", "jog", "jog", "jog", "normal"),
+    "walk, run, walk": ("normal", "run", "run", "run", "normal"),
+}
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
 LIVE_WALKS = 12  # per hold
@@ -62,6 +72,9 @@ def steps(data):
     quiet(data)
     paces = list(true_walks(data))
     pace(paces)
+    carry_and_pace(data, paces)
+    confidence(data, paces)
+    runs()
     carried(data)
     walks = measured(data)
     strides(walks)
@@ -144,10 +157,125 @@ def pace(walks):
     publish("results/steps.md", "pace", table(header, rows))
 
 
+def carry_and_pace(data, walks):
+    """Errors of steps and lengths by carry and pace, of recordings and of simulated walks."""
+    errors = {}
+    for walk in walks:
+        carry = "hand" if walk.walker == "strides" else CARRIES[walk.name.split("_")[1].rstrip("0123456789")]
+        speed = walk.way / walk.duration
+        at = "slow" if speed < 0.8 else "normal" if speed < 1.3 else "fast"
+        counted = len(walk.gait.landings) / walk.steps - 1, float(walk.lengths.sum()) / walk.way - 1
+        errors.setdefault((carry, "recorded", at), []).append(counted)
+    for name, true, path in oxford(data):
+        if not name.endswith("switch rises"):
+            attitude = attitude_of(load(path))
+            counted = len(walking_steps(attitude.time, attitude.acceleration)) / true - 1, np.nan
+            errors.setdefault((name.split(",")[0], "recorded", "normal"), []).append(counted)
+    for hold in HOLDS:
+        for manner in PACES:
+            for seed in range(4):
+                walk = simulate(Scenario.of(paced(manner, hold, seed)))
+                gait = gait_signals(walk.recording(*SENSORS[:2]))[0]
+                length = walker_models()(StepFeatures(gait), height=walk.walker.height)[0].sum()
+                counted = len(gait.landings) / len(walk.body.landings) - 1, length / walk.body.lengths.sum() - 1
+                errors.setdefault((hold, "simulated", manner), []).append(counted)
+    rows = []
+    for carry in (*HOLDS, "body"):
+        for kind in ("recorded", "simulated"):
+            cells = [cell(np.array(errors.get((carry, kind, manner), []))) for manner in PACES]
+            if any(cells):
+                rows.append([carry, kind, *cells])
+    publish("results/steps.md", "carry and pace", table(["carried", "", *PACES], rows))
+
+
+def cell(errors):
+    """The mean error of the steps, and the root mean square error of the length, of walks ``(n, 2)``."""
+    if not len(errors):
+        return ""
+    steps, length = errors[:, 0].mean(), errors[np.isfinite(errors[:, 1]), 1]
+    return f"{100 * steps:+.1f} %" + (f", {100 * np.sqrt(np.mean(length**2)):.0f} %" if len(length) else "")
+
+
+def paced(manner, hold, seed):
+    """A scenario of one pace."""
+    corners = [[90, 0], [90, 60], [0, 60]]
+    route = [[0, 0], {"stand": 4}, {"to": corners, "manner": manner}, {"stand": 4}]
+    return {"seed": seed, "route": route, "phone": {"hold": hold}}
+
+
+def runs():
+    """Runs, alone and between walks: lengths by the model, and with fixes; and how often the region holds."""
+    rows = []
+    for name, manners in RUNS.items():
+        found = [run(manners, hold, seed) for hold in ("hand", "trouser pocket") for seed in range(4)]
+        for given in ("start and a quarter", "every 10 s"):
+            ratio, inside = zip(*[each[given] for each in found], strict=True)
+            off = 100 * np.abs(np.array(ratio) - 1)
+            rows.append(
+                [name, given, f"{np.median(off):.0f} %", f"{off.max():.0f} %", f"{100 * np.mean(inside):.0f} %"]
+            )
+    header = ["", "fixes", "error of the length: median", "largest", "in 90 %"]
+    publish("results/steps.md", "runs", table(header, rows))
+
+
+def run(manners, hold, seed):
+    """Estimated by true length and share of moments in the 90 % region, by fixes."""
+    corners = [[40, 0], [120, 0], [120, 100], [40, 100], [40, 60]]
+    route = [[0, 0], {"stand": 3}, *({"to": [c], "manner": m} for c, m in zip(corners, manners, strict=True))]
+    walk = simulate(Scenario.of({"seed": seed, "route": [*route, {"stand": 3}], "phone": {"hold": hold}}))
+    body, random, scores = walk.body, np.random.default_rng(seed), {}
+    steps = detect_steps(walk.recording(*SENSORS[:2]), Walker(height=walk.walker.height))
+    end = float(body.time[-1])
+    for given, time, sigma in (
+        ("start and a quarter", np.array([0.2, end / 4]), 0.3),
+        ("every 10 s", np.arange(0.5, end, 10.0), 1.5),
+    ):
+        place = interpolate(time, body.time, body.position) + random.normal(0, sigma, (len(time), 2))
+        track = smooth(WalkGraph(steps, Fixes(time, place, np.full(len(time), sigma)))).trajectory
+        moments = np.arange(0.5, end - 0.5, 0.5)
+        true = interpolate(moments, body.time, body.position)
+        pairs = pair(track, Trajectory(moments, true, np.full(len(moments), np.nan)))
+        inside = in_region(pairs, stated_covariance(track, pairs.time)).mean()
+        scores[given] = float(np.hypot(*np.diff(track.position, axis=0).T).sum() / body.lengths.sum()), float(inside)
+    return scores
+
+
+def confidence(data, walks):
+    """How many of the steps of a stated confidence are steps: of recordings, simulated walks, and where nobody walked.
+
+    The latter have 15 % of the weight; all recordings count the same.
+    """
+    stated = [(walk.gait.landings.confidence, 1) for walk in walks]
+    for _, _, path in oxford(data):
+        attitude = attitude_of(load(path))
+        stated.append((walking_steps(attitude.time, attitude.acceleration).confidence, 1))
+    for hold in HOLDS:
+        for manner in PACES:
+            signal = simulate(Scenario.of(paced(manner, hold, seed=0))).signals["accelerometer"]
+            stated.append((walking_steps(signal.time, signal.values).confidence, 1))
+    for frequency in (0.4, 0.5, 0.7, 0.9):
+        for angle in (0.2, 0.35, 0.5, 0.8):
+            stated.append((walking_steps(*gait_data.waved(frequency, angle)).confidence, 0))
+    for speed in (8.0, 14.0, 30.0):
+        for seed in range(4):
+            rough = gait_data.quarter_car(speed, 256e-6, seed=seed)
+            stated.append((walking_steps(*gait_data.in_hand(rough)).confidence, 0))
+    stated = [(steps, true) for steps, true in stated if len(steps)]
+    said, true = (np.concatenate(v) for v in zip(*((s, np.full(len(s), t)) for s, t in stated), strict=True))
+    weight = np.concatenate([np.full(len(s), 1 / len(s)) for s, _ in stated])
+    weight *= np.where(true == 1, 0.85 / weight[true == 1].sum(), 0.15 / weight[true == 0].sum())
+    rows = []
+    for low, high in ((0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.9), (0.9, 1.0)):
+        of = (said >= low) & (said < high)
+        shares = (np.sum(weight[of]), *(np.average(v[of], weights=weight[of]) for v in (said, true)))
+        rows.append([f"{low} to {high}", *(f"{100 * share:.0f} %" for share in shares)])
+    publish("results/steps.md", "confidence", table(["confidence", "of all", "stated", "true"], rows))
+
+
 def carried(data):
     """Positions of the RIDI walks, which are given where they begin and where they are after a quarter of the time."""
     rows, walks = [], list(gait_data.ridi(data))
-    for carry, name in {"leg": "trouser pocket", "bag": "bag", "handheld": "hand", "body": "body"}.items():
+    for carry, name in CARRIES.items():
         scores = [(walk, *gait_data.scored(walk)) for walk in walks if carry in walk.name]
         for which, group in (
             (name, [s for s in scores if not ASIDE.search(s[0].name)]),

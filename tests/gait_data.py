@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from python_calamine import CalamineWorkbook
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, filtfilt, find_peaks
+from scipy.signal import StateSpace, butter, filtfilt, find_peaks, lsim
 
 from pdr_graph import WalkGraph, detect_steps, smooth
 from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
@@ -16,6 +16,7 @@ from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Recording, Signal, Trajectory
 
+RATE = 50.0  # [Hz] of made samples
 GRID = 0.02  # [s] of the visual-inertial positions
 HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
 
@@ -94,6 +95,36 @@ def put_away(angle, seed):
     direction = walking_direction(attitude, 1 / walk.walker.cadence)
     true = np.interp(attitude.time, walk.body.time, walk.body.heading)
     return direction, direction.heading[-1] - direction.heading[0] - (true[-1] - true[0])
+
+
+def in_hand(up, seed=0):
+    """Samples of a phone held steadily, with a vertical acceleration ``up (n,)`` [m/s²] in addition to gravity."""
+    random, n = np.random.default_rng(seed), len(up)
+    t = np.arange(n) / RATE
+    return t, np.array([0.5, 3.0, 9.3]) + up[:, None] * [0.0, 0.3, 0.95] + random.normal(0, 0.1, (n, 3))
+
+
+def quarter_car(speed, roughness, seconds=240, seed=0):
+    """Vertical acceleration ``(n,)`` of a car's body on a road (ISO 8608, Gd(0.1 1/m) = ``roughness`` [m³])."""
+    random, dt = np.random.default_rng(seed), 1 / (4 * RATE)
+    slope = 2 * np.pi * 0.1 * np.sqrt(roughness * speed / 2 / dt) * random.normal(size=round(seconds / dt))
+    road = np.cumsum(slope) * dt
+    road -= gaussian_filter1d(road, 5 / dt)
+    body, wheel, spring, tyre, damper = 300.0, 40.0, 20e3, 180e3, 1500.0
+    of_body = [-spring / body, -damper / body, spring / body, damper / body]
+    of_wheel = [spring / wheel, damper / wheel, -(spring + tyre) / wheel, -damper / wheel]
+    A = np.array([[0, 1, 0, 0], of_body, [0, 0, 0, 1], of_wheel])
+    car = StateSpace(A, [[0], [0], [0], [tyre / wheel]], A[1:2], [[0]])
+    return lsim(car, road, np.arange(len(road)) * dt)[1][::4]
+
+
+def waved(frequency, angle, lever=0.6, seconds=60.0, rate=RATE, seed=0):
+    """Times and accelerations of a phone at the end of an arm [m] that swings by an angle [rad] while nobody walks."""
+    random, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / rate)
+    at = angle * (1 + 0.1 * np.sin(0.7 * t)) * np.sin(2 * np.pi * frequency * t)
+    x, z = (np.gradient(np.gradient(v, 1 / rate), 1 / rate) for v in (lever * np.sin(at), -lever * np.cos(at)))
+    along, across = (z + 9.81) * np.cos(at) - x * np.sin(at), x * np.cos(at) + (z + 9.81) * np.sin(at)
+    return t, np.column_stack([np.zeros(len(t)), across, along]) + random.normal(0, 0.08, (len(t), 3))
 
 
 def recording_of(name, time, acceleration, rate):

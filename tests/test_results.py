@@ -159,7 +159,7 @@ def length_of_steps(recording, out, *options):
     """The sum over the table that ``steps`` writes. [m]"""
     assert run("steps", recording, *options, "--out", out).code == 0
     table = rows(out)
-    assert list(table[0]) == ["time", "length", "turn", "sigma_length", "sigma_turn"]
+    assert list(table[0]) == ["time", "length", "turn", "sigma_length", "sigma_turn", "confidence"]
     assert all(0.2 <= float(row["length"]) <= 1.3 for row in table[1:])
     return sum(float(row["length"]) for row in table)
 

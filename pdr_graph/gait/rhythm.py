@@ -1,7 +1,7 @@
-"""The rhythm of a walk: the duration of a step at each moment, 0.36 to 2 s, and how regular the steps are.
+"""The rhythm of a walk or run: the duration of a step at each moment, 0.27 to 2 s, and how regular the steps are.
 
-Usual steps, up to 0.7 s, repeat |a| from stride to stride. Slow steps are weak, soft and less regular: their filters
-are twice as long, and the sway of the body from foot to foot counts as well.
+Usual steps, up to 0.7 s, repeat |a| from stride to stride; those of a run are shorter and stronger. Slow steps are
+weak, soft and less regular: their filters are twice as long, and the sway of the body from foot to foot counts as well.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from scipy.ndimage import uniform_filter1d
 from pdr_graph.priors import CANDIDATE, STEP
 from pdr_graph.types import Array, Index
 
-USUAL: Array = 0.36 * 1.1 ** np.arange(8, dtype=float)  # [s] durations of usual steps that are tried, up to 0.70 s
+USUAL: Array = 0.36 * 1.1 ** np.arange(-3.0, 8.0)  # [s] durations of usual steps that are tried, 0.27 to 0.70 s
+RUNNING = USUAL < 0.35  # [s] steps of a run
+STRIDES = USUAL > 0.5  # [s] steps that may be the strides of one
 OCTAVE = 6  # number of durations of slow steps in a factor of two
 SLOW: Array = 0.78 * 2 ** (np.arange(9, dtype=float) / OCTAVE)  # [s] those of slow steps, up to 1.97 s
 DURATIONS: Array = np.concatenate([USUAL, SLOW])
@@ -26,24 +28,37 @@ def rhythm_of(level: Array, slow_level: Array, steady: Array, sampling: float) -
     smooth acceleration [m/s²]; sampling: between the samples [s].
     """
     every = min(2, max(1, int(2 * CANDIDATE.sampling / sampling + 1e-6)))  # slow steps need fewer samples
-    score, usual, regularity, repeated = _usual_rhythm(level, sampling)
-    slow = _slow_rhythm(slow_level[::every], _sway(steady[:, :: 2 * every], 2 * every * sampling), every * sampling)
+    sway = _sway(steady[:, :: 2 * every], 2 * every * sampling)
+    score, usual, regularity, repeated = _usual_rhythm(level, sampling, sway, 2 * every * sampling)
+    slow = _slow_rhythm(slow_level[::every], sway, every * sampling)
     slow_score, slow, slow_regularity = (np.repeat(values, every)[: len(level)] for values in slow)
     slower = slow_score - CANDIDATE.limb_weight * np.maximum(repeated, 0) > score
     return np.where(slower, len(USUAL) + slow, usual), np.where(slower, slow_regularity, regularity)
 
 
-def _usual_rhythm(level: Array, sampling: float) -> tuple[Array, Index, Array, Array]:
+def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) -> tuple[Array, Index, Array, Array]:
     """Score of the best of USUAL at each sample, its index, the regularity, and the correlation after a step ``(n,)``.
 
     The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
     half and double the true duration. An unusual duration must fit better, and so must a bounce too small for a walk.
+    The stronger |a| varies, the shorter are usual steps: no body bobs by more than that of a runner. A long step may be
+    the stride of a run: then the ``sway (3, k)`` of the limb that carries the phone repeats itself after it [m/s²];
+    between: its samples [s].
     """
     lags = np.concatenate([USUAL, 2 * USUAL])
     once, twice = np.split(_correlation(level[None], lags, sampling, FLAT), 2)
-    unusual = CANDIDATE.usual_weight * (np.log(USUAL / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
-    score = twice + once / 2 - unusual[:, None]
-    which, at = np.argmax(score, axis=0), np.arange(len(level))
+    above = np.log(_bounce(level, np.array(STEP.usual), sampling) / CANDIDATE.run_bounce)
+    longer = np.log(USUAL / STEP.usual)[:, None] + np.maximum(above, 0) / 2
+    score = twice + once / 2 - CANDIDATE.usual_weight * (longer / CANDIDATE.usual_spread) ** 2 / 2
+    bobbing = CANDIDATE.run_weight * np.maximum(2 * longer, 0) * (above > 0)
+    lags = np.concatenate([USUAL[RUNNING], 2 * USUAL[RUNNING], USUAL[STRIDES]])
+    swayed = np.repeat(_correlation(sway, lags, between, CANDIDATE.sway_noise), round(between / sampling), 1)
+    after_step, after_stride, limb = np.split(swayed[:, : len(level)], [len(USUAL[RUNNING]), 2 * len(USUAL[RUNNING])])
+    score[RUNNING] += CANDIDATE.sway_weight * np.maximum(after_stride - after_step, 0) / 2
+    flying = _bounce(level, USUAL[RUNNING][:, None], sampling) / CANDIDATE.usual_bounce
+    score[RUNNING] += CANDIDATE.run_weight * np.log(np.minimum(flying, 1.0))
+    score[STRIDES] -= CANDIDATE.limb_weight * np.maximum(limb, 0)
+    which, at = np.argmax(score - bobbing, axis=0), np.arange(len(level))
     regularity = np.maximum(once[which, at], twice[which, at])
     bounce = _bounce(level, np.maximum(USUAL[which], STEP.usual), sampling)
     too_small = (1 - regularity) * np.log(np.minimum(bounce / CANDIDATE.usual_bounce, 1.0))

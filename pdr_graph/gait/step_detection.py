@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.gait.rhythm import DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
-from pdr_graph.priors import BOUT, CANDIDATE, MOVEMENT, STAND, STEP
+from pdr_graph.priors import BOUT, CANDIDATE, CONFIDENCE, MOVEMENT, STAND, STEP
 from pdr_graph.types import Array, Index, Mask
 
 
@@ -27,19 +27,23 @@ from pdr_graph.types import Array, Index, Mask
 class Landings:
     """The landings of the feet.
 
-    time: ``(n,)`` [s]; period: ``(n,)`` duration of each step [s]; amplitude: ``(n,)`` of |a|, peak to peak [m/s²].
+    time: ``(n,)`` [s]; period: ``(n,)`` duration of each step [s]; amplitude: ``(n,)`` of |a|, peak to peak [m/s²];
+    rhythm: ``(n,)`` duration of a step around it [s]; confidence: ``(n,)`` probability that it is a step.
     """
 
     time: Array
     period: Array
     amplitude: Array
+    rhythm: Array
+    confidence: Array
 
     @classmethod
-    def at(cls, time: Array, amplitude: Array, start: float) -> Landings:
-        """Landings at times ``(n,)`` of a recording that starts at ``start`` [s].
+    def at(cls, found: Array, start: float) -> Landings:
+        """Landings ``(n, 4)`` of a recording that starts at ``start`` [s]: time, amplitude, rhythm, confidence.
 
         The first step, and each step after a stop, takes the duration of its neighbours.
         """
+        time, amplitude, rhythm, confidence = found.T
         intervals = np.diff(time, prepend=start)
         walking = np.clip(intervals, STEP.shortest, STEP.longest)
         walking[:1] = walking[:2][-1:]
@@ -48,7 +52,11 @@ class Landings:
         stopped = intervals > STEP.pause * np.maximum(usual, STEP.usual)
         stopped[:1] = True
         intervals[stopped] = usual[stopped]
-        return cls(time, intervals, amplitude)
+        return cls(time, intervals, amplitude, rhythm, confidence)
+
+    def __getitem__(self, which: slice) -> Landings:
+        """A part of the landings."""
+        return Landings(**{name: values[which] for name, values in vars(self).items()})
 
     def __len__(self) -> int:
         return len(self.time)
@@ -72,13 +80,15 @@ class Candidates:
     """Candidate landings ``(n,)``.
 
     time: since the first sample [s]; step: duration of a step at that time [s]; amplitude: peak to peak [m/s²];
-    regularity: correlation with the step or the stride before; bodily: True if a walking body can move so.
+    regularity: correlation with the step or the stride before; jar: of the landings around it, by the amplitude;
+    bodily: True if a walking body can move so.
     """
 
     time: Array
     step: Array
     amplitude: Array
     regularity: Array
+    jar: Array
     bodily: Mask
 
     def __getitem__(self, which: Mask) -> Candidates:
@@ -87,7 +97,7 @@ class Candidates:
 
 
 SHORTEST = 2.5  # [s] of samples in which steps are sought
-NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
+NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(5)), bodily=np.empty(0, dtype=bool))
 
 
 def candidates(acceleration: Array, period: float, look_ahead: float) -> Candidates:
@@ -113,8 +123,9 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
     slow_level = softer - gaussian_filter1d(softer, CANDIDATE.slow_factor * CANDIDATE.level / sampling)
     which, regularity = rhythm_of(level, slow_level, steady, sampling)
+    jar = _jar(signals[3], period)[::stride]
     available = np.maximum(np.arange(len(smooth)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
-    which, regularity = which[available], regularity[available]
+    which, regularity, jar = which[available], regularity[available], jar[available]
 
     # The maxima of the analytic signal at the frequency of the steps: samples before them, and interpolated times
     wave = _wave(level, slow_level, which, sampling)
@@ -132,7 +143,24 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     step = DURATIONS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
     bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
-    return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
+    jar = jar[peaks]
+    bodily &= jar > CANDIDATE.least_jar  # who waves or swings an arm moves smoothly
+    jar = jar / amplitude[peaks]
+    bodily &= jar > np.where(step < SLOW[0], CANDIDATE.jar_share, CANDIDATE.slow_jar_share)
+    return Candidates(time, step, amplitude[peaks], regularity[peaks], jar, bodily)
+
+
+def _jar(magnitude: Array, period: float) -> Array:
+    """Root mean square ``(n,)`` of |a| above the frequencies of walking, in which landings jar [m/s²].
+
+    Infinite if the samples have no such frequencies.
+    """
+    if period > CANDIDATE.slowest_jar:
+        return np.full(len(magnitude), np.inf)
+    above = gaussian_filter1d(magnitude, CANDIDATE.finest / period) - gaussian_filter1d(
+        magnitude, CANDIDATE.smoothing / period
+    )
+    return np.sqrt(uniform_filter1d(above * above, max(1, round(CANDIDATE.window / period))))
 
 
 def decimation(period: float) -> int:
@@ -170,19 +198,19 @@ def _kernels(sampling: float) -> list[Array]:
 class Bout:
     """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
 
-    walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes and regularities of
-    the candidates before the bout starts.
+    walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes, durations of a step,
+    regularities and jars of the candidates before the bout starts.
     """
 
     walking: bool = False
     last: float = -np.inf
-    waiting: list[tuple[float, float, float]] = field(default_factory=list)
+    waiting: list[tuple[float, float, float, float, float]] = field(default_factory=list)
 
-    def steps(self, following: Candidates) -> tuple[Array, Array]:
-        """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
-        certain = list[tuple[float, float]]()
+    def steps(self, following: Candidates) -> Array:
+        """The steps ``(m, 4)`` among the next candidates: time [s], amplitude [m/s²], rhythm [s], confidence."""
+        certain = list[tuple[float, float, float, float, float]]()
         columns = (values.tolist() for values in vars(following).values())
-        for time, step, amplitude, regularity, bodily in zip(*columns, strict=True):
+        for time, step, amplitude, regularity, jar, bodily in zip(*columns, strict=True):
             if not bodily:
                 self.walking, self.waiting, self.last = False, [], -np.inf
                 continue
@@ -191,20 +219,33 @@ class Bout:
             if time - self.last > STEP.pause * max(step, STEP.usual):
                 self.walking, self.waiting = False, []
             self.last = time
-            self.waiting = [w for w in self.waiting if w[0] > time - BOUT.late] + [(time, amplitude, regularity)]
+            self.waiting = [w for w in self.waiting if w[0] > time - BOUT.late] + [
+                (time, amplitude, step, regularity, jar)
+            ]
             regular = regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start)
             if step >= SLOW[0]:
-                last = [each for *_, each in self.waiting[-BOUT.fewest :]]
+                last = [each for *_, each, _ in self.waiting[-BOUT.fewest :]]
                 regular = sum(last) > BOUT.slow_start * len(last)
             if not self.walking and regular and len(self.waiting) >= BOUT.fewest:
-                usual = float(np.median([a for _, a, _ in self.waiting]))
+                usual = float(np.median([a for _, a, *_ in self.waiting]))
                 self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
                 self.walking = True
             if self.walking:
-                certain += [w[:2] for w in self.waiting]
+                certain += self.waiting
                 self.waiting = []
-        time, amplitude = np.array(certain).reshape(-1, 2).T
-        return time, amplitude
+        time, amplitude, rhythm, *evidence = np.array(certain).reshape(-1, 5).T
+        return np.stack([time, amplitude, rhythm, confidence_of(rhythm, *evidence)], axis=1)
+
+
+def confidence_of(rhythm: Array, regularity: Array, jar: Array) -> Array:
+    """Probability ``(n,)`` that what is accepted with such a rhythm [s], regularity and jar is a step.
+
+    A logistic regression: landings jar by a usual share of the amplitude, and hardly ever repeat themselves badly.
+    """
+    usual = np.where(rhythm < SLOW[0], CONFIDENCE.jar, CONFIDENCE.slow_jar)
+    off = np.where(np.isfinite(jar), np.log(np.maximum(jar, 1e-3) / usual), 0.0)
+    irregular = np.maximum(CONFIDENCE.regular - regularity, 0)
+    return 1 / (1 + np.exp(CONFIDENCE.off * off**2 + CONFIDENCE.irregular * irregular - CONFIDENCE.usual))
 
 
 @dataclass
@@ -228,8 +269,8 @@ class StepDetector:
     decided: float = -np.inf
     pending: Candidates = NO_CANDIDATES
 
-    def update(self, acceleration: Array) -> tuple[Array, Array]:
-        """Add samples ``(n, 3)``; returns times ``(m,)`` [s] and amplitudes of newly certain steps."""
+    def update(self, acceleration: Array) -> Array:
+        """Add samples ``(n, 3)``; returns the newly certain steps ``(m, 4)``, see `Landings.at`."""
         needed = int(max(0.0, self.decided - BOUT.past) / self.period)
         grid = 4 * decimation(self.period)  # of the sway of slow steps
         drop = needed // grid * grid - self.first
@@ -239,14 +280,13 @@ class StepDetector:
         self.pending = found[found.time > self.decided]
         return self._decide((self.first + len(self.samples)) * self.period - BOUT.future - self.look_ahead)
 
-    def finish(self) -> tuple[Array, Array]:
-        """Times [s] and amplitudes of the last steps: no more samples follow."""
+    def finish(self) -> Array:
+        """The last steps ``(m, 4)``: no more samples follow."""
         return self._decide(np.inf)
 
-    def provisional(self) -> tuple[Array, Array]:
-        """Times [s] and amplitudes of the steps after the certain ones, which later samples may still change."""
-        landed, amplitude = replace(self.bout).steps(self.pending)
-        return self.start + landed, amplitude
+    def provisional(self) -> Array:
+        """The steps ``(m, 4)`` after the certain ones, which later samples may still change."""
+        return self._since_start(replace(self.bout).steps(self.pending))
 
     @property
     def earliest(self) -> float:
@@ -254,13 +294,17 @@ class StepDetector:
         late = [time for time, *_ in self.bout.waiting if time > self.decided - BOUT.late]
         return self.start + min([self.decided, *late])
 
-    def _decide(self, until: float) -> tuple[Array, Array]:
-        """Times and amplitudes of the steps up to ``until`` [s] after the start among the pending candidates."""
+    def _decide(self, until: float) -> Array:
+        """The steps ``(m, 4)`` up to ``until`` [s] after the start among the pending candidates."""
         self.decided = max(self.decided, until)
         certain = self.pending.time <= until
-        landed, amplitude = self.bout.steps(self.pending[certain])
+        found = self.bout.steps(self.pending[certain])
         self.pending = self.pending[~certain]
-        return self.start + landed, amplitude
+        return self._since_start(found)
+
+    def _since_start(self, found: Array) -> Array:
+        found[:, 0] += self.start
+        return found
 
 
 def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDATE.look_ahead) -> Landings:
@@ -272,8 +316,7 @@ def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDAT
     detector = StepDetector(period, start, look_ahead)
     size = round(300.0 / period)  # five minutes at once are quickest, and the memory does not grow
     blocks = [detector.update(acceleration[first : first + size]) for first in range(0, len(time), size)]
-    landed, amplitude = (np.concatenate(column) for column in zip(*blocks, detector.finish(), strict=True))
-    return Landings.at(landed, amplitude, start)
+    return Landings.at(np.concatenate([*blocks, detector.finish()]), start)
 
 
 PARTS = 10  # of a second, whose means are compared: vehicles and taps shake a device faster

@@ -184,7 +184,7 @@ class SegmentStream:
         self.movement = UnrecognisedMovement(period)
         self.end = origin
         self.count = 0  # of samples so far
-        self.landed = np.empty((0, 2))  # times and amplitudes of the last certain landings
+        self.landed = np.empty((0, 4))  # the last certain landings, see `Landings.at`
         self.reported = 0  # number of these landings whose steps were returned
         self.durations = np.empty(0)  # of the last steps [s]
         self._provisional: Steps | None = None
@@ -210,11 +210,11 @@ class SegmentStream:
             time = self.origin + self.period * np.arange(self.count, self.count + count, dtype=float)
             acceleration = accelerometer.at(time)
             quaternion, rate = self.attitude.update(acceleration, gyroscope.sampled(time))
-            self._add_landings(*self.detector.update(acceleration))
+            self._add_landings(self.detector.update(acceleration))
             self.direction.update(quaternion, acceleration, rate)
             self.count += count
         if last:
-            self._add_landings(*self.detector.finish())
+            self._add_landings(self.detector.finish())
             self.direction.finish()
         self._provisional = None
 
@@ -244,8 +244,8 @@ class SegmentStream:
             final = steps.final_turn if len(steps) > count else steps.final_turn - turned
             self._provisional = replace(steps, start=end, final_turn=final, **rest)
         part = slice(*(self._sample_after(moment) for moment in (first.start, first.end)))
-        amplitude = self.landed[self.reported : self.reported + count, 1]
-        signals = self._signals(part, Landings(first.time, first.duration, amplitude))
+        landings = self.landed[self.reported : self.reported + count, 1:].T
+        signals = self._signals(part, Landings(first.time, first.duration, *landings))
         first = replace(first, stepless=self.movement.update(signals.attitude.acceleration, signals.walking))
         if self.listener is not None:
             self.listener(signals)
@@ -278,9 +278,8 @@ class SegmentStream:
         """Time until which the walk is certain from its first samples on: no step lands earlier. [s]"""
         return self.origin + self.period
 
-    def _add_landings(self, time: Array, amplitude: Array) -> None:
-        landings = np.stack([time, amplitude], axis=1)[time > self._begun]
-        self.landed = np.concatenate([self.landed, landings])
+    def _add_landings(self, found: Array) -> None:
+        self.landed = np.concatenate([self.landed, found[found[:, 0] > self._begun]])
 
     def _steps(self) -> Steps:
         """All steps after the certain ones; their features use up to 3 s before them."""
@@ -289,11 +288,9 @@ class SegmentStream:
 
     def _landings(self) -> Landings:
         """All landings after the certain ones."""
-        provisional = np.stack(self.detector.provisional(), axis=1)
+        provisional = self.detector.provisional()
         provisional = provisional[provisional[:, 0] > self._begun]
-        time, amplitude = np.concatenate([self.landed, provisional]).T
-        landings, rows = Landings.at(time, amplitude, self.origin), slice(self.reported, None)
-        return Landings(landings.time[rows], landings.period[rows], landings.amplitude[rows])
+        return Landings.at(np.concatenate([self.landed, provisional]), self.origin)[self.reported :]
 
     def _signals(self, part: slice, landings: Landings) -> GaitSignals:
         """Gait signals of a part of the stored samples."""

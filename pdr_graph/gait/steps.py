@@ -17,7 +17,7 @@ from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_detection import Landings, UnrecognisedMovement, walking_steps
 from pdr_graph.gait.walker import MODELS, StepFeatures, Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
-from pdr_graph.priors import MOTION, REST
+from pdr_graph.priors import CONFIDENCE, MOTION, REST
 from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal, Steps
 
 
@@ -54,6 +54,8 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
     # How far
     length, sigma_length = MODELS[walker.stride](StepFeatures(gait), height=walker.height, **walker.constants)
     share = duration / landings.period  # below 1 only where the recording starts in mid-step
+    none = np.maximum(1 - landings.confidence / CONFIDENCE.sure, 0)  # probability that it is no step, and its length 0
+    sigma_length = np.hypot(sigma_length, np.sqrt(none * (1 - none)) * length)
 
     # Which way
     heading = gait.direction.heading
@@ -76,6 +78,7 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         sigma_length=sigma_length,
         sigma_turn=np.where(blind, MOTION.unmeasured_turn, np.sqrt(walker.sigma_turn**2 + np.diff(variance))),
         final_turn=float(heading[-1] - (landed[-1] if len(landed) else np.interp(start, attitude.time, heading))),
+        confidence=landings.confidence,
         unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
 
@@ -137,11 +140,8 @@ class GaitSignals(OneLineRepr):
             part = slice(first, first + size)
             attitude, before = self.attitude[part], landed
             landed = int(np.searchsorted(landings.time, attitude.time[-1], side="right"))
-            steps = Landings(
-                *(column[before:landed] for column in (landings.time, landings.period, landings.amplitude))
-            )
             direction = Direction(course.heading[part], course.variance[part])
-            yield GaitSignals(self.recording, attitude, steps, direction)
+            yield GaitSignals(self.recording, attitude, landings[before:landed], direction)
 
     @property
     def walking(self) -> Mask:

@@ -44,6 +44,11 @@ class StepFeatures:
         """Duration of a step ``(n,)``. [s]"""
         return self.gait.landings.period
 
+    @property
+    def rhythm(self) -> Array:
+        """Duration of a step around each one ``(n,)``. [s]"""
+        return self.gait.landings.rhythm
+
     @cached_property
     def turn(self) -> Array:
         """Heading change over the step ``(n,)``. [rad]"""
@@ -114,9 +119,16 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     most of a step: how hard a foot lands also depends on shoes, floor and pocket. Both scale with stature. In bends
     steps are shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce
     steps``).
+
+    Steps that are short and strong are those of a run. Their bounce hardly grows with the speed (Cavagna et al. 1988),
+    so that their length is by cadence alone, and off by a fifth either way: `pace_changes` widens the calibration.
     """
     straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude * steps.period)
-    return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
+    strong = np.clip((steps.amplitude - STRIDES.run_amplitude[0]) / np.ptp(STRIDES.run_amplitude), 0, 1)
+    short = np.clip((STRIDES.run_period[1] - steps.rhythm) / np.ptp(STRIDES.run_period), 0, 1)
+    run = STRIDES.run * (STRIDES.run_duration / steps.period) ** STRIDES.run_cadence
+    length = straight_on + strong * short * (run - straight_on)
+    return _plausible(_in_turns(steps.bend) * length * height / REFERENCE_HEIGHT)
 
 
 def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
@@ -211,7 +223,7 @@ MODELS: dict[str, Callable[..., Lengths]] = {
 
 
 def _plausible(length: Array) -> Lengths:
-    """Lengths clipped to 0.2–1.2 m, and their standard deviation."""
+    """Lengths clipped to 0.2–1.8 m, and their standard deviation."""
     length = np.clip(length, STRIDES.shortest, STRIDES.longest)
     return length, STRIDES.sigma * length
 

@@ -44,9 +44,10 @@ def _required(recording: Recording, name: str) -> Signal:
 
 
 def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
-    """Raise InputError if the median magnitude is far from that of gravity: walking raises it a little."""
-    gravity = float(np.median(np.linalg.norm(accelerometer.values, axis=1)))
-    if not 7.0 < gravity < 13.0:
+    """Raise InputError if the median magnitude is far from that of gravity: walking raises it a little, a run more."""
+    magnitude = np.linalg.norm(accelerometer.values, axis=1)
+    gravity = float(np.median(magnitude))
+    if not 7.0 < gravity < 13.0 + 2 * magnitude.std():
         expected = "about 9.8 m/s²: metres per second squared, gravity not removed"
         raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", expected)
 

@@ -39,13 +39,14 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
         return sensor, factor
     if sensor != "accelerometer":
         return sensor, 1.0
-    gravity = float(np.median(_windows(signal)[2]))
-    if GRAVITY[0] <= gravity <= GRAVITY[1]:
+    _, typical, means, swing = _windows(signal)
+    gravity, spread = float(np.median(means)), float(np.median(typical * swing))
+    if GRAVITY[0] <= gravity <= GRAVITY[1] + 1.5 * spread:  # a runner's arm pulls at the phone as hard as gravity does
         return sensor, 1.0
-    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * median:
+    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] + 1.5 * spread and gravity > 0.7 * median:
         notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
         return sensor, STANDARD_GRAVITY
-    if gravity < 0.5 * median and median < GRAVITY[0]:
+    if gravity < 0.5 * median and gravity < GRAVITY[0]:
         notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
         return "linear_acceleration", 1.0
     expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"

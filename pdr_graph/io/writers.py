@@ -16,7 +16,7 @@ from pdr_graph.whole_files import write_file
 
 TRAJECTORY_HEADER = "time,x,y,heading,floor,sigma_x,sigma_y,cov_xy,sigma_heading"
 ROUTES_HEADER = "route,probability,time,x,y,heading,floor"
-STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
+STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn,confidence"
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
@@ -60,12 +60,13 @@ def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
 
 
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
-    """Write one row per step: its end [s], length [m], heading change since the row before [rad], and both sigmas."""
+    """Write one row per step: end [s], length [m], heading change since the row before [rad], sigmas, confidence."""
     lines = [STEPS_HEADER]
-    table = np.stack(
-        [steps.time + clock_origin, steps.length, steps.turn, steps.sigma_length, steps.sigma_turn], axis=1
-    )
-    lines += [f"{t:.4f},{length:.4f},{turn:.6f},{sl:.4f},{st:.6f}" for t, length, turn, sl, st in table]
+    sigmas = steps.sigma_length, steps.sigma_turn
+    table = np.stack([steps.time + clock_origin, steps.length, steps.turn, *sigmas, steps.confidence], axis=1)
+    lines += [
+        f"{t:.4f},{length:.4f},{turn:.6f},{sl:.4f},{st:.6f},{sure:.3f}" for t, length, turn, sl, st, sure in table
+    ]
     write_file(path, "\n".join(lines) + "\n")
 
 

@@ -13,6 +13,7 @@ from pdr_graph.estimation.live.window import rewound
 from pdr_graph.estimation.rides import detect_rides, largest_sums, without_rides
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.geometry import interpolate, unit
+from pdr_graph.types import STEP_COLUMNS
 
 
 def on_foot(place, done):
@@ -34,8 +35,7 @@ def live(steps, fixes):
     for second in range(1, int(steps.end) + 1):
         here = rewound([steps], float(second))[0]
         later = here.time > second - 1 if second > 1 else np.ones(len(here), bool)
-        chunk = {name: getattr(here, name)[later] for name in ("time", "duration", "length", "turn", "pause_turn")}
-        chunk |= {name: getattr(here, name)[later] for name in ("sigma_length", "sigma_turn")}
+        chunk = {name: getattr(here, name)[later] for name in STEP_COLUMNS}
         nav.push(replace(here, start=float(second - 1), **chunk))
         nav.push(fixes[(fixes.time > second - 1) & (fixes.time <= second)])
         poses.append(nav.pose)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from pdr_graph.lab.simulation.body import MANNERS, Pedestrian, footfalls, walk_path
+from pdr_graph.lab.simulation.scenario import Scenario
+from pdr_graph.lab.simulation.simulate import simulate
 
 CROWD = [Pedestrian.sample(np.random.default_rng(seed)) for seed in range(400)]
 
@@ -34,6 +36,21 @@ def test_people_walk_at_published_speeds():
     speed = np.array([w.step_length * w.cadence for w in CROWD])
     assert 1.2 < speed.mean() < 1.5
     assert np.mean((speed > 0.9) & (speed < 1.9)) > 0.97
+
+
+@pytest.mark.parametrize(("manner", "speed", "cadence"), [("jog", 2.4, 2.6), ("run", 3.2, 2.75), ("sprint", 4.4, 3.1)])
+def test_runs_have_published_cadences_and_fly(manner, speed, cadence):
+    """Cavagna et al. 1988, 2005. A hand weighs nothing in flight, and its mean force is the weight."""
+    falls, path = zip(*[on_a_straight(manner, seed) for seed in range(20)], strict=True)
+    assert np.mean([p.length / f.time[-1] for f, p in zip(falls, path, strict=True)]) == pytest.approx(speed, rel=0.06)
+    assert np.mean([len(f.time) / f.time[-1] for f in falls]) == pytest.approx(cadence, rel=0.04)
+    route = [[0, 0], {"stand": 2}, {"to": [[100, 0]], "manner": manner}, {"stand": 2}]
+    walk = simulate(Scenario.of({"route": route, "phone": {"hold": "breast pocket"}}))
+    under_way = walk.body.flight > 0.2
+    up = walk.motion.R_world_device.apply(walk.motion.acceleration)[under_way, 2]
+    assert np.mean(up < 0.25 * 9.81) > 0.15
+    assert np.mean(up) == pytest.approx(9.81, rel=0.03)
+    assert np.percentile(up, 95) > 2 * 9.81
 
 
 def test_steps_vary_as_published():

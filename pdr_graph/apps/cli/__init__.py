@@ -223,7 +223,7 @@ def steps(
 ) -> None:
     """Write the detected steps, as input of other back ends.
 
-    One row per step: time,length,turn,sigma_length,sigma_turn.
+    One row per step: time,length,turn,sigma_length,sigma_turn,confidence.
 
     \b
     pdr-graph steps walk.zip

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
 from pdr_graph.geometry import nearest, peaks, pose_rotation, wrap_angle
-from pdr_graph.priors import MOTION, RECEIVERS, TREADS
+from pdr_graph.priors import MOTION, RECEIVERS, STEP, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
@@ -115,21 +115,26 @@ def cut(steps: Steps, whole: Array, at: Array) -> Pieces:
     return _pieces(whole, start, end, interval, first, row_end)
 
 
-def pace_changes(whole: Array, start: float) -> tuple[Array, Array]:
+def pace_changes(whole: Array, start: float, begins: bool = True) -> tuple[Array, Array]:
     """Times ``(k,)`` [s] at which the walker changes pace, and logarithms ``(k,)`` of how much longer steps last then.
 
     whole: ``(m, ≥4)``, see `whole_pieces`; start: of the first piece [s]. Stairs change the pace, but not the length of
-    their treads.
+    their treads. Between walk and run the change counts several times as much; begins: True if a run there is one too.
     """
     n, duration = MOTION.pace_steps, np.diff(whole[:, 0], prepend=start)
     step = np.flatnonzero((whole[:, 1] > 0) & (whole[:, 3] != TREADS.sigma**2))
     if len(step) < 2 * n:
         return np.empty(0), np.empty(0)
     pace = np.median(np.lib.stride_tricks.sliding_window_view(np.log(duration[step]), n), axis=1)
+    speed = np.median(np.lib.stride_tricks.sliding_window_view(whole[step, 1] / duration[step], n), axis=1)
+    runs = speed > MOTION.run_speed
     change = pace[n:] - pace[:-n]  # between steps n - 1 and n, n and n + 1, …
     at = peaks(np.abs(change), MOTION.pace_change, n)
-    first = step[n + at]
-    return np.append(start, whole[:, 0])[first], change[at]
+    change = np.where(runs[n:] != runs[:-n], MOTION.run_change, 1.0) * change
+    at, change = n + at, change[at]
+    if begins and runs[0] and n not in at:
+        at, change = np.append(n, at), np.append(MOTION.run_change * (pace[0] - np.log(STEP.usual)), change)
+    return np.append(start, whole[:, 0])[step[at]], change
 
 
 def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:

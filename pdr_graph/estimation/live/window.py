@@ -296,7 +296,7 @@ class Window:
         if not len(recent):
             return
         before = np.append(self.steps.start, self.steps.whole[:, END])[recent[0]]
-        changed, pace = pace_changes(self.steps.whole[recent], float(before))
+        changed, pace = pace_changes(self.steps.whole[recent], float(before), begins=self.segment == 0)
         if not len(changed):
             return
         first = int(np.argmin(np.abs(np.array(self.times[:-1]) - changed[-1])))

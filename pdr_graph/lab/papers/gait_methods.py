@@ -70,7 +70,7 @@ def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE)
             dtw.distance(shapes[n], template, window=2, use_c=True) for template in (walking, together)
         )
         on[n] = to_walking <= to_closing
-    return Landings.at(candidates.time[on], candidates.amplitude[on], float(attitude.time[0]))
+    return _landings_at(candidates.time[on], candidates.amplitude[on], attitude)
 
 
 def vertical_forward(attitude: Attitude, forward: Array) -> Landings:
@@ -135,7 +135,13 @@ def _lowest_beside(smooth: Array, peaks: Index) -> tuple[Index, Index]:
 
 def _landings(attitude: Attitude, peaks: Index, height: Array) -> Landings:
     """Landings at the samples `peaks`, with their amplitudes [m/s²]."""
-    return Landings.at(attitude.time[peaks], height, float(attitude.time[0]))
+    return _landings_at(attitude.time[peaks], height, attitude)
+
+
+def _landings_at(time: Array, amplitude: Array, attitude: Attitude) -> Landings:
+    """Landings without a rhythm and without doubt."""
+    usual, sure = np.full(len(time), STEP.usual), np.ones(len(time))
+    return Landings.at(np.stack([time, amplitude, usual, sure], axis=1), float(attitude.time[0]))
 
 
 PRINCIPAL_WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz

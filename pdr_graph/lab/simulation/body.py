@@ -86,10 +86,11 @@ def walk_path(
     zigzag: Array,
     random: np.random.Generator,
     clearance: Clearance | None = None,
+    rounding: float = 0.45,
 ) -> WalkPath:
     """The path of a pedestrian along ``corners (k, 2)`` [m] at ``heights (k,)`` [m]; docs/simulation.md compares walks.
 
-    Corners are rounded over 0.45 m; people weave by 0.12 m, correlated over 6 m, and keep 0.35 m from walls.
+    Corners are rounded over ``rounding`` [m]; people weave by 0.12 m, correlated over 6 m, and keep 0.35 m from walls.
 
     zigzag: ``(k - 1,)`` amplitude of swinging from side to side on each leg [m], with a period of about 6 m.
     clearance: distance to the nearest wall; offsets to the side are reduced where less than 0.35 m is left.
@@ -98,7 +99,7 @@ def walk_path(
     count = max(3, round(length[-1] / SPACING) + 1)
     s = np.linspace(0.0, length[-1], count)
     straight = interpolate(s, length, corners)
-    line = gaussian_filter1d(straight, min(0.45, length[-1] / 8) / SPACING, axis=0, mode="nearest")
+    line = gaussian_filter1d(straight, min(rounding, length[-1] / 8) / SPACING, axis=0, mode="nearest")
     line = line + _ends(s, straight[0] - line[0], straight[-1] - line[-1])
     offset = smooth_noise(random, count, 6.0 / SPACING, 0.12)[:, 0]
     leg = np.clip(np.searchsorted(length, s, side="right") - 1, 0, len(zigzag) - 1)
@@ -126,11 +127,15 @@ def _ends(s: Array, at_start: Array, at_end: Array) -> Array:
 
 @dataclass(frozen=True)
 class Manner:
-    """A manner of walking: factors of the walker's own cadence, step length, and spread from step to step."""
+    """A manner of moving: factors of the walker's own cadence, step length, and spread from step to step.
+
+    flight: share of a step in which no foot touches the ground; 0 in walking.
+    """
 
     cadence: float = 1.0
     length: float = 1.0
     spread: float = 1.0
+    flight: float = 0.0
 
 
 # Browsing people take steps that are shorter by a factor of 1.2 to 1.4 than their cadence suggests
@@ -142,6 +147,10 @@ MANNERS = {
     "narrow": Manner(0.97, 0.75),  # asked to take short or long steps: [calibration-walk] Sec. 4.1
     "wide": Manner(0.97, 1.25),
     "stairs": Manner(0.90, 0.45, 0.7),
+    # 2.4, 3.2 and 4.4 m/s at 2.6, 2.75 and 3.1 steps/s (Cavagna et al. 1988, 2005: step frequency, flight by speed)
+    "jog": Manner(1.41, 1.31, 0.7, 0.25),
+    "run": Manner(1.49, 1.65, 0.7, 0.33),
+    "sprint": Manner(1.68, 2.02, 0.7, 0.40),
 }
 
 
@@ -177,11 +186,13 @@ class Pedestrian:
 class Footfalls(OneLineRepr, row="step"):
     """The landings of one walk from standing to standing. The last step brings the feet together.
 
-    time: ``(n,)`` of each landing, from the start [s]; along: ``(n,)`` position of the body along the path [m].
+    time: ``(n,)`` of each landing, from the start [s]; along: ``(n,)`` position of the body along the path [m];
+    flight: ``(n,)`` share of the step before it in which no foot touches the ground.
     """
 
     time: Array
     along: Array
+    flight: Array
 
 
 SHORTEST_STEP = 0.15  # [m]
@@ -203,7 +214,7 @@ def footfalls(
     length = walker.step_length * (1 + left) * np.exp(drift[0])
     period = (1 - left) / walker.cadence * np.exp(-0.5 * drift[0] + drift[1])
     length_noise, period_noise = random.normal(0, 0.040, most), random.normal(0, 0.028, most)
-    time, along, t, s = list[float](), list[float](), 0.0, 0.0
+    time, along, flight, t, s = list[float](), list[float](), list[float](), 0.0, 0.0
     for k in range(most):
         manner = manner_at(s)
         step = length[k] * manner.length * (1 + manner.spread * length_noise[k]) * (0.6 if k == 0 else 1.0)
@@ -211,11 +222,12 @@ def footfalls(
         step = max(step * (1 - 1.124 / 100 * min(turn, 60.0)), SHORTEST_STEP)
         t += period[k] / manner.cadence * (1 + manner.spread * period_noise[k])
         s += step
+        flight.append(manner.flight)
         if s > path.length - 0.4 * step:  # the shortest with which the feet close
             break
         time.append(t)
         along.append(s)
-    return Footfalls(np.array([*time, t]), np.array([*along, path.length]))
+    return Footfalls(np.array([*time, t]), np.array([*along, path.length]), np.array(flight))
 
 
 HOLD_CHANGE_TIME = 1.4  # [s] to move the phone from one hold to another; chosen by hand
@@ -295,8 +307,8 @@ class Body(OneLineRepr):
 
     rate [Hz]; time: ``(n,)`` [s]; position: ``(n, 2)`` [m]; height: ``(n,)`` of the floor below [m]; heading: ``(n,)``
     walking direction, unwrapped [rad]; phase: ``(n,)`` strides so far, half a stride per step; step_length: ``(n,)``
-    of the current step, 0 at rest [m]; rolling: ``(n,)`` speed of a cart [m/s]; floors: labels in order of visit;
-    floor: ``(n,)`` index into them.
+    of the current step, 0 at rest [m]; flight: ``(n,)`` share of it without a foot on the ground; rolling: ``(n,)``
+    speed of a cart [m/s]; floors: labels in order of visit; floor: ``(n,)`` index into them.
     landings: ``(s,)`` times [s]; lengths: ``(s,)`` of the step that ends there [m]; events: sorted by time.
     """
 
@@ -307,6 +319,7 @@ class Body(OneLineRepr):
     heading: Array
     phase: Array
     step_length: Array
+    flight: Array
     rolling: Array
     floors: tuple[str, ...]
     floor: Index
@@ -342,7 +355,7 @@ def move(
     for activity in activities:
         mover.add(activity)
     whole: dict[str, Any] = {name: np.concatenate([piece[name] for piece in mover.pieces]) for name in QUANTITIES}
-    for name in ("position", "height", "heading", "step_length"):
+    for name in ("position", "height", "heading", "step_length", "flight"):
         whole[name] = gaussian_filter1d(whole[name], 0.10 * rate, axis=0, mode="nearest")  # rounds all movement
     return Body(
         rate=rate,
@@ -356,7 +369,7 @@ def move(
 
 
 # Arrays of each piece of the movement
-QUANTITIES = ("position", "height", "heading", "phase", "step_length", "rolling", "floor")
+QUANTITIES = ("position", "height", "heading", "phase", "step_length", "flight", "rolling", "floor")
 
 
 @dataclass
@@ -407,7 +420,9 @@ class _Mover:
     def walk(self, walk: Walk) -> None:
         """Walk along the corners, from standing to standing."""
         clearance = self.clearances.get(self.floors[-1])
-        path = walk_path(walk.corners, walk.heights + self.height, walk.zigzag, self.random, clearance)
+        manners = [MANNERS[name] for name in walk.manners]
+        wide = 0.45 + 5 * max(manner.flight for manner in manners)  # [m]: runners take corners at 1 g at most
+        path = walk_path(walk.corners, walk.heights + self.height, walk.zigzag, self.random, clearance, wide)
         turn = float(wrap_angle(path.heading[0] - self.heading))
         if abs(turn) > 0.02:
             self.stand(0.0, turn)
@@ -416,7 +431,6 @@ class _Mover:
             self.floors.append(walk.floor)
         legs = length_along(walk.corners)[1:]
         ends = legs * path.length / legs[-1]  # the legs of the path have the proportions of the corners
-        manners = [MANNERS[name] for name in walk.manners]
         falls = footfalls(
             self.walker,
             path,
@@ -436,6 +450,7 @@ class _Mover:
             heading=np.interp(along, path.along, path.heading) + self.heading - path.heading[0],
             phase=self.strides + np.interp(t, knots, np.arange(len(knots)) / 2),
             step_length=lengths[current],
+            flight=falls.flight[current],
             floor=np.where(along < path.length / 2, first_floor, len(self.floors) - 1),  # half-way, as in a lift
         )
         self.landings.append(begin + falls.time)

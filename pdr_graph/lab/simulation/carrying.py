@@ -102,6 +102,11 @@ def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion
 
     # That of an inverted pendulum grows with the square of the step length; in short, shuffling steps it is larger
     bounce = walker.bounce * (vigour**1.5)[:, None] * harmonics(FITTED["bounce"], personal)
+    running = np.clip(body.flight / 0.2, 0, 1)
+    if running.any():
+        steady = np.minimum(vigour, 1.0)[:, None] ** 1.5 * harmonics(FITTED["bounce"], personal)
+        steady[:, 2] = walker.bounce**0.3 * _bounce_of_runs(body) * variation
+        bounce += running[:, None] * (steady - bounce)
 
     # Each hold blends into the next while it changes
     changes = body.events_of("hold")
@@ -115,7 +120,7 @@ def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion
     wander = smooth_noise(random, n, 9.0 * rate, 1.0, 3)
     swing, unsteady = np.zeros((n, 3)), np.zeros((n, 3))
     for hold, weight in zip(holds, weights, strict=True):
-        swing += weight[:, None] * (vigour[:, None] * harmonics(hold.swings, personal**0.5))
+        swing += weight[:, None] * (np.minimum(vigour, 1.5)[:, None] * harmonics(hold.swings, personal**0.5))
         about = np.array([hold.wander[1], hold.wander[1], hold.wander[0]])
         unsteady += weight[:, None] * (hold.tremor * tremor + about * wander)
     swing += unsteady
@@ -151,6 +156,24 @@ def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion
     angular_rate += 0.05 * rolling * _vibration(random, n, rate)
     acceleration = R_world_device.inv().apply(force) + 0.6 * rolling * _vibration(random, n, rate)
     return Motion(rate, time, R_world_device, acceleration, angular_rate, position[:, 2])
+
+
+def _bounce_of_runs(body: Body) -> Array:
+    """Height of a runner's centre ``(n,)`` about its mean. [m]
+
+    The leg is a spring: the vertical force is half a sine while a foot is on the ground, 0 in flight, and the weight on
+    average (Alexander 1989; Cavagna et al. 1988). Its peak is thus π/2 of the weight by the share of contact.
+    """
+    contact = 1 - np.maximum(body.flight, 0.1)
+    walked = np.gradient(2 * body.phase, 1 / body.rate)  # steps a second
+    frequency = np.maximum(gaussian_filter1d(walked, 0.2 * body.rate), 1.0)
+    height = np.zeros(len(body.time))
+    for k in range(1, 6):
+        share = 2 * k * contact
+        force = 2 * np.where(np.abs(share - 1) < 1e-3, np.pi / 4, np.cos(np.pi * share / 2) / (1 - share**2))
+        angle = 2 * np.pi * k * (2 * body.phase - contact / 2)
+        height -= STANDARD_GRAVITY * force * np.cos(angle) / (2 * np.pi * k * frequency) ** 2
+    return height
 
 
 def _bases(time: Array, starts: Sequence[float], holds: Sequence[Hold], random: np.random.Generator) -> Rotation:
