@@ -24,7 +24,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     fixes: in order of time, in a metric frame.
     """
     fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
-    fixes = fixes[on_way(fixes.time, fixes.position, fixes.sigma)]
+    every, fixes = fixes.time, fixes[on_way(fixes.time, fixes.position, fixes.sigma)]
     if len(fixes) < 2:
         return np.empty((0, 2))
     way = way_through(fixes, [(fixes.time[0], fixes.time[-1], RIDES)])
@@ -39,6 +39,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     score, jump = (np.array([of(part[a:b]) for a, b in rows]) for of, part in ((np.sum, excess), (np.max, moved)))
     rows = np.array(rows, dtype=np.intp).reshape(-1, 2)
     spans = time[rows[_is_ride(score, jump, noise, (rows[:, 0] > 0) & (rows[:, 1] < len(time) - 1))]]
+    spans = spans[2 * _count(fixes.time, spans) > _count(every, spans)]
 
     # One ride where the walker does not leave the place of a stop
     if len(spans) > 1:
@@ -68,6 +69,12 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     return np.column_stack(
         [np.maximum(last, spans[:, 0] - RIDING.boarding), np.minimum(next_, spans[:, 1] + RIDING.boarding)]
     )
+
+
+def _count(time: Array, spans: Array) -> Index:
+    """Number of times within each span ``(r, 2)``, both ends included."""
+    first, after = np.searchsorted(time, spans - [INSTANT, -INSTANT]).T
+    return after - first
 
 
 def on_way(time: Array, position: Array, sigma: Array) -> Index:
