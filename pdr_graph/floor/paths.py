@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from pdr_graph.frames import Frame
 
 SAME_NODE = 0.05  # [m] between ends of ways that meet: OpenStreetMap has 1 cm
+LONGEST_PART = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
 SOURCES = 400  # points whose distances to all others are computed at a time
 EVERYWHERE = np.array([-180.0, -90.0]), np.array([180.0, 90.0])  # [deg]
 MARGIN = 300.0  # [m] around the positions of a walk, within which ways are kept
@@ -180,40 +182,71 @@ class WayMatch:
     """The ways that a walk followed, or one of several possibilities.
 
     on: ``(n,)`` True where it was on a way; displacement: ``(n, 2)`` from each place of the walk to the way [m];
-    price: of the discrete path: of being off all ways, and of another shape than theirs [nats].
+    price: of the discrete path: of being off all ways, and of another shape than theirs [nats]; lead: cost above that of
+    the most probable path [nats].
     """
 
     on: Mask
     displacement: Array
     price: float
+    lead: float = 0.0
 
 
 def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
     """The ways that a walk through places ``track (n, 2)`` [m] followed, the most probable first, at most two.
 
     sigma: ``(n,)`` of each place, per axis [m]; askew: ``(n,)`` of the direction of the walk there [rad]. The second
-    leads along other ways (parallel pavements), if it is nearly as probable.
+    leads along other ways (parallel pavements) somewhere, if it is nearly as probable. The walk is cut where it jumps
+    (a gap, a ride), and every LONGEST_PART.
     """
+    apart = np.hypot(*np.diff(track, axis=0).T)
+    walked = length_along(track)
+    jumps = np.flatnonzero(apart > WAYS.station) + 1
+    number = np.cumsum(np.bincount(jumps, minlength=len(track))) + (walked - walked[0]) // LONGEST_PART
+    bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(track)]
+    parts = [_matched(network, track[a:b], sigma[a:b], askew[a:b]) for a, b in pairwise(bounds)]
+    if not any(way.on.any() for ways in parts for way in ways):
+        return []
+    doubtful = min((ways for ways in parts if len(ways) > 1), key=lambda ways: ways[1].lead, default=None)
+    found = [[ways[0] for ways in parts]]
+    if doubtful is not None:
+        found.append([ways[1] if ways is doubtful else ways[0] for ways in parts])
+    return [
+        WayMatch(
+            np.concatenate([part.on for part in ways]),
+            np.concatenate([part.displacement for part in ways]),
+            sum(part.price for part in ways),
+        )
+        for ways in found
+    ]
+
+
+def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
+    """The ways that a part of a walk followed, as of `match`; at least one, which may be off every way."""
     walked = length_along(track)
     stations = np.unique(np.searchsorted(walked, np.arange(0.0, walked[-1] + WAYS.station, WAYS.station)))
     stations = stations[stations < len(track)]
+    n = len(stations)
+    nowhere = WayMatch(np.zeros(len(track), dtype=bool), np.zeros((len(track), 2)), WAYS.off * n)
     place, stray = track[stations], np.minimum(sigma[stations], WAYS.farthest / WAYS.reach)
     reach = WAYS.reach * np.hypot(stray, WAYS.drawn) + WAYS.spacing
     points = network.points.within(place, reach)
-    if len(stations) < 2 or not len(points.place):
-        return []
+    if n < 2 or not len(points.place):
+        return [nowhere]
     lattice = _Lattice.of(points, place, np.diff(walked[stations]), stray, askew[stations], reach)
-    found = list[WayMatch]()
-    for states, cost in lattice.paths():
+    found, paths = list[WayMatch](), lattice.paths()
+    for states, cost in paths:
         on = states >= 0
         if not on.any():
+            found.append(nowhere)
             continue
         shift = points.place[states] - place
         known = walked[stations][on]
         displacement = np.stack([np.interp(walked, known, shift[on, axis]) for axis in (0, 1)], axis=1)
-        after = np.clip(np.searchsorted(stations, np.arange(len(track))), 1, len(stations) - 1)
-        pulled = float(lattice.emission[np.flatnonzero(on), states[on]].sum())  # which the sources of the walk say too
-        found.append(WayMatch(on[after] & on[after - 1], displacement, cost - pulled))
+        after = np.clip(np.searchsorted(stations, np.arange(len(track))), 1, n - 1)
+        pulled = float(lattice.emission[np.flatnonzero(on), states[on]].sum())  # by the sources of the walk
+        lead = cost - paths[0][1]
+        found.append(WayMatch(on[after] & on[after - 1], displacement, cost - pulled, lead))
     return found
 
 
