@@ -590,7 +590,7 @@ class WayPriors(Table):
     drawn: float = number(1.5, "m", "sigma of the line of a way, as it is drawn from pictures")
     spacing: float = number(4.0, "m", "between the points of ways that a walk can be at")
     station: float = number(12.0, "m", "of the walk between two points at which its way is sought")
-    alike: float = number(200.0, "m", "of the walk over which its error, and its place across a way, are the same")
+    alike: float = number(150.0, "m", "of the walk over which its error, and its place across a way, are the same")
     moved: float = number(2.5, "m", "sigma of the move between two such points: corners are cut, sides changed")
     askew: float = number(0.5, "rad", "sigma of the direction of a walk at most")
     detour: float = number(1.3, "share", "of the walk, longest way between two points beside `slack`")

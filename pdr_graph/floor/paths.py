@@ -182,8 +182,8 @@ class WayMatch:
     """The ways that a walk followed, or one of several possibilities.
 
     on: ``(n,)`` True where it was on a way; displacement: ``(n, 2)`` from each place of the walk to the way [m];
-    price: of the discrete path: of being off all ways, and of another shape than theirs [nats]; lead: cost above that of
-    the most probable path [nats].
+    price: of the discrete path: of being off all ways, and of another shape than theirs [nats]; lead: cost above that
+    of the most probable path [nats].
     """
 
     on: Mask
