@@ -19,7 +19,7 @@ from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.priors import REPORTS, VERDICTS
+from pdr_graph.priors import FIXES, REPORTS, VERDICTS, WAYS
 from pdr_graph.types import (
     DOUBTFUL,
     DUPLICATE,
@@ -229,7 +229,7 @@ def beside_warnings(optima: Sequence[Optimum], share: Array) -> tuple[str, ...]:
     best, elsewhere, times = optima[0].graph.ways, 0.0, list[float]()
     for optimum, weight in zip(optima[1:], share[1:].tolist(), strict=True):
         apart = optimum.graph.ways.apart(best) if best is not None else np.empty(0, np.intp)
-        if len(apart):
+        if len(apart) and np.ptp(optimum.graph.keyframe_time[apart]) > 2 * WAYS.station / FIXES.walking_speed:
             elsewhere += weight
             times += optimum.graph.keyframe_time[apart].tolist()
     if elsewhere <= 1 - REPORTS.sure:

@@ -145,6 +145,18 @@ def test_a_walk_is_matched_to_the_ways_that_it_follows():
     np.testing.assert_allclose(back, [-6.0, 5.0], atol=3.0)  # ways are 3 to 10 m wide
 
 
+def test_a_gap_in_a_walk_joins_no_ways():
+    """The walk jumps by kilometres, as after a ride; either part is matched by itself."""
+    walk, _ = walked(TOWN, 3, length=400)
+    jumped = np.concatenate([walk.place, walk.place[::-1] + np.array([0.0, 9000.0]), walk.place])
+    sigma = np.full(len(jumped), 4.0)
+    [way, *_] = match(TOWN, jumped, sigma, sigma / 100)
+    first, away, last = np.split(way.on, 3)
+    assert first.mean() > 0.9
+    assert not away.any()
+    assert np.array_equal(first, last)
+
+
 def test_derivatives_of_the_factors():
     walk, fixes = walked(TOWN, 1, length=500)
     graph = smooth(WalkGraph(walk.steps, fixes, paths=TOWN)).graph
