@@ -494,7 +494,7 @@ def map_show(
     scale: PlanScale = None,
     paths: Annotated[bool, typer.Option("--paths", help="PLAN has ways outdoors, as for smooth --paths.")] = False,
 ) -> None:
-    """Draw a floor plan, all its floors side by side, or a network of ways.
+    """Draw a floor plan, all its floors, or ways.
 
     \b
     pdr-graph map show plan.geojson --out plan.png
