@@ -7,7 +7,8 @@ A phone's sensor log, a floor plan and a few position fixes in; the most probabl
     fixes = pdr.frame_of(walk.fixes).place(walk.fixes)   in metres
     result = pdr.smooth(pdr.WalkGraph(steps, fixes)) the most probable walk
 
-read       load  read_fixes  read_trajectory  FloorPlan  Building  Walker  Frame  frame_of
+read       load  read_fixes  read_trajectory  FloorPlan  Building  PathNetwork  Walker  Frame
+           frame_of
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
 estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
 live       Navigator  Journal  Event  Samples  Sensor  Scan  Pose  Mode  Status  events_of

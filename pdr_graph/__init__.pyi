@@ -13,6 +13,7 @@ from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
 from .estimation.smoother import smooth as smooth
 from .estimation.verdict import verdict as verdict
+from .floor.paths import PathNetwork as PathNetwork
 from .floor.plan_files import Building as Building
 from .floor.plan_files import FloorPlan as FloorPlan
 from .frames import Frame as Frame

@@ -557,6 +557,53 @@ class TurnPriors(Table):
 
 
 @dataclass(frozen=True)
+class WayPriors(Table):
+    """Ways on foot outdoors, and which of them a walk followed."""
+
+    half_width: tuple[tuple[str, float], ...] = number(
+        (
+            ("footway", 1.5),
+            ("path", 1.5),
+            ("steps", 1.5),
+            ("cycleway", 1.5),
+            ("bridleway", 1.5),
+            ("corridor", 1.5),
+            ("track", 2.0),
+            ("service", 3.0),
+            ("living_street", 4.0),
+            ("pedestrian", 5.0),
+            ("residential", 5.0),
+            ("unclassified", 5.0),
+            ("road", 5.0),
+            ("tertiary", 6.0),
+            ("secondary", 7.0),
+            ("primary", 9.0),
+            ("tertiary_link", 4.0),
+            ("secondary_link", 4.0),
+            ("primary_link", 4.0),
+        ),
+        "class, m",
+        "half the width of a way with its pavements; others are closed to walkers",
+        "RASt 06, Directives for the Design of Urban Roads: lanes of 2.75 to 3.25 m, pavements of 2.5 m",
+    )
+    side: float = number(0.6, "share", "of half a width, sigma of a walker across it: 0.58 if uniformly distributed")
+    drawn: float = number(1.5, "m", "sigma of the line of a way, as it is drawn from pictures")
+    spacing: float = number(4.0, "m", "between the points of ways that a walk can be at")
+    station: float = number(12.0, "m", "of the walk between two points at which its way is sought")
+    alike: float = number(150.0, "m", "of the walk over which its error, and its place across a way, are the same")
+    moved: float = number(2.5, "m", "sigma of the move between two such points: corners are cut, sides changed")
+    askew: float = number(0.5, "rad", "sigma of the direction of a walk at most")
+    detour: float = number(1.3, "share", "of the walk, longest way between two points beside `slack`")
+    slack: float = number(8.0, "m", "the same for every move")
+    reach: float = number(2.5, "σ", "of the walk, within which its ways are sought")
+    farthest: float = number(120.0, "m", "the same at most")
+    off: float = number(0.8, "nats", "per station off every way: more than a walk along one costs")
+    leave: float = number(3.0, "nats", "of leaving or entering the ways")
+    apart: float = number(8.0, "m", "between parallel ways that are told apart")
+    open: float = number(3.0, "nats", "by which another path along ways is less probable and still considered")
+
+
+@dataclass(frozen=True)
 class PlanPriors(Table):
     """Tolerances of a drawing."""
 
@@ -1151,6 +1198,7 @@ class VerdictPriors(Table):
         (0.72, 1.6), "ratio", "of strides to those by height and pace, beyond which no position confirms them"
     )
     near_beacon: float = number(5.0, "m", "sigma of a position by a beacon, which may teach a stride")
+    displaced: float = number(2.5, "σ", "of the offset of a receiver from which the ways show it", VERDICT_SEEDS)
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
 
 
@@ -1160,7 +1208,7 @@ FORWARD, GRIP, COMPASS, LIVE_COMPASS = ForwardPriors(), GripPriors(), CompassPri
 REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()
 CLIMB, KIND = ClimbPriors(), KindPriors()
 LOSSES, WALKER, WALLS, REGIONS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors()
-CORRIDOR, TURNS, PLANS = CorridorPriors(), TurnPriors(), PlanPriors()
+CORRIDOR, TURNS, WAYS, PLANS = CorridorPriors(), TurnPriors(), WayPriors(), PlanPriors()
 FIXES, RECEIVERS, BEACONS, RANGES = FixPriors(), ReceiverPriors(), BeaconPriors(), RangePriors()
 INITIAL, SEARCH = InitialPriors(), SearchPriors()
 PRICES, DOUBTS, PATHS, ANYWHERE = PricePriors(), DoubtPriors(), PathPriors(), AnywherePriors()

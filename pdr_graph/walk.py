@@ -78,6 +78,7 @@ from pdr_graph.types import (
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
+    from pdr_graph.floor.paths import PathNetwork
 
 FASTEST_OUTPUT = 1000.0  # [Hz] largest rate of output rows
 LARGEST_LATENCY = 60.0  # [s]
@@ -100,6 +101,8 @@ class Options:
     """CSV of surveyed beacons; default: the list beside the recording, else the plan's."""
     ranges: Path | None = None
     """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
+    paths: Path | None = None
+    """Ways outdoors: an OpenStreetMap extract, lines of GeoJSON or GPX routes; not of live walks."""
     radio_map: Path | None = None
     """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
     walker: Path | None = None
@@ -171,7 +174,7 @@ class Evidence(OneLineRepr):
     steps: None without an accelerometer, and before they are detected; headings, measurements: tables for the graph;
     floors: of every step, None if unknown; others: the same walk begun on other floors, if nothing says on which.
     modes: of transport, as stated; rides: ``(r, 2)`` start and end of each [s], of which the steps are left out;
-    doubts: contradictions that are known before the estimate.
+    doubts: contradictions that are known before the estimate; paths: ways outdoors around the walk, None without.
     """
 
     walk: Recording
@@ -192,6 +195,7 @@ class Evidence(OneLineRepr):
     modes: Stated = ()
     rides: Array = field(default_factory=lambda: np.empty((0, 2)))
     doubts: tuple[Contradiction, ...] = ()
+    paths: PathNetwork | None = None
 
     @property
     def near(self) -> Array:
@@ -218,6 +222,7 @@ class Evidence(OneLineRepr):
             floor=self.building,
             floors=self.floors.labels if self.floors else None,
             measurements=self.measurements,
+            paths=self.paths,
             prior=prior_of(self.walker.profile),
         )
 
@@ -295,6 +300,7 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         ranges = read_ranges(options.ranges, walk, anchors)
         places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
         walk = replace(walk, measurements=(*walk.measurements, ranges))
+    paths = _paths(options, frame, fixes, notes)
     if options.truth is not None:
         truth = read_trajectory(options.truth, walk, geodetic=frame.georeferenced)
         places.check_truth(options.truth, truth)
@@ -302,10 +308,25 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
             notes.append(f"x, y of {options.truth.name} are taken as metres from {frame}; lat, lon would be exact")
         walk = replace(walk, truth=truth)
     evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
+    evidence = replace(evidence, paths=paths)
     if (bearing := options.start_heading) is None:
         return evidence
     east = frame.bearing_of_east(evidence.near) if frame.georeferenced else 0.0
     return replace(evidence, start_heading=float(wrap_angle(np.pi / 2 - np.radians(bearing) + east)))
+
+
+def _paths(options: Options, frame: Frame, fixes: Fixes, notes: list[str]) -> PathNetwork | None:
+    """The ways around the fixes; None without --paths, and for live walks, which do not use them."""
+    if options.paths is None:
+        return None
+    if options.method == LIVE:
+        notes.append(f"{options.paths.name} was left out: a live walk does not use ways, smooth does")
+        return None
+    from pdr_graph.floor.paths import PathNetwork  # with the readers of its formats
+
+    paths = PathNetwork.load(options.paths, frame, fixes)
+    notes.extend(f"{options.paths.name}: {note}" for note in paths.notes)
+    return paths
 
 
 def _placed_beacons(
@@ -533,7 +554,7 @@ def estimate(evidence: Evidence) -> Result:
     missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     causal = partial(_filter_track, graph) if method in SMOOTHED else dict
     missing = (*graph.steps.unknown, *without_acceleration(evidence.walk), *missing)
-    return Result(evidence, walk, missing, graph, causal=causal)
+    return Result(evidence, walk, missing, graph, issues=without_ways(evidence), causal=causal)
 
 
 def without_acceleration(recording: Recording) -> tuple[str, ...]:
@@ -552,10 +573,18 @@ def fixes_alone(evidence: Evidence, issues: tuple[str, ...] = ()) -> Result:
 
     issues: further ones.
     """
+    issues = (*issues, *without_ways(evidence))
     if not evidence.walk.signals:
         return Result(evidence, follow(evidence.fixes), issues=(*issues, POSITIONS_ALONE))
     missing = UNDETECTED if evidence.walk.has_acceleration else NO_ACCELEROMETER
     return Result(evidence, follow(evidence.fixes), (missing,), issues=issues)
+
+
+def without_ways(evidence: Evidence) -> tuple[str, ...]:
+    """A line if the ways outdoors of a walk are not used."""
+    if evidence.paths is None or (evidence.steps is not None and evidence.options.method == "graph"):
+        return ()
+    return ("ways were not used: only the graph of steps follows them, not smoothed fixes, filters or dead reckoning",)
 
 
 def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:

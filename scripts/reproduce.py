@@ -20,6 +20,7 @@ import gait
 import integrity
 import lifelog
 import live
+import paths
 import recordings
 import settings
 from conditions import DATA
@@ -51,6 +52,7 @@ TABLES = {  # in the order of docs/results/index.md
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True),
     "integrity-live": Made(integrity.integrity_live, some=True),
+    "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "lifelog": Made(lifelog.lifelog),

@@ -63,7 +63,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2840),
+    ".": (15, 2940),
     "apps": (3, 149),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
@@ -73,16 +73,16 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (13, 2570),
     "estimation": (18, 3162),
     "estimation/ambiguity": (6, 388),
-    "estimation/factors": (15, 2400),
+    "estimation/factors": (15, 2580),
     "estimation/live": (10, 1824),
-    "floor": (9, 1073),
-    "floor/formats": (16, 1771),
+    "floor": (9, 1314),
+    "floor/formats": (16, 1893),
     "gait": (10, 1490),
     "inertial": (6, 518),
     "io": (18, 1720),
     "lab": (2, 0),
-    "lab/papers": (5, 512),
-    "lab/simulation": (9, 1190),
+    "lab/papers": (5, 566),
+    "lab/simulation": (9, 1344),
     "online": (7, 936),
 }
 # Most modules and lines of code that a module imports, directly or not

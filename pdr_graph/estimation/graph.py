@@ -18,6 +18,7 @@ import numpy as np
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors.base import (
     AnyArray,
+    Followed,
     Initialized,
     Locating,
     Measurement,
@@ -33,7 +34,7 @@ from pdr_graph.estimation.factors.base import (
     initial_state,
 )
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut, pace_changes, whole_pieces
-from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk
+from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk, ways_of
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
     Prior,
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     import gtsam
 
     from pdr_graph.estimation.factors import Directions, Positions
+    from pdr_graph.floor.paths import PathNetwork
 
 MOST_EQUATIONS = 3  # places of blocks that are kept
 Kind = TypeVar("Kind", bound=Measurement)
@@ -66,7 +68,8 @@ class WalkGraph:
     steps: of the front end; fixes: in the frame of ``floor`` (or any metric frame without one); headings: walking
     directions in that frame; floor: plan or building whose walls are factors, optional; floors: the floor's label for
     each row of the trajectory ``(n + 2,)``, expected for a building of several floors; levels: of beacons; closures:
-    moments at one place; measurements: data of any other registered type (`Ranges`);
+    moments at one place; measurements: data of any other registered type (`Ranges`); paths: ways outdoors, in that
+    frame;
     prior: see ``Prior``; others: start [s] and prior of each further walk in the same steps, in order of time.
 
     chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
@@ -87,11 +90,13 @@ class WalkGraph:
         levels: Levels | None = None,
         closures: Closures | None = None,
         measurements: Sequence[Any] = (),
+        paths: PathNetwork | None = None,
         prior: Prior | None = None,
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
         self.steps, self.floor, self.prior, self._others = steps, floor, (prior or Prior()).after(steps), tuple(others)
+        self.paths = paths
         self.fixes = Fixes.none() if fixes is None else fixes
         tables = [table for table in (levels, closures, *measurements) if table is not None]
         tables = [table for table in tables if kind_of(table) and len(table)]  # raises for types without a kind
@@ -129,7 +134,7 @@ class WalkGraph:
         kinds = [kind.initialized(poses) if isinstance(kind, Initialized) else kind for kind in kinds]
         calibrations = calibration_prior(prior_of_segment, self.prior.change, self.prior.another)
         priors = calibrations, self._start_prior(float(poses[0, 2]))
-        self._measurements = (steps_between_keyframes(), *kinds, *priors)
+        self._measurements = (steps_between_keyframes(), *kinds, *priors, *ways_of(paths))
         self.start = initial_state(poses, c, self._measurements)
         self.walled, self.optimum = False, cast("State | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
@@ -195,6 +200,11 @@ class WalkGraph:
     def walls(self) -> Any:
         """The walls along the walk, the first kind on the plan; None if no plan is used."""
         return next((kind for kind in self.measurements if kind.on_plan), None)
+
+    @property
+    def ways(self) -> Any:
+        """The ways outdoors that the walk may follow; None if there are none."""
+        return next((kind for kind in self._measurements if isinstance(kind, Followed)), None)
 
     @property
     def unplaced(self) -> bool:
@@ -321,7 +331,7 @@ class WalkGraph:
         prior = self.prior.another
         assert prior is not None, "asked for where a profile corrected the steps"
         others = [(time, prior) for time, _ in self._others]
-        options = {"floor": self.floor, "floors": self.floors, "prior": prior, "others": others}
+        options = {"floor": self.floor, "floors": self.floors, "paths": self.paths, "prior": prior, "others": others}
         graph = WalkGraph.of(self.steps, self.data, **options)
         graph = graph if self.walled else graph.without_plan()
         graph = graph._replaced(_measurements=by_another_walker(graph._measurements))

@@ -179,7 +179,23 @@ def solve_robust(graph: WalkGraph) -> Optimum:
     states = [optimize(version, version.start).state for version in graph.alternatives()] or [graph.start]
     first = min((optimize(graph, state) for state in states), key=lambda optimum: optimum.surprise)
     refined = graph.refined(first.at)
-    return first if refined is graph else optimize(refined, continued(refined.start, first.state))
+    return on_ways(first if refined is graph else optimize(refined, continued(refined.start, first.state)))
+
+
+def on_ways(walk: Optimum, free: bool = True) -> Optimum:
+    """The walk along the ways outdoors that it followed, as it says without them; itself if the graph has no ways.
+
+    free: no way holds it yet.
+    """
+    ways = walk.graph.ways
+    if ways is None:
+        return walk
+    if not free:
+        walk = optimize(walk.graph.assuming((ways.about(ways.network),)), walk.state)
+    covariance = walk.solution.joint((POSE, np.arange(len(walk.state.poses))))
+    sigma, askew = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2), np.sqrt(covariance[:, 2, 2])
+    matched = ways.matched(walk.at, sigma, askew)
+    return optimize(walk.graph.assuming((matched,)), walk.state)
 
 
 def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> State:

@@ -14,8 +14,10 @@ from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.linear_system import covariance_of_ends, one_thread
 from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
+    beside_warnings,
     calibration_of,
     contradiction_warnings,
+    displaced_by_ways,
     movement_contradictions,
     plan_contradictions,
     stated_probability,
@@ -92,6 +94,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         contradictions=(
             *plan_contradictions(graph, trajectory if best.graph.walled else None),
             *contradictions(optima, share),
+            *displaced_by_ways(best),
             *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
         ),
         routes=tuple(routes),
@@ -103,6 +106,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     warned = (
         *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
+        *beside_warnings(optima, share / share.sum()),
     )
     return replace(estimate, probability=stated, warnings=warned)
 

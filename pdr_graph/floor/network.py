@@ -16,7 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import shapely
@@ -26,11 +28,35 @@ from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without
 from pdr_graph.geometry import length_along, peaks, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
+PART = 200  # steps that are compared with the segments around them at a time: a town has many
+BEYOND = 30.0  # [m] around these: a segment farther off than some corridor widths is none of theirs
 TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet; chosen by hand
 
 
+class Lines:
+    """Lines that people walk along: the corridors of a floor, or ways outdoors.
+
+    lines: of each, ``(m, 2)`` [m]; width: ``(l,)`` [m].
+    """
+
+    lines: tuple[Array, ...]
+    width: Any
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    @cached_property
+    def segments(self) -> Segments:
+        """The straight segments of all lines, in order."""
+        starts = [line[:-1] for line in self.lines]
+        link = np.repeat(np.arange(len(self)), [len(s) for s in starts])
+        along = [np.diff(line, axis=0) for line in self.lines]
+        empty = np.empty((0, 2))
+        return Segments(np.concatenate([*starts, empty]), np.concatenate([*along, empty]), link)
+
+
 @dataclass(frozen=True)
-class Network(OneLineRepr):
+class Network(Lines, OneLineRepr):
     """Nodes and links of a floor.
 
     nodes: ``(n, 2)`` [m]; corners: ``(n, 4, 2)`` of each intersection, counter-clockwise, NaN at dead ends and where no
@@ -52,9 +78,6 @@ class Network(OneLineRepr):
         points = [shapely.get_coordinates(shapely.segmentize(shapely.linestrings(line), TOUCH * 4)) for line in lines]
         width = [2 * float(np.median(shapely.distance(shapely.points(at), border))) for at in points]
         return cls(nodes, corners, links, tuple(lines), np.array(width), area)
-
-    def __len__(self) -> int:
-        return len(self.links)
 
     def walls(self, slack: float = 0.0) -> Array:
         """All wall segments ``(w, 2, 2)`` around the area, moved outwards by ``slack``. [m]
@@ -87,18 +110,6 @@ class Segments(OneLineRepr):
     along: Array
     link: Index
 
-    @classmethod
-    def of(cls, network: Network) -> Segments:
-        """Segments of all links, in order."""
-        starts = [line[:-1] for line in network.lines]
-        link = np.repeat(np.arange(len(network)), [len(s) for s in starts])
-        empty = np.empty((0, 2))
-        return cls(
-            np.concatenate([*starts, empty]),
-            np.concatenate([*(np.diff(li, axis=0) for li in network.lines), empty]),
-            link,
-        )
-
     def projected(self, points: Array) -> Array:
         """The nearest point on each segment ``(n, s, 2)`` to points ``(n, 2)``. [m]"""
         to = points[:, None] - self.start
@@ -125,6 +136,22 @@ def segment_costs(segments: Segments, start: Array, end: Array) -> Array:
     askew = np.abs(wrap_angle(2 * (step[:, None] - along))) / 2
     squared = (apart / usual_distance) ** 2
     return squared / (1 + squared / largest) + (askew / usual_angle) ** 2
+
+
+def nearest_segments(segments: Segments, track: Array) -> tuple[Index, Array]:
+    """The segment ``(n - 1,)`` of least cost for each step of a walk through places ``track (n, 2)``, and that cost."""
+    nearest, cost = np.zeros(len(track) - 1, dtype=np.intp), np.full(len(track) - 1, np.inf)
+    low, high = (bound(segments.start, segments.start + segments.along) for bound in (np.minimum, np.maximum))
+    for begin in range(0, len(nearest), PART):
+        part = track[begin : begin + PART + 1]
+        near = (low < part.max(axis=0) + BEYOND).all(axis=1) & (high > part.min(axis=0) - BEYOND).all(axis=1)
+        if not near.any():
+            continue
+        which = np.flatnonzero(near)
+        here = Segments(segments.start[which], segments.along[which], segments.link[which])
+        costs, rows = segment_costs(here, part[:-1], part[1:]), slice(begin, begin + PART)
+        nearest[rows], cost[rows] = which[costs.argmin(axis=1)], costs.min(axis=1)
+    return nearest, cost
 
 
 def drawn_network(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geometry) -> Network | None:

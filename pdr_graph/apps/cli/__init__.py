@@ -492,18 +492,26 @@ def map_show(
         Path | None, typer.Option("--out", metavar="PNG", help="Default: PLAN's name with .png, here.")
     ] = None,
     scale: PlanScale = None,
+    paths: Annotated[bool, typer.Option("--paths", help="PLAN has ways outdoors, as for smooth --paths.")] = False,
 ) -> None:
-    """Draw a floor plan, all its floors side by side.
+    """Draw a floor plan, all its floors, or ways.
 
     \b
     pdr-graph map show plan.geojson --out plan.png
+    pdr-graph map show town.osm.pbf --paths
     """
-    from pdr_graph.apps.report.plotting import picture_bytes, plot_plan
+    from pdr_graph.apps.report.plotting import picture_bytes, plot_plan, plot_ways
+    from pdr_graph.floor.paths import PathNetwork
     from pdr_graph.floor.plan_files import FloorPlan
     from pdr_graph.whole_files import write_file
 
+    target = out or Path(plan.resolve().name.split(".")[0] + ".png")
+    if paths:
+        network = PathNetwork.load(plan)
+        write_file(target, picture_bytes(plot_ways(network), dpi=150))
+        echo(f"{network!r} -> {target}")
+        return
     floors = FloorPlan.load_all(plan, scale)
-    target = out or Path(plan.resolve().stem + ".png")
     write_file(target, picture_bytes(plot_plan(*floors), dpi=150))
     for floor in floors:
         size = f"{len(floor.areas)} areas, {len(floor.cells)} cells, {floor.walkable_area:.0f} m² walkable"

@@ -86,6 +86,10 @@ TruthPath = Annotated[
         help="CSV time,x,y[,heading][,floor], or TUM; drawn and scored, not used by the estimate.",
     ),
 ]
+PathsPath = Annotated[
+    Path | None,
+    typer.Option("--paths", metavar="FILE", help="Ways outdoors: an OpenStreetMap extract, GeoJSON lines, GPX routes."),
+]
 RadioMapPath = Annotated[
     Path | None,
     typer.Option("--radio-map", metavar="FILE", help="Made by radio-map from earlier walks: fixes by Wi-Fi and BLE."),
@@ -174,6 +178,7 @@ class WalkOptions:
     beacons: BeaconsPath = None
     ranges: RangesPath = None
     radio_map: RadioMapPath = None
+    paths: PathsPath = None
     truth: TruthPath = None
 
     @property

@@ -116,7 +116,8 @@ def _write_picture(path: Path, evidence: Evidence, estimate: Estimate) -> tuple[
         from pdr_graph.apps.report.plotting import picture_bytes, plot
 
         title = f"{evidence.walk.source}   {_length(estimate):.0f} m"
-        picture = picture_bytes(plot(estimate, evidence.building, _truth_beside(evidence, estimate), title))
+        truth = _truth_beside(evidence, estimate)
+        picture = picture_bytes(plot(estimate, evidence.building, truth, title, evidence.paths))
     except Exception as error:
         return (f"{path.name} ({type(error).__name__}: {error})",)
     path.write_bytes(picture)

@@ -41,6 +41,7 @@ from pdr_graph.apps.report.page import (
 from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
+from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.notebook_html import BLUE, GREY, RED
@@ -65,12 +66,17 @@ HALO = [Stroke(linewidth=2.2, foreground="white", alpha=0.85), Normal()]
 
 @rc_context(STYLE)
 def plot(
-    estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
+    estimate: Estimate,
+    floor: FloorPlan | Building | None = None,
+    truth: Trajectory | None = None,
+    title: str = "",
+    paths: PathNetwork | None = None,
 ) -> Figure:
     """Draw a walk: dead reckoning in grey, the estimate with its 95 % region, other routes, fixes by weight.
 
-    floor: the plan, drawn below; truth: drawn on top; title: above the picture. Returns a `matplotlib.figure.Figure`;
-    a walk over several floors of a building has axes for each, the lowest at the lower left.
+    floor: the plan, drawn below, as are the ways ``paths``; truth: drawn on top; title: above the picture. Returns a
+    `matplotlib.figure.Figure`; a walk over several floors of a building has axes for each, the lowest at the lower
+    left.
     """
     expect("plot, estimate", estimate, Estimate, instead="smooth(graph)")
     expect("plot, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
@@ -86,6 +92,8 @@ def plot(
     for n, axes in enumerate(canvases):
         if floors:
             draw_plan(axes, floors[n])
+        if paths is not None:
+            _draw_ways(axes, paths)
         several = len(floors) > 1
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
         axes.set_title(printable(f"{floors[n].label}   {title}" if several else title))
@@ -215,6 +223,26 @@ def plot_plan(*floors: FloorPlan, bottom: float = 0.6) -> Figure:
         draw_plan(axes, floor)
         axes.set_title(printable(f"{floor.label}   walkable {floor.walkable_area:.0f} m²"))
     return figure
+
+
+@rc_context(STYLE)
+def plot_ways(paths: PathNetwork) -> Figure:
+    """Draw ways on foot, as wide as their class is."""
+    figure, (axes,) = _canvas(np.concatenate(paths.lines), around=0.02, bottom=0.6, count=1)
+    _draw_ways(axes, paths)
+    draw_scale(axes)
+    axes.set_title(printable(repr(paths)))
+    return figure
+
+
+def _draw_ways(axes: Axes, paths: PathNetwork) -> None:
+    """Draw ways below everything else: bands of their width, and lines that remain visible."""
+    bands = [
+        shapely.buffer(shapely.LineString(line), half, quad_segs=2)
+        for line, half in zip(paths.lines, (paths.width / 2).tolist(), strict=True)
+    ]
+    _draw_shape(axes, shapely.GeometryCollection(bands), facecolor=WALKABLE_COLOUR, edgecolor="none")
+    axes.add_collection(LineCollection(list(paths.lines), colors=EDGES, linewidths=0.6), autolim=False)
 
 
 @rc_context(STYLE)

@@ -25,7 +25,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
 from pdr_graph.estimation.factors.base import AnyArray, Doubted, decisions_of
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.start import WALKER_KIND
-from pdr_graph.estimation.optimizer import Optimum, continued, optimize, solve_robust
+from pdr_graph.estimation.optimizer import Optimum, continued, on_ways, optimize, solve_robust
 from pdr_graph.priors import DOUBTS, SEARCH
 from pdr_graph.types import Array, Contradiction, Index
 
@@ -109,6 +109,8 @@ class HypothesisBank:
             graph = base.graph.assuming(proposal.measurements)
             before = continued(graph.start, proposal.start or base.state, proposal.fresh)
             optimum = optimize(graph, graph.start if proposal.anew else before)
+            if all(kind is not graph.ways for kind in proposal.measurements):
+                optimum = on_ways(optimum, free=False)
         hypothesis = replace(hypothesis.numbered(self._numbers), changes=changes)
         information = optimum.solution.log_determinant - base.solution.log_determinant
         return weighed(replace(optimum, unseen=self.first.unseen), base, hypothesis, information=information)

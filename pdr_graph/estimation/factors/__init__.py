@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
-from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, PathFactor, TurnFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.ranging import RangeFactor
-from pdr_graph.estimation.factors.registry import ON_PLAN, RESERVED, register
+from pdr_graph.estimation.factors.registry import ON_PLAN, RESERVED, WAYS_OUTDOORS, register
 from pdr_graph.estimation.factors.start import CalibrationFactor, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.types import Closures, Fixes, Headings, Levels, Ranges
 
-ON_PLAN |= {"directions": CorridorFactor, "turns": TurnFactor}
-RESERVED |= {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, CalibrationFactor, StartFactor)}
+ON_PLAN |= {"directions": CorridorFactor, "turns": TurnFactor, WAYS_OUTDOORS: PathFactor}
+RESERVED |= {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, PathFactor, CalibrationFactor, StartFactor)}
 register(Fixes, FixFactor, GnssBias)
 register(Headings, HeadingFactor)
 register(Levels, BeaconRssiFactor)

@@ -442,6 +442,22 @@ class OnPlan(Structural):
         """
 
 
+class Followed(Structural):
+    """A kind whose instances are the ways outdoors that a walk follows; which these are depends on how sure it is."""
+
+    @abstractmethod
+    def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
+        """Find the ways along the walk ``at``. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
+
+
+class Displaced(Structural):
+    """A kind whose sources may be off to one side throughout, by an offset that is estimated."""
+
+    @abstractmethod
+    def offsets(self, at: Evaluation) -> Sequence[tuple[str, str, int]]:
+        """Name of each source, and the symbol and the row of its offset, x and y first [m]."""
+
+
 class Priced(Structural):
     """A kind whose association with regions of the plan has a price."""
 

@@ -7,7 +7,7 @@ turns are associated with links and intersections along one walk; the associatio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 import shapely
 
-from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, RobustLoss
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.floor.network import Network, Segments, segment_costs
-from pdr_graph.geometry import length_along, turn_between, wrap_angle
-from pdr_graph.priors import CORRIDOR, TURNS
-from pdr_graph.types import Array, Headings, Index, OneLineRepr
+from pdr_graph.floor.network import Lines, Network, nearest_segments
+from pdr_graph.floor.paths import PathNetwork, match
+from pdr_graph.geometry import length_along, pose_rotation, turn_between, wrap_angle
+from pdr_graph.priors import CORRIDOR, TURNS, WAYS
+from pdr_graph.types import Array, Headings, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
@@ -112,19 +114,10 @@ class CorridorFactor(Measurement):
 
     def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Match the straight runs of the walk ``at``."""
-        rows = list[tuple[int, float, float]]()
-        for floor, begin, end in self.floor_sequence.spans:
-            track = Track.of(at, begin, end)
-            for run in straight_runs(track.position, floor.network):  # along its corridor from end to end
-                first, last = run.first, run.last - 1
-                if (keyframe := track.keyframe(first, last)) is None:
-                    continue
-                length = float(np.hypot(*(track.position[last] - track.position[first])))
-                sigma = np.hypot(np.sqrt(2) * CORRIDOR.side * run.width / length, np.hypot(CORRIDOR.ahead, run.spread))
-                rows.append((keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), sigma))
-        numbers, direction, sigmas = np.array(rows).reshape(-1, 3).T
-        keyframes = numbers.astype(np.intp)
-        return replace(self, keyframe=keyframes, direction=Headings(at.chain.time[keyframes], direction, sigmas))
+        spans = ((floor.network, Track.of(at, begin, end)) for floor, begin, end in self.floor_sequence.spans)
+        rows = [row for network, track in spans for row in directions_of(track, straight_runs(track.position, network))]
+        keyframe, direction = _headings(at, rows)
+        return replace(self, keyframe=keyframe, direction=direction)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One heading for each run."""
@@ -132,16 +125,33 @@ class CorridorFactor(Measurement):
         return [heading_block(self.name, at, self.keyframe, self.direction, number)]
 
 
-def stretches_along(track: Array, network: Network) -> list[Stretch]:
+def directions_of(track: Track, runs: Sequence[Run]) -> Iterator[tuple[int, float, float]]:
+    """Keyframe, heading there [rad] and its sigma [rad] of each run that has a keyframe."""
+    for run in runs:  # along its corridor from end to end
+        first, last = run.first, run.last - 1
+        if (keyframe := track.keyframe(first, last)) is None:
+            continue
+        length = float(np.hypot(*(track.position[last] - track.position[first])))
+        sigma = np.hypot(np.sqrt(2) * CORRIDOR.side * run.width / length, np.hypot(CORRIDOR.ahead, run.spread))
+        yield keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), float(sigma)
+
+
+def _headings(at: Evaluation, rows: Sequence[tuple[int, float, float]]) -> tuple[Index, Headings]:
+    """Keyframes, and headings there."""
+    numbers, direction, sigmas = np.array(rows).reshape(-1, 3).T
+    keyframes = numbers.astype(np.intp)
+    return keyframes, Headings(at.chain.time[keyframes], direction, sigmas)
+
+
+def stretches_along(track: Array, network: Lines) -> list[Stretch]:
     """The links that a walk through places ``track (n, 2)`` [m] follows, in order of time."""
     if len(track) < 2 or not len(network):
         return []
-    segments, step, walked = Segments.of(network), np.diff(track, axis=0), length_along(track)
-    cost = segment_costs(segments, track[:-1], track[1:])
-    nearest = cost.argmin(axis=1)
+    segments, step, walked = network.segments, np.diff(track, axis=0), length_along(track)
+    nearest, cost = nearest_segments(segments, track)
     along = segments.along[nearest]
     bearing = np.arctan2(*(along * np.where(np.sum(step * along, axis=1) < 0, -1, 1)[:, None]).T[::-1])
-    link = np.where(cost.min(axis=1) < CORRIDOR.on_link, segments.link[nearest], -1)
+    link = np.where(cost < CORRIDOR.on_link, segments.link[nearest], -1)
     bends = np.abs(wrap_angle(np.diff(bearing))) > CORRIDOR.straight
     parts = np.split(np.arange(len(link)), np.flatnonzero(bends | (np.diff(link) != 0)) + 1)
     return [
@@ -151,7 +161,7 @@ def stretches_along(track: Array, network: Network) -> list[Stretch]:
     ]
 
 
-def straight_runs(track: Array, network: Network) -> list[Run]:
+def straight_runs(track: Array, network: Lines) -> list[Run]:
     """The long straight runs of a walk through places ``track (n, 2)`` [m] along the links of a network."""
     walked, groups = length_along(track), list[list[Stretch]]()
     for stretch in stretches_along(track, network):
@@ -172,6 +182,138 @@ def straight_runs(track: Array, network: Network) -> list[Run]:
         if length > max(LEAST_LENGTH, LEAST_RATIO * width) and spread < CORRIDOR.spread:
             runs.append(Run(first, last, mean, width, spread))
     return runs
+
+
+@dataclass(frozen=True, eq=False)
+class PathFactor(Measurement):
+    """Distances of keyframes from the ways that a walk followed outdoors, and directions along these ways:
+
+        r = n (p − a) / (w √m)
+
+    a: a point of the way, n: its normal, w: sigma of a walker across it, m: number of keyframes that share this error.
+    Which ways these are is found by `match`; off every way there are no factors.
+
+    network: within reach; followed: ``(r,)`` keyframes on ways; foot: ``(r, 2)`` a [m]; normal: ``(r, 2)``;
+    sigma: ``(r,)`` w √m [m]; along: keyframes of directions; direction: there; price: see `WayMatch` [nats]; other: the
+    same along other ways that are nearly as probable, None if there are none.
+    """
+
+    network: PathNetwork
+    followed: Index
+    foot: Array
+    normal: Array
+    sigma: Array
+    along: Index
+    direction: Headings
+    price: float = 0.0
+    other: PathFactor | None = None
+
+    name: ClassVar[str] = "paths"
+
+    @classmethod
+    def about(cls, network: PathNetwork) -> Self:
+        """The ways around a walk, none of which it follows yet."""
+        numbers, points = np.empty(0, dtype=np.intp), np.empty((0, 2))
+        return cls(network, numbers, points, points, np.empty(0), numbers, Headings.none())
+
+    def __len__(self) -> int:
+        return len(self.followed)
+
+    def same_association(self, other: Measurement) -> bool:
+        """True if all keyframes follow the same ways."""
+        assert isinstance(other, PathFactor)
+        same = np.array_equal(self.followed, other.followed)
+        return same and bool(np.allclose(self.normal, other.normal) and np.allclose(self.sigma, other.sigma))
+
+    def apart(self, other: PathFactor) -> Index:
+        """The keyframes that are on other ways than those of ``other``."""
+        shared, mine, theirs = np.intersect1d(self.followed, other.followed, return_indices=True)
+        return shared[np.hypot(*(self.foot[mine] - other.foot[theirs]).T) > WAYS.apart]
+
+    def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
+        """Find the ways that the walk ``at`` followed. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
+        track = Track.of(at, 0, len(at.pieces.length))
+        none = self.about(self.network)
+        if len(track.position) < 2 or not len(self.network):
+            return none
+        keyframe = at.pieces.interval[track.piece] + 1
+        found = list[Self]()
+        for way in match(self.network, track.position, sigma[keyframe], askew[keyframe]):
+            corrected = replace(track, position=track.position + way.displacement)
+            found.append(replace(none._along(at, track, corrected, way.on), price=way.price))
+        return replace(found[0], other=found[1] if len(found) > 1 else None) if found else none
+
+    def _along(self, at: Evaluation, track: Track, corrected: Track, on: Mask) -> Self:
+        """The factors of a walk along the ways on which its places are, once moved there. on: ``(n,)``."""
+        walked, place = length_along(track.position), np.searchsorted(track.piece, track.keyframe_piece, "right") - 1
+        directions, rows = list[tuple[int, float, float]](), list[tuple[int, Array, Array, float, int]]()
+        bounds = np.flatnonzero(np.diff(on, prepend=False, append=False))
+        for begin, end in bounds.reshape(-1, 2).tolist():
+            part = corrected.position[begin:end]
+            runs = [
+                replace(run, first=run.first + begin, last=run.last + begin)
+                for run in straight_runs(part, self.network)
+            ]
+            directions += directions_of(track, runs)
+            for stretch in stretches_along(part, self.network):
+                line = shapely.linestrings(self.network.lines[stretch.link])
+                first, last = stretch.first + begin, stretch.last + begin
+                for k in np.flatnonzero((place >= first) & (place < last)).tolist():
+                    foot = shapely.line_interpolate_point(
+                        line, shapely.line_locate_point(line, shapely.Point(corrected.position[place[k]]))
+                    )
+                    bearing = stretch.bearing[min(place[k] - first, len(stretch.bearing) - 1)]
+                    normal = np.array([-np.sin(bearing), np.cos(bearing)])
+                    same = int(walked[place[k]] // WAYS.alike)
+                    sigma = float(self.network.sigma[stretch.link])
+                    rows.append((k, shapely.get_coordinates(foot)[0], normal, sigma, same))
+        if not rows:
+            return self
+        rows = list({row[0]: row for row in rows}.values())
+        followed, foot, normal, sigma, same = (np.array(column) for column in zip(*rows, strict=True))
+        groups = np.unique(same, return_inverse=True, return_counts=True)
+        shared = groups[2][groups[1].ravel()]
+        along, direction = _headings(at, directions)
+        return replace(
+            self,
+            followed=followed,
+            foot=foot,
+            normal=normal,
+            sigma=sigma * np.sqrt(shared),
+            along=along,
+            direction=direction,
+        )
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """A distance for each keyframe on a way, and a heading for each straight run along it."""
+        if not len(self):
+            return []
+        pose = at.state.poses[self.followed]
+        value = np.sum(self.normal * (pose[:, :2] - self.foot), axis=1) / self.sigma
+
+        def jacobian() -> list[Array]:
+            by = np.zeros((len(self), 1, 3))
+            by[:, 0, :2] = np.einsum("ri,rij->rj", self.normal, pose_rotation(pose[:, 2])[:, :2, :2])
+            return [by / self.sigma[:, None, None]]
+
+        number, loss = at.state.number("x"), RobustLoss(np.zeros(len(self), dtype=bool))
+        variables = [("x", self.followed)]
+        return [
+            FactorBlock.uniform(self.name, value[:, None], variables, jacobian, number[self.followed], loss=loss),
+            heading_block(f"{self.name}.direction", at, self.along, self.direction, number[self.along]),
+        ]
+
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """The walk followed other ways, a few metres beside (a parallel pavement)."""
+        if self.other is None:
+            return ()
+        return (Proposal(Hypothesis((self.name, "beside"), price=0.0), (self.other,)),)
+
+
+@wording_of(PathFactor.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """The walk followed other ways."""
+    return Wording(PathFactor.name, "the walk may have followed a way beside the one that fits best")
 
 
 @dataclass(frozen=True)

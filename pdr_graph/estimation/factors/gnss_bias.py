@@ -166,6 +166,11 @@ class GnssBias(Measurement):
             found.append(Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes)))
         return found
 
+    def offsets(self, at: Evaluation) -> Sequence[tuple[str, str, int]]:
+        """Name of each receiver, and the symbol and the row of what is the same throughout."""
+        names = {int(self.receiver[n]): self.fixes.fixes.source[f] for n, f in zip(self.node, self.fix, strict=True)}
+        return [(name, self.symbol_throughout, row) for row, name in sorted(names.items())]
+
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
         changes = {name: factor * getattr(self, name) for name in ("white", "sigma", "usual", "larger")}

@@ -18,9 +18,11 @@ from pdr_graph.types import Fixes, Index, Steps
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.start import Prior
     from pdr_graph.floor.building import FloorSequence
+    from pdr_graph.floor.paths import PathNetwork
 
 KINDS: dict[type, tuple[Any, ...]] = {}  # type of data: the kind made from it, then kinds that are made from the first
 ON_PLAN: dict[str, Any] = {}  # factors of corridors, by `Prior.corridors`
+WAYS_OUTDOORS = "ways"  # in ON_PLAN: that of ways outdoors
 RESERVED = set[str]()  # names of the kinds that are made from no data
 
 
@@ -118,6 +120,11 @@ def measurements_of(
 def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Any]:
     """The factors of corridors that the prior asks for, not associated with the walk yet."""
     return [ON_PLAN[name].about(floor_sequence) for name in prior.corridors]
+
+
+def ways_of(network: PathNetwork | None) -> list[Any]:
+    """The factor of ways outdoors, none of which the walk follows yet; none without a network."""
+    return [] if network is None else [ON_PLAN[WAYS_OUTDOORS].about(network)]
 
 
 def measurements_of_walk(tables: Sequence[Any], steps: Steps, prior: Prior) -> list[Measurement]:

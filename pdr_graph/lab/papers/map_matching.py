@@ -93,7 +93,7 @@ def find_turn(network: Network, steps: Steps, track: Array, link: int, since: in
     [map-matching] Sec. 3.3: a turn is a turning period after which the walk is on another link, by the cost of the next
     eight steps. The paper compares all links; here only links that meet the present one, to the side of the turn.
     """
-    cost, half = link_costs(Segments.of(network), track[:-1], track[1:]), 3  # [steps] half the length of a turn
+    cost, half = link_costs(network.segments, track[:-1], track[1:]), 3  # [steps] half the length of a turn
     for first, last in turning_periods(steps).tolist():
         if first < since or last >= len(steps):
             continue
@@ -393,7 +393,7 @@ def match(steps: Steps, network: Network, start: Array, heading: float) -> Match
 
     Raises ValueError if the network has no link.
     """
-    segments = Segments.of(_walkable(network))
+    segments = _walkable(network).segments
     theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
     moves = steps.length[:, None] * unit(heading + courses(steps))
     links, track = np.empty(len(steps), dtype=np.intp), np.tile(start, (len(steps) + 1, 1))
@@ -423,7 +423,7 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
     Raises ValueError if the floor has no corridor.
     """
     network = _walkable(floor.network)
-    link, distance = Segments.of(network).nearest(start)
+    link, distance = network.segments.nearest(start)
     notes = [f"the start is {distance:.1f} m from the nearest link"] if distance > 5 else []
     pair, common = (1.0, 1.0), set[tuple[int, int]]()
     track = CalibratedTrack(start[None], np.array([heading])).recalibrated(steps, 0, pair)

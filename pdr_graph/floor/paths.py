@@ -1,0 +1,343 @@
+"""Ways on foot outdoors as a network, and which of them a walk followed.
+
+The ways are polylines with a class and a width. Which of them a walk followed is a discrete path: a hidden Markov model
+over points on the ways, one every few metres, and over the state *off every way*, sought by Viterbi's algorithm as in
+Newson & Krumm (*Hidden Markov map matching through noise and sparseness*, GIS 2009). Theirs compares positions with
+roads. Here the positions are those of a smoothed walk, whose error is large and the same for a long time, whose shape
+is good. So a state is the displacement d of the walk onto the ways, and costs
+
+    |d|² / 2 (σ² + w²) · spacing / correlation   (emission; σ of the walk, w of a walker across the way)
+    |d − d'|² / 2 τ²                             (transition: the walk between both points has the shape of the ways)
+
+Two points are joined if the ways between them are about as long as the walk. A walk off the ways has a constant cost
+for each point, so that neither a missing way nor a park bends it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.network import Lines
+from pdr_graph.frames import enu
+from pdr_graph.geometry import length_along
+from pdr_graph.priors import WAYS
+from pdr_graph.types import Array, Fixes, Index, Mask, OneLineRepr
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.formats.ways import Found
+    from pdr_graph.frames import Frame
+
+SAME_NODE = 0.05  # [m] between ends of ways that meet: OpenStreetMap has 1 cm
+LONGEST_PART = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
+SOURCES = 400  # points whose distances to all others are computed at a time
+EVERYWHERE = np.array([-180.0, -90.0]), np.array([180.0, 90.0])  # [deg]
+MARGIN = 300.0  # [m] around the positions of a walk, within which ways are kept
+STRAY = 0.8  # [m/s] by which a walk may leave its positions while it has none: out and back
+FARTHEST = 5000.0  # [m] the same at most
+
+
+@dataclass(frozen=True)
+class PathNetwork(Lines, OneLineRepr):
+    """Ways on foot, in a metric frame.
+
+    lines: ``(m, 2)`` of each way [m]; classes: of each, a value of OpenStreetMap's key ``highway``; notes: of the file.
+    """
+
+    lines: tuple[Array, ...]
+    classes: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=(), compare=False)
+
+    @classmethod
+    def load(cls, path: str | Path, frame: Frame | None = None, fixes: Fixes | None = None) -> PathNetwork:
+        """Read the ways within reach of a walk: OpenStreetMap (.osm, .osm.pbf), lines of GeoJSON, GPX routes.
+
+        frame: of the result and of the fixes; without it all ways are read, in a frame about their middle.
+        Raises InputError for other files, for a walk without latitude, and if no way is within reach.
+        """
+        from pdr_graph.floor.formats.ways import read_ways  # it imports readers of several formats
+
+        path = Path(path)
+        if frame is None or fixes is None:
+            found = read_ways(path, *EVERYWHERE)
+            lon, lat = np.median(np.concatenate(found.lines), axis=0).tolist()
+            return cls._placed(found, enu(lat, lon))
+        if not frame.georeferenced:
+            raise InputError(path, "", "a walk without latitude and longitude", "fixes in degrees, or such a plan")
+        if not len(fixes):
+            raise InputError(path, "", "a walk without any position", "a fix, from which its ways are known")
+        reach = reach_of(fixes)
+        (left, low), (right, high) = fixes.position.min(axis=0) - reach, fixes.position.max(axis=0) + reach
+        degrees = frame.to_lonlat(np.array([[left, low], [left, high], [right, low], [right, high]]))
+        found = read_ways(path, degrees.min(axis=0), degrees.max(axis=0))
+        if not found.lines:
+            apart = np.hypot(*(frame.from_lonlat(found.nearest[None])[0] - fixes.position.mean(axis=0))) / 1000
+            what = (
+                f"no way within {reach:.0f} m of the walk; the nearest of {count(found.total, 'way')} is {apart:.1f} km"
+            )
+            raise InputError(path, "ways", f"{what} away", "an extract of the place of the walk")
+        return cls._placed(found, frame)
+
+    @classmethod
+    def _placed(cls, found: Found, frame: Frame) -> PathNetwork:
+        """The ways of a file in a frame."""
+        every = frame.from_lonlat(np.concatenate(found.lines))
+        ends = np.cumsum([len(line) for line in found.lines])[:-1]
+        return cls(tuple(np.split(every, ends)), found.classes, found.notes)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Sigma ``(l,)`` of a walker across each way, with the error of the map [m]."""
+        return np.hypot(WAYS.side * self.width / 2, WAYS.drawn)
+
+    @cached_property
+    def width(self) -> Array:
+        """Width ``(l,)`` of each way [m]."""
+        of_class = dict(WAYS.half_width)
+        return 2 * np.array([of_class.get(name, of_class["path"]) for name in self.classes])
+
+    @cached_property
+    def points(self) -> WayPoints:
+        """Points on the ways, a few metres apart, joined along them."""
+        return WayPoints.of(self)
+
+    def _summary(self) -> list[str]:
+        return [count(len(self), "way"), f"{sum(length_along(line)[-1] for line in self.lines) / 1000:.1f} km"]
+
+
+def _lines(lines: Sequence[Array]) -> list[shapely.LineString]:
+    """The same as shapely's."""
+    return [shapely.LineString(line) for line in lines]
+
+
+def reach_of(fixes: Fixes) -> float:
+    """Distance [m] from the positions of a walk within which its ways are kept: more if it lacks them for long."""
+    return float(np.clip(MARGIN + STRAY / 2 * np.diff(np.sort(fixes.time), prepend=fixes.time[0]).max(), 0, FARTHEST))
+
+
+@dataclass(frozen=True, eq=False)
+class WayPoints:
+    """Points on ways.
+
+    place: ``(p, 2)`` [m]; sigma: ``(p,)`` of a walker about each, across [m]; edges: ``(e, 2)`` neighbours on a way;
+    length: ``(e,)`` [m].
+    """
+
+    place: Array
+    sigma: Array
+    edges: Index
+    length: Array
+
+    @classmethod
+    def of(cls, network: PathNetwork) -> WayPoints:
+        """Points every WAYS.spacing metres; ways that share a corner share its point."""
+        lines = shapely.segmentize(_lines(network.lines), WAYS.spacing)
+        place, of_line = shapely.get_coordinates(lines, return_index=True)
+        key = np.round(place / SAME_NODE).astype(np.int64)
+        _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        which = which.ravel()
+        sigma = np.zeros(len(first))
+        np.maximum.at(sigma, which, network.sigma[of_line])
+        same = np.flatnonzero((of_line[1:] == of_line[:-1]) & (which[1:] != which[:-1]))
+        edges = np.stack([which[same], which[same + 1]], axis=1)
+        return cls(place[first], sigma, edges, np.hypot(*(place[same + 1] - place[same]).T))
+
+    def within(self, track: Array, reach: Array) -> WayPoints:
+        """The points within distances ``(n,)`` [m] of the places ``(n, 2)`` of a track."""
+        groups = KDTree(self.place).query_ball_point(track, reach)
+        kept = np.unique(np.concatenate([np.empty(0, np.intp), *map(np.asarray, groups)]).astype(np.intp))
+        number = np.full(len(self.place), -1)
+        number[kept] = np.arange(len(kept))
+        edges = number[self.edges]
+        both = (edges >= 0).all(axis=1)
+        return WayPoints(self.place[kept], self.sigma[kept], edges[both], self.length[both])
+
+    def moves(self, most: float) -> tuple[Index, Index, Array]:
+        """Pairs of points that are joined by ways of up to ``most`` [m]: from, to, and how far along the ways."""
+        n = len(self.place)
+        graph = coo_array((self.length, (self.edges[:, 0], self.edges[:, 1])), shape=(n, n)).tocsr()
+        pairs = list[tuple[Index, Index, Array]]()
+        for begin in range(0, n, SOURCES):
+            sources = np.arange(begin, min(begin + SOURCES, n))
+            distance = dijkstra(graph, directed=False, indices=sources, limit=most)
+            row, to = np.nonzero(np.isfinite(distance))
+            pairs.append((sources[row], to, distance[row, to]))
+        source, to, far = (np.concatenate(column) for column in zip(*pairs, strict=True))
+        return source, to, far
+
+
+@dataclass(frozen=True, eq=False)
+class WayMatch:
+    """The ways that a walk followed, or one of several possibilities.
+
+    on: ``(n,)`` True where it was on a way; displacement: ``(n, 2)`` from each place of the walk to the way [m];
+    price: of the discrete path: of being off all ways, and of another shape than theirs [nats]; lead: cost above that
+    of the most probable path [nats].
+    """
+
+    on: Mask
+    displacement: Array
+    price: float
+    lead: float = 0.0
+
+
+def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
+    """The ways that a walk through places ``track (n, 2)`` [m] followed, the most probable first, at most two.
+
+    sigma: ``(n,)`` of each place, per axis [m]; askew: ``(n,)`` of the direction of the walk there [rad]. The second
+    leads along other ways (parallel pavements) somewhere, if it is nearly as probable. The walk is cut where it jumps
+    (a gap, a ride), and every LONGEST_PART.
+    """
+    apart = np.hypot(*np.diff(track, axis=0).T)
+    walked = length_along(track)
+    jumps = np.flatnonzero(apart > WAYS.station) + 1
+    number = np.cumsum(np.bincount(jumps, minlength=len(track))) + (walked - walked[0]) // LONGEST_PART
+    bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(track)]
+    parts = [_matched(network, track[a:b], sigma[a:b], askew[a:b]) for a, b in pairwise(bounds)]
+    if not any(way.on.any() for ways in parts for way in ways):
+        return []
+    doubtful = min((ways for ways in parts if len(ways) > 1), key=lambda ways: ways[1].lead, default=None)
+    found = [[ways[0] for ways in parts]]
+    if doubtful is not None:
+        found.append([ways[1] if ways is doubtful else ways[0] for ways in parts])
+    return [
+        WayMatch(
+            np.concatenate([part.on for part in ways]),
+            np.concatenate([part.displacement for part in ways]),
+            sum(part.price for part in ways),
+        )
+        for ways in found
+    ]
+
+
+def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
+    """The ways that a part of a walk followed, as of `match`; at least one, which may be off every way."""
+    walked = length_along(track)
+    stations = np.unique(np.searchsorted(walked, np.arange(0.0, walked[-1] + WAYS.station, WAYS.station)))
+    stations = stations[stations < len(track)]
+    n = len(stations)
+    nowhere = WayMatch(np.zeros(len(track), dtype=bool), np.zeros((len(track), 2)), WAYS.off * n)
+    place, stray = track[stations], np.minimum(sigma[stations], WAYS.farthest / WAYS.reach)
+    reach = WAYS.reach * np.hypot(stray, WAYS.drawn) + WAYS.spacing
+    points = network.points.within(place, reach)
+    if n < 2 or not len(points.place):
+        return [nowhere]
+    lattice = _Lattice.of(points, place, np.diff(walked[stations]), stray, askew[stations], reach)
+    found, paths = list[WayMatch](), lattice.paths()
+    for states, cost in paths:
+        on = states >= 0
+        if not on.any():
+            found.append(nowhere)
+            continue
+        shift = points.place[states] - place
+        known = walked[stations][on]
+        displacement = np.stack([np.interp(walked, known, shift[on, axis]) for axis in (0, 1)], axis=1)
+        after = np.clip(np.searchsorted(stations, np.arange(len(track))), 1, n - 1)
+        pulled = float(lattice.emission[np.flatnonzero(on), states[on]].sum())  # by the sources of the walk
+        lead = cost - paths[0][1]
+        found.append(WayMatch(on[after] & on[after - 1], displacement, cost - pulled, lead))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """The hidden Markov model of one walk: ``s`` stations, ``p`` points and the state off every way, the last.
+
+    place: ``(p, 2)`` [m]; emission: ``(s, p)`` [nats], infinite out of reach; source, to: ``(m,)`` moves; shift:
+    ``(2, m)`` [m]; far: ``(m,)`` along ways [m]; step: ``(s - 1, 2)`` of the walk [m]; longest, sigma: ``(s - 1,)`` of
+    moves [m].
+    """
+
+    place: Array
+    emission: Array
+    source: Index
+    to: Index
+    shift: Array
+    far: Array
+    step: Array
+    longest: Array
+    sigma: Array
+
+    @classmethod
+    def of(cls, points: WayPoints, place: Array, walked: Array, stray: Array, askew: Array, reach: Array) -> _Lattice:
+        """The model of a walk through stations ``place``, which has walked so far from one to the next [m]."""
+        off = points.place - place[:, None]
+        square = np.sum(off**2, axis=2)
+        variance = 2 * (stray[:, None] ** 2 + points.sigma**2)
+        emission = np.where(square < reach[:, None] ** 2, square / variance * WAYS.station / WAYS.alike, np.inf)
+        source, to, far = points.moves(WAYS.detour * float(walked.max()) + WAYS.slack)
+        turn = np.minimum((askew[1:] + askew[:-1]) / 2, WAYS.askew)
+        sigma = np.hypot(WAYS.moved, walked * turn)
+        longest = WAYS.detour * walked + WAYS.slack
+        shift, step = (points.place[to] - points.place[source]).T, np.diff(place, axis=0)
+        return cls(points.place, emission, source, to, shift, far, step, longest, sigma)
+
+    def _moved(self, t: int) -> Array:
+        """Cost ``(m,)`` of each move from station t to the next."""
+        x, y = (moved - walked for moved, walked in zip(self.shift, self.step[t], strict=True))
+        return np.where(self.far <= self.longest[t], (x * x + y * y) / (2 * self.sigma[t] ** 2), np.inf)
+
+    def paths(self) -> list[tuple[Index, float]]:
+        """The best path ``(s,)`` of points, −1 off every way, and its cost; then one that leads elsewhere, if close."""
+        ahead, before = self._swept(forward=True)
+        back, after = self._swept(forward=False)
+        through = ahead + back - np.nan_to_num(self._emission, posinf=0.0)
+        best = self._traced(through, before, after, 0)
+        place = np.append(self.place, [[np.nan, np.nan]], axis=0)
+        apart = np.hypot(*(place[best][:, None] - place).transpose(2, 0, 1))
+        elsewhere = np.where(apart > WAYS.apart, through, np.inf)
+        t = int(np.argmin(elsewhere.min(axis=1)))
+        least = float(through[0].min())
+        found = [(best, least)]
+        if (cost := float(elsewhere[t].min())) < least + WAYS.open:
+            found.append((self._traced(elsewhere, before, after, t), cost))
+        p = len(self.place)
+        return [(np.where(path < p, path, -1), cost) for path, cost in found]
+
+    @property
+    def _emission(self) -> Array:
+        """Costs ``(s, p + 1)`` of all states."""
+        return np.append(self.emission, np.full((len(self.emission), 1), WAYS.off), axis=1)
+
+    def _swept(self, forward: bool) -> tuple[Array, Index]:
+        """Least costs ``(s, p + 1)`` of paths to each state from one end of the walk, and the neighbours on them."""
+        s, p = self.emission.shape
+        to, source = (self.to, self.source) if forward else (self.source, self.to)
+        order = np.argsort(to, kind="stable")
+        source, begin = source[order], np.searchsorted(to[order], np.arange(p))
+        size = np.diff(np.append(begin, len(order)))
+        cost, neighbour = self._emission, np.full((s, p + 1), p)
+        for t in range(1, s) if forward else range(s - 2, -1, -1):
+            last = t - 1 if forward else t + 1
+            moved = self._moved(min(t, last))[order] + cost[last][source]
+            along = np.minimum.reduceat(moved, begin)
+            is_least = np.flatnonzero(moved <= np.repeat(along, size))
+            first = source[is_least[np.searchsorted(is_least, begin)]]
+            entered = cost[last, p] + WAYS.leave
+            neighbour[t, :p] = np.where(along <= entered, first, p)
+            cost[t, :p] += np.minimum(along, entered)
+            nearest = int(np.argmin(cost[last, :p]))
+            left = cost[last, nearest] + WAYS.leave
+            cost[t, p] += min(cost[last, p], left)
+            neighbour[t, p] = nearest if left < cost[last, p] else p
+        return cost, neighbour
+
+    def _traced(self, through: Array, before: Index, after: Index, t: int) -> Index:
+        """The path ``(s,)`` through the best state at a station."""
+        path = np.full(len(through), int(np.argmin(through[t])))
+        for n in range(t, 0, -1):
+            path[n - 1] = before[n, path[n]]
+        for n in range(t, len(through) - 1):
+            path[n + 1] = after[n, path[n]]
+        return path

@@ -1,0 +1,212 @@
+"""Ways outdoors: read from files, found along a walk, and as factors. `krems.osm` is a cut of a real town.
+
+© OpenStreetMap contributors, Open Database License 1.0.
+"""
+
+import gzip
+import json
+import sys
+from dataclasses import replace
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run
+from derivatives import assert_derivatives
+
+from pdr_graph import Fixes, InputError, PathNetwork, WalkGraph, smooth
+from pdr_graph.floor.paths import _Lattice, match
+from pdr_graph.frames import enu
+from pdr_graph.geometry import interpolate
+from pdr_graph.lab.papers.hmm_map_matching import hmm_match
+from pdr_graph.lab.simulation import town_walks
+from pdr_graph.priors import WAYS
+
+KREMS = Path(__file__).parent.parent / "floor" / "krems.osm"
+FRAME = enu(48.409, 15.599)
+NEAR = Fixes(np.array([0.0, 60.0]), np.array([[-200.0, -200.0], [200.0, 200.0]]), np.full(2, 5.0))
+TOWN = PathNetwork.load(KREMS, FRAME, NEAR)
+
+
+def walked(network, seed, **changes):
+    """A walk along ways, and its fixes."""
+    walk = town_walks.town_walk(network, seed, **changes)
+    return walk, town_walks.fixes_of(walk, seed)
+
+
+def mean_error(estimate, walk, where=None):
+    track = estimate.trajectory
+    off = np.hypot(*(interpolate(walk.time, track.time, track.position) - walk.place).T)
+    return off[slice(None) if where is None else where].mean()
+
+
+def lines_in(network):
+    return sorted(
+        (name, tuple(np.round(line, 2).ravel())) for name, line in zip(network.classes, network.lines, strict=True)
+    )
+
+
+def test_every_reader_finds_the_same_ways(tmp_path, monkeypatch):
+    packed = tmp_path / "krems.osm.gz"
+    packed.write_bytes(gzip.compress(KREMS.read_bytes()))
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"highway": name},
+            "geometry": {"type": "LineString", "coordinates": FRAME.to_lonlat(line).tolist()},
+        }
+        for name, line in zip(TOWN.classes, TOWN.lines, strict=True)
+    ]
+    drawn = tmp_path / "krems.geojson"
+    drawn.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert len(TOWN) > 50
+    for path in (packed, drawn):
+        assert lines_in(PathNetwork.load(path, FRAME, NEAR)) == lines_in(TOWN)
+    monkeypatch.setitem(sys.modules, "osmium", None)  # not installed
+    for path in (KREMS, packed):
+        assert lines_in(PathNetwork.load(path, FRAME, NEAR)) == lines_in(TOWN)
+
+
+def test_a_gpx_route_is_a_way(tmp_path):
+    places = "".join(f'<rtept lat="{48.409 + 1e-3 * n}" lon="15.599"/>' for n in range(3))
+    (route := tmp_path / "r.gpx").write_text(f'<gpx version="1.1"><rte>{places}</rte></gpx>')
+    network = PathNetwork.load(route, FRAME, NEAR)
+    assert [len(line) for line in network.lines] == [3]
+    np.testing.assert_allclose(network.lines[0][2], [0, 222.4], atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("cut.osm", KREMS.read_bytes()[:20_000], "damaged extract"),
+        ("x.osm.pbf", b"\0\0\0\x0d\n\tOSMHeader\x18", "damaged extract"),
+        ("entity.osm", b'<!DOCTYPE osm [<!ENTITY a "b">]><osm><node id="1"/></osm>', "entities"),
+        ("picture.png", b"\x89PNG\r\n", "another format"),
+        ("none.geojson", b'{"type": "FeatureCollection", "features": []}', "no way on foot"),
+    ],
+)
+def test_what_has_no_ways_is_refused(tmp_path, name, content, said):
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        PathNetwork.load(path, FRAME, NEAR)
+
+
+def test_another_town_is_refused_with_the_distance():
+    vienna = enu(48.208, 16.373)
+    with pytest.raises(InputError, match=r"nearest of \d+ ways is 61\.\d km away"):
+        PathNetwork.load(KREMS, vienna, NEAR)
+
+
+def test_the_path_is_the_best_of_all():
+    """On a small lattice every path is tried."""
+    random = np.random.default_rng(0)
+    s, p = 4, 3
+    every = np.array(list(product(range(p), repeat=2)))
+    for _ in range(20):
+        place = random.normal(0, 6, (p, 2))
+        source, to = every.T
+        shift = (place[to] - place[source]).T
+        lattice = _Lattice(
+            place=place,
+            emission=random.uniform(0, 2, (s, p)),
+            source=source,
+            to=to,
+            shift=shift,
+            far=random.uniform(0, 2, len(every)),
+            step=random.normal(0, 4, (s - 1, 2)),
+            longest=np.full(s - 1, 1.5),
+            sigma=np.full(s - 1, 3.0),
+        )
+
+        def cost(states, lattice=lattice):
+            total = sum(WAYS.off if j == p else lattice.emission[t, j] for t, j in enumerate(states))
+            for t, (i, j) in enumerate(pairwise(states)):
+                if p in (i, j):
+                    total += WAYS.leave * (i != j)
+                else:
+                    m = i * p + j
+                    off = lattice.shift[:, m] - lattice.step[t]
+                    total += off @ off / 18.0 if lattice.far[m] <= 1.5 else np.inf
+            return total
+
+        best, found = lattice.paths()[0]
+        costs = [cost(states) for states in product(range(p + 1), repeat=s)]
+        assert found == pytest.approx(min(costs))
+        assert cost(np.where(best < 0, p, best).tolist()) == pytest.approx(found)
+
+
+def test_a_walk_is_matched_to_the_ways_that_it_follows():
+    walk, _ = walked(TOWN, 3, length=600)
+    moved = walk.place + np.array([6.0, -5.0])
+    [way, *_] = match(TOWN, moved, np.full(len(moved), 6.0), np.full(len(moved), 0.05))
+    back = np.median(way.displacement[way.on], axis=0)
+    assert way.on.mean() > 0.9
+    np.testing.assert_allclose(back, [-6.0, 5.0], atol=3.0)  # ways are 3 to 10 m wide
+
+
+def test_a_gap_in_a_walk_joins_no_ways():
+    """The walk jumps by kilometres, as after a ride; either part is matched by itself."""
+    walk, _ = walked(TOWN, 3, length=400)
+    jumped = np.concatenate([walk.place, walk.place[::-1] + np.array([0.0, 9000.0]), walk.place])
+    sigma = np.full(len(jumped), 4.0)
+    [way, *_] = match(TOWN, jumped, sigma, sigma / 100)
+    first, away, last = np.split(way.on, 3)
+    assert first.mean() > 0.9
+    assert not away.any()
+    assert np.array_equal(first, last)
+
+
+def test_derivatives_of_the_factors():
+    walk, fixes = walked(TOWN, 1, length=500)
+    graph = smooth(WalkGraph(walk.steps, fixes, paths=TOWN)).graph
+    assert len(graph.evaluate(graph.start).blocks_of("paths.direction"))
+    assert_derivatives(graph, graph.start)
+
+
+def test_a_receiver_that_is_off_is_recognised_by_ways():
+    walk, fixes = walked(TOWN, 5, length=1000)
+    off = replace(fixes, position=fixes.position + np.array([8.0, -7.0]))
+    for given, most, said in ((fixes, 5.0, False), (off, 6.0, True)):
+        estimate = smooth(WalkGraph(walk.steps, given, paths=TOWN))
+        assert mean_error(estimate, walk) < most
+        assert any(found.against == "paths" for found in estimate.contradictions) == said
+    assert mean_error(smooth(WalkGraph(walk.steps, off)), walk) > 9.0, "without ways"
+
+
+def test_a_missing_way_bends_nothing():
+    """The walk crosses a lawn: its error there is that without ways."""
+    errors = []
+    for seed in range(3):
+        walk, fixes = walked(TOWN, seed, length=900, across=True)
+        for ways in (None, town_walks.lawn(TOWN, walk)):
+            errors.append(mean_error(smooth(WalkGraph(walk.steps, fixes, paths=ways)), walk, ~walk.on))
+    without, with_ways = np.reshape(errors, (-1, 2)).mean(axis=0)
+    assert with_ways < 1.05 * without + 0.3
+
+
+def test_the_baseline_follows_its_model():
+    """Fixes without errors in the middle of ways are matched to within the points' spacing."""
+    walk, fixes = walked(TOWN, 2, length=600)
+    points = TOWN.points.place
+    nearest = np.argmin(np.hypot(*(walk.at(fixes.time)[:, None] - points).transpose(2, 0, 1)), axis=1)
+    exact = replace(fixes, position=points[nearest])
+    off = np.hypot(*(hmm_match(TOWN, exact, exact.time) - exact.position).T)
+    assert np.median(off) < WAYS.spacing
+    assert np.percentile(off, 95) < 3 * WAYS.spacing
+
+
+def test_from_the_command_line(tmp_path):
+    fixes = tmp_path / "track.gpx"
+    _, given = walked(TOWN, 1, length=300)
+    points = "".join(
+        f'<trkpt lat="{lat:.7f}" lon="{lon:.7f}"><time>2024-05-01T10:0{t // 60:.0f}:{t % 60:02.0f}Z</time></trkpt>'
+        for (lon, lat), t in zip(FRAME.to_lonlat(given.position).tolist(), given.time.tolist(), strict=True)
+    )
+    fixes.write_text(f'<gpx version="1.1"><trk><trkseg>{points}</trkseg></trk></gpx>')
+    code, _, errors = run("smooth", fixes, "--paths", KREMS, "--no-report", "--out", tmp_path / "out")
+    assert (code, errors) == (0, [])
+    code, out, _ = run("map", "show", KREMS, "--paths", "--out", tmp_path / "town.png")
+    assert code == 0
+    assert "ways" in out
+    assert (tmp_path / "town.png").read_bytes().startswith(b"\x89PNG")
