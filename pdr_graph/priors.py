@@ -198,7 +198,12 @@ class StridePriors(Table):
     run_duration: float = number(0.40, "s", "duration of that step", RUNS)
     run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS)
     run_period: tuple[float, float] = number((0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS)
-    run_amplitude: tuple[float, float] = number((4.0, 6.0), "m/s²", "hardly and surely of a run", "simulated runs")
+    run_amplitude: tuple[float, float] = number(
+        (9.0, 12.0),
+        "m/s²",
+        "hardly and surely of a run",
+        "simulated runs; walkers who hurry have up to 10 at such a rhythm",
+    )
 
 
 @dataclass(frozen=True)
