@@ -91,7 +91,9 @@ class StepPriors(Table):
 
     shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 2))
     longest: float = number(2.2, "s", "longest duration of a step", "strides: 1.0 to 1.6 s at 0.3 to 0.5 m/s")
-    pause: float = number(2.2, "steps", "interval between landings from which it is a stop: 1.2 s at a usual pace")
+    pause: float = number(
+        2.2, "steps", "interval between landings from which it is a stop: 1.2 s at a usual pace", still=(1, 1)
+    )
     usual: float = number(0.54, "s", "typical duration of a step", still=(1, 1))
 
 
@@ -103,7 +105,7 @@ class CandidatePriors(Table):
     slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
     usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(0.5, 2))
     usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 2))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 1))
     level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 2))
     window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 1))
@@ -120,26 +122,32 @@ class CandidatePriors(Table):
     )
     usual_bounce: float = number(0.014, "m", "vertical motion below which a usual step is doubted", BOUNCES)
     run_bounce: float = number(
-        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988"
+        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988", still=(1, 2)
     )
-    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e")
-    slow_factor: float = number(2.0, "factor", "length of the filters for slow steps, of those for usual ones")
+    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e", still=(0.5, 2))
+    slow_factor: float = number(
+        2.0, "factor", "length of the filters for slow steps, of those for usual ones", still=(0.5, 2)
+    )
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
     bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
     bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
-    rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps")
+    rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps", still=(0.5, 1))
     sway_weight: float = number(0.8, "correlation", "weight of the sway from foot to foot, in slow steps", SWAYS)
-    sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS)
-    limb_weight: float = number(0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings")
+    sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
+    limb_weight: float = number(
+        0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings", still=(0.5, 2)
+    )
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
-    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar")
+    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 2))
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
-    jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS)
+    jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
-    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows how landings jar")
-    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity")
-    tilt_window: float = number(1.5, "s", "over which that direction is averaged")
+    slowest_jar: float = number(
+        0.025, "s", "longest interval between samples that shows how landings jar", still=(0.5, 2)
+    )
+    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", still=(0.5, 2))
+    tilt_window: float = number(1.5, "s", "over which that direction is averaged", still=(0.5, 2))
     steadiest_tilt: float = number(
         0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.5, 1)
     )
@@ -158,7 +166,7 @@ class BoutPriors(Table):
         0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
     )
     push_off: float = number(
-        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(0.5, 1)
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
     late: float = number(6.0, "s", "after which it is too late to report a step")
@@ -184,25 +192,28 @@ class StridePriors(Table):
     """Lengths of steps."""
 
     shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(1, 2))
+    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(0.5, 2))
     sigma: float = number(
-        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(0.5, 2)
+        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(1, 2)
     )
     turn_shortens: float = number(
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
-    k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps")
-    k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``")
-    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS)
-    run_duration: float = number(0.40, "s", "duration of that step", RUNS)
-    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS)
-    run_period: tuple[float, float] = number((0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS)
+    k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps", still=(1, 1))
+    k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
+    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS, still=(1, 1))
+    run_duration: float = number(0.40, "s", "duration of that step", RUNS, still=(1, 1))
+    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 2))
+    run_period: tuple[float, float] = number(
+        (0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS, still=(1, 1)
+    )
     run_amplitude: tuple[float, float] = number(
         (9.0, 12.0),
         "m/s²",
         "hardly and surely of a run",
         "simulated runs; walkers who hurry have up to 10 at such a rhythm",
+        still=(0.5, 1),
     )
 
 
@@ -236,11 +247,13 @@ class MotionPriors(Table):
     steps_per_segment: int = number(
         100, "steps", "for which the calibration is constant", "design, section 3", still=(0.5, 2)
     )
-    pace_steps: int = number(12, "steps", "before and after a change of pace, whose median durations are compared")
-    pace_change: float = number(0.15, "ratio", "change of these from which it is another pace")
-    run_speed: float = number(2.0, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5")
+    pace_steps: int = number(
+        12, "steps", "before and after a change of pace, whose median durations are compared", still=(0.5, 2)
+    )
+    pace_change: float = number(0.15, "ratio", "change of these from which it is another pace", still=(0.5, 2))
+    run_speed: float = number(2.0, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5", still=(0.5, 2))
     run_change: float = number(
-        3.5, "factor", "of the change of pace between walk and run: strides are off by 0.25", RUNS
+        3.5, "factor", "of the change of pace between walk and run: strides are off by 0.25", RUNS, still=(0.5, 2)
     )
 
 
@@ -256,7 +269,7 @@ class ForwardPriors(Table):
         "rad",
         "phase by which forward leads vertical acceleration: 33–119° in 16 of 18 real walks",
         "fit: docs/results/heading.md",
-        still=(0.5, 2),
+        still=(1, 2),
     )
     band: float = number(
         0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", still=(0.5, 2)
@@ -303,14 +316,20 @@ class GripPriors(Table):
     tilting: float = number(0.25, "rad/s", "rate of the vertical in the device above that of a carried phone")
     new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change")
     fast: float = number(0.8, "rad", "turn of the phone for which a clear axis of the gait is waited for")
-    steps_beside: int = number(8, "steps", "before and after a turn, and in a window, to determine the forward axis")
+    steps_beside: int = number(
+        8, "steps", "before and after a turn, and in a window, to determine the forward axis", still=(0.5, 2)
+    )
     noise: float = number(
-        0.5, "rad", "deviation from the usual axis that is noise", "up to 0.6 in 1029 of 1031 windows in two malls"
+        0.5,
+        "rad",
+        "deviation from the usual axis that is noise",
+        "up to 0.6 in 1029 of 1031 windows in two malls",
+        still=(0.5, 2),
     )
     clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
     windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
-    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation")
+    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(0.5, 2))
     weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
     sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
 
@@ -477,7 +496,7 @@ class WalkerPriors(Table):
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
         "fit of b: docs/results/drift.md; JUDGEMENT",
-        still=(1, 2),
+        still=(0.5, 2),
     )
     change: tuple[float, float, float] = number(
         (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
@@ -487,6 +506,7 @@ class WalkerPriors(Table):
         "ratio",
         "sigma of the change of R_s by that of the pace, in logarithms",
         "0.5 with noise at 15 changes in real malls; 1.5 in simulated browsing",
+        still=(0.5, 2),
     )
     blind: float = number(
         0.06,
@@ -506,7 +526,7 @@ class WallPriors(Table):
     margin: float = number(
         0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(1, 1)
     )
-    sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 2))
+    sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 1))
     body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
     body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
     loose: float = number(
@@ -648,8 +668,8 @@ class FixPriors(Table):
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
-    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(1, 1))
-    along: float = number(30.0, "m", "distance walked over which they are correlated", still=(1, 2))
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(0.5, 2))
+    along: float = number(30.0, "m", "distance walked over which they are correlated", still=(0.5, 2))
     still: float = number(1.0, "m", "within which a frozen receiver stays")
     away: float = number(10.0, "m", "to which the steps must lead meanwhile")
     white: float = number(0.3, "share", "of white noise in the stated sigma", still=(0.5, 2))
@@ -661,7 +681,7 @@ class ReceiverPriors(Table):
         still=(0.5, 2),
     )
     node: float = number(5.0, "s", "between nodes of the offset", still=(0.5, 2))
-    lag: float = number(1.0, "s", "sigma of the lag", still=(1, 1))
+    lag: float = number(1.0, "s", "sigma of the lag", still=(0.5, 2))
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
     lately: float = number(2.0, "s", "over which the velocity is averaged", still=(0.5, 2))
     velocity: float = number(
@@ -669,13 +689,17 @@ class ReceiverPriors(Table):
         "1/s",
         "of the sigma of the position: sigma of the velocity",
         "0.03 on a campus (NJU), 0.04 to 0.06 in a museum (IPIN 2023)",
-        still=(0.5, 2),
+        still=(1, 2),
     )
     velocity_time: float = number(
         10.0, "s", "over which the velocity's error is the same", "2 on a campus, 10 to 15 in a museum", still=(0.5, 2)
     )
     roughest: float = number(
-        0.25, "rad", "sigma of a course that is used: of slow receivers it is wrong throughout", "museum, IPIN 2023"
+        0.25,
+        "rad",
+        "sigma of a course that is used: of slow receivers it is wrong throughout",
+        "museum, IPIN 2023",
+        still=(1, 2),
     )
     slowest: float = number(0.3, "m/s", "of the steps, below which a course says nothing", still=(0.5, 2))
     behind: float = number(
@@ -737,7 +761,7 @@ class RangePriors(Table):
 class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
-    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 1))
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
     change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 1))
     any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
     scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", still=(0.5, 2))
