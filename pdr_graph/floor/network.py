@@ -28,7 +28,7 @@ from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without
 from pdr_graph.geometry import length_along, peaks, wrap_angle
 from pdr_graph.types import Array, Index, OneLineRepr
 
-PART = 200  # steps that are compared with the segments around them at a time: a town has many
+AT_A_TIME = 200  # steps that are compared with the segments around them at a time: a town has many
 BEYOND = 30.0  # [m] around these: a segment farther off than some corridor widths is none of theirs
 TOUCH = 0.15  # [m] between a corridor and an intersection that were meant to meet; chosen by hand
 
@@ -142,14 +142,14 @@ def nearest_segments(segments: Segments, track: Array) -> tuple[Index, Array]:
     """The segment ``(n - 1,)`` of least cost for each step of a walk through places ``track (n, 2)``, and that cost."""
     nearest, cost = np.zeros(len(track) - 1, dtype=np.intp), np.full(len(track) - 1, np.inf)
     low, high = (bound(segments.start, segments.start + segments.along) for bound in (np.minimum, np.maximum))
-    for begin in range(0, len(nearest), PART):
-        part = track[begin : begin + PART + 1]
+    for begin in range(0, len(nearest), AT_A_TIME):
+        part = track[begin : begin + AT_A_TIME + 1]
         near = (low < part.max(axis=0) + BEYOND).all(axis=1) & (high > part.min(axis=0) - BEYOND).all(axis=1)
         if not near.any():
             continue
         which = np.flatnonzero(near)
         here = Segments(segments.start[which], segments.along[which], segments.link[which])
-        costs, rows = segment_costs(here, part[:-1], part[1:]), slice(begin, begin + PART)
+        costs, rows = segment_costs(here, part[:-1], part[1:]), slice(begin, begin + AT_A_TIME)
         nearest[rows], cost[rows] = which[costs.argmin(axis=1)], costs.min(axis=1)
     return nearest, cost
 

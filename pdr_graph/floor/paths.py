@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from pdr_graph.frames import Frame
 
 SAME_NODE = 0.05  # [m] between ends of ways that meet: OpenStreetMap has 1 cm
-LONGEST_PART = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
+LONGEST_MATCHED = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
 SOURCES = 400  # points whose distances to all others are computed at a time
 EVERYWHERE = np.array([-180.0, -90.0]), np.array([180.0, 90.0])  # [deg]
-MARGIN = 300.0  # [m] around the positions of a walk, within which ways are kept
+NEAR_WALK = 300.0  # [m] around the positions of a walk, within which ways are kept
 STRAY = 0.8  # [m/s] by which a walk may leave its positions while it has none: out and back
-FARTHEST = 5000.0  # [m] the same at most
+FARTHEST_FROM_WALK = 5000.0  # [m] the same at most
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,11 @@ def _lines(lines: Sequence[Array]) -> list[shapely.LineString]:
 
 def reach_of(fixes: Fixes) -> float:
     """Distance [m] from the positions of a walk within which its ways are kept: more if it lacks them for long."""
-    return float(np.clip(MARGIN + STRAY / 2 * np.diff(np.sort(fixes.time), prepend=fixes.time[0]).max(), 0, FARTHEST))
+    return float(
+        np.clip(
+            NEAR_WALK + STRAY / 2 * np.diff(np.sort(fixes.time), prepend=fixes.time[0]).max(), 0, FARTHEST_FROM_WALK
+        )
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,12 +201,12 @@ def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> lis
 
     sigma: ``(n,)`` of each place, per axis [m]; askew: ``(n,)`` of the direction of the walk there [rad]. The second
     leads along other ways (parallel pavements) somewhere, if it is nearly as probable. The walk is cut where it jumps
-    (a gap, a ride), and every LONGEST_PART.
+    (a gap, a ride), and every LONGEST_MATCHED.
     """
     apart = np.hypot(*np.diff(track, axis=0).T)
     walked = length_along(track)
     jumps = np.flatnonzero(apart > WAYS.station) + 1
-    number = np.cumsum(np.bincount(jumps, minlength=len(track))) + (walked - walked[0]) // LONGEST_PART
+    number = np.cumsum(np.bincount(jumps, minlength=len(track))) + (walked - walked[0]) // LONGEST_MATCHED
     bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(track)]
     parts = [_matched(network, track[a:b], sigma[a:b], askew[a:b]) for a, b in pairwise(bounds)]
     if not any(way.on.any() for ways in parts for way in ways):

@@ -14,7 +14,7 @@ from pdr_graph.types import Array, Index
 
 USUAL: Array = 0.36 * 1.1 ** np.arange(-3.0, 8.0)  # [s] durations of usual steps that are tried, 0.27 to 0.70 s
 RUNNING = USUAL < 0.35  # [s] steps of a run
-STRIDES = USUAL > 0.5  # [s] steps that may be the strides of one
+POSSIBLE_STRIDES = USUAL > 0.5  # [s] steps that may be the strides of one
 OCTAVE = 6  # number of durations of slow steps in a factor of two
 SLOW: Array = 0.78 * 2 ** (np.arange(9, dtype=float) / OCTAVE)  # [s] those of slow steps, up to 1.97 s
 DURATIONS: Array = np.concatenate([USUAL, SLOW])
@@ -51,13 +51,13 @@ def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) ->
     longer = np.log(USUAL / STEP.usual)[:, None] + np.maximum(above, 0) / 2
     score = twice + once / 2 - CANDIDATE.usual_weight * (longer / CANDIDATE.usual_spread) ** 2 / 2
     bobbing = CANDIDATE.run_weight * np.maximum(2 * longer, 0) * (above > 0)
-    lags = np.concatenate([USUAL[RUNNING], 2 * USUAL[RUNNING], USUAL[STRIDES]])
+    lags = np.concatenate([USUAL[RUNNING], 2 * USUAL[RUNNING], USUAL[POSSIBLE_STRIDES]])
     swayed = np.repeat(_correlation(sway, lags, between, CANDIDATE.sway_noise), round(between / sampling), 1)
     after_step, after_stride, limb = np.split(swayed[:, : len(level)], [len(USUAL[RUNNING]), 2 * len(USUAL[RUNNING])])
     score[RUNNING] += CANDIDATE.sway_weight * np.maximum(after_stride - after_step, 0) / 2
     flying = _bounce(level, USUAL[RUNNING][:, None], sampling) / CANDIDATE.usual_bounce
     score[RUNNING] += CANDIDATE.run_weight * np.log(np.minimum(flying, 1.0))
-    score[STRIDES] -= CANDIDATE.limb_weight * np.maximum(limb, 0)
+    score[POSSIBLE_STRIDES] -= CANDIDATE.limb_weight * np.maximum(limb, 0)
     which, at = np.argmax(score - bobbing, axis=0), np.arange(len(level))
     regularity = np.maximum(once[which, at], twice[which, at])
     bounce = _bounce(level, np.maximum(USUAL[which], STEP.usual), sampling)

@@ -43,7 +43,7 @@ from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, EventChecks
 from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.status import (
-    RIDE,
+    RIDES_NOW,
     Status,
     contradiction_of_fixes,
     contradictions_of,
@@ -273,7 +273,7 @@ class Navigator:
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
                 *issues_of(self._gait.health, located and not walking, self._away_by),
-                *((RIDE.format(since),) if (since := self._rides.since) is not None else ()),
+                *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if (moved := self._moved_without_steps) else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),

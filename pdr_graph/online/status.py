@@ -116,7 +116,7 @@ def issues_of(health: Mapping[str, Health], stepless: bool, away: float) -> Iter
             yield f"{name}: clock reset {sensor.clock_resets} times"
 
 
-RIDE = "a ride since {:.0f} s: positions alone are used"
+RIDES_NOW = "a ride since {:.0f} s: positions alone are used"
 AWAY = "the fixes went {:.0f} m from the walk: a slow ride, or steps that are not recognised"
 
 

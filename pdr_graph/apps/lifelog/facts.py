@@ -20,10 +20,10 @@ CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN)
 ESTIMATE_KINDS = (AT, MODE, NOT_ME, FORGOTTEN)  # kinds that change the estimate; the others change only its timeline
 # [m/s] mean speed between two positions from which it was a flight, and [m] its shortest: a flight of an hour without
 # data has 80 m/s from gate to gate, a train without a stop 70 m/s
-SLOWEST_FLIGHT, SHORTEST_FLIGHT, PLANE = 75.0, 100_000.0, "plane"
+SLOWEST_FLIGHT, SHORTEST_FLIGHT, AEROPLANE = 75.0, 100_000.0, "plane"
 # What a person calls a time -> the activity that the estimate assumes then
 MODE_ACTIVITIES = {
-    **dict.fromkeys(("bus", "car", "train", "tram", "ferry", "bicycle", PLANE, "ride"), VEHICLE),
+    **dict.fromkeys(("bus", "car", "train", "tram", "ferry", "bicycle", AEROPLANE, "ride"), VEHICLE),
     "walk": WALKING,
     "stop": STANDING,
 }

@@ -242,7 +242,7 @@ BLOCK_COLOURS = {STAYED: COLOURS[STAY], WALK: BLUE, RIDE: RED, UNSEEN: "#c9b8dc"
 WIDTH, SPACE, LEFT, RIGHT = 13.0, 0.15, 1.5, 2.6  # of the picture; between maps; beside the rows of days
 ROW_HEIGHT, DAY_ROW, NAME_ROW, DAY_TILE = 0.27, 0.6, 0.16, 0.2  # of a day, of the only day, of names, of a day's tile
 MAP_HEIGHTS = (4.0, 5.0, 7.5)  # of a map: least; most beside others; most of the only one
-MOST_ROWS = 62  # of a calendar of many persons
+LONGEST_CALENDAR = 62  # of a calendar of many persons
 HOURS_HEIGHT, MOST_HOURS = 2.3, 3  # of the usual hours of places, and how many places
 Box = Callable[[float, float, float, float], Axes]  # axes at left, bottom, width, height in a part of the picture
 Part = tuple[float, Callable[[Box], None]]  # height of a part of the picture, and what draws it
@@ -286,8 +286,8 @@ def _parts(shown: Overview, server: TileServer) -> Iterator[Part]:
         drawn.append((height, partial(_draw_maps, row, maps, height, server)))
     yield from drawn if shown.period.kind == DAY else []
     dates = [date.fromisoformat(on) for on in sorted({day.date for day in shown.days})]
-    if shown.is_fleet and (len(shown.period) > 1 or len(shown.persons) > MOST_ROWS):
-        number = len(dates) if len(dates) <= MOST_ROWS else len(WEEKDAYS)
+    if shown.is_fleet and (len(shown.period) > 1 or len(shown.persons) > LONGEST_CALENDAR):
+        number = len(dates) if len(dates) <= LONGEST_CALENDAR else len(WEEKDAYS)
         yield 0.75 + ROW_HEIGHT * number, partial(_draw_busy, shown, dates)
     # longest rows: days of a period whose calendar has rows
     elif shown.period.kind in (YEAR, ALL) and len(shown.period) > 45:
@@ -367,7 +367,7 @@ def _draw_rows(
 
 def _draw_busy(shown: Overview, dates: Sequence[date], box: Box) -> None:
     """Draw how many persons had data in each quarter of an hour: a row per date, of weekdays if there are many."""
-    weekly = len(dates) > MOST_ROWS
+    weekly = len(dates) > LONGEST_CALENDAR
     row_of = {on.isoformat(): on.weekday() if weekly else n for n, on in enumerate(dates)}
     present = np.zeros((len(WEEKDAYS) if weekly else len(dates), 96))
     for day in (day for day in shown.days if day.date in row_of):

@@ -333,7 +333,7 @@ def _effect(log: Store, correction: Correction) -> list[str]:
 
 
 LONGEST_FREE = 60.0  # [s] beside a forgotten position, and between two, that are forgotten with them
-MOST_LINES = 10  # forgotten times that are named
+MOST_FORGOTTEN = 10  # forgotten times that are named
 SHOWN_PAGES = ("overview.html", "report.html")  # of a folder that ``lifelog show`` writes beside the store by default
 
 
@@ -442,8 +442,8 @@ def _forget(diary: OpenDiary, spans: Sequence[tuple[float, float]]) -> list[str]
     _clean(log)
     build.observe_new(log, who)
     deleted = [diary.statement(fact).removesuffix(": deleted") for fact in facts]
-    lines = [f"deleted of {one_line(who)}: {text}" for text in deleted[:MOST_LINES]]
-    lines += [f"and {count(len(deleted) - MOST_LINES, 'other time')}"] if len(deleted) > MOST_LINES else []
+    lines = [f"deleted of {one_line(who)}: {text}" for text in deleted[:MOST_FORGOTTEN]]
+    lines += [f"and {count(len(deleted) - MOST_FORGOTTEN, 'other time')}"] if len(deleted) > MOST_FORGOTTEN else []
     lines.append(f"{count(len(touched), 'recording')} had data then, {len(removed)} of them nothing else")
     kept = {entry.hash for entry in touched} - {entry.hash for entry in removed}
     now = [date for (name, date), made in build.recordings_by_day(log).items() if name == who and kept & made.keys()]

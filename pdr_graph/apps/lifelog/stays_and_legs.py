@@ -19,9 +19,9 @@ import numpy as np
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Outing, without_gap_rows
 from pdr_graph.apps.lifelog.facts import (
     ACTIVITY,
+    AEROPLANE,
     END,
     FASTEST_WALK,
-    PLANE,
     SHORTEST_FLIGHT,
     SLOWEST_FLIGHT,
     VISIT,
@@ -265,9 +265,9 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
         named.append((next(filter(None, (kinds[n], *moving, *beside)), piece.kind), piece))
     for kind, own in groupby(named, key=lambda pair: pair[0]):
         parts = [piece for _, piece in own]
-        if kind == PLANE:
+        if kind == AEROPLANE:
             start, end = parts[0].start, parts[-1].end
-            yield TimelineEntry(VEHICLE, start, end, track.length(start, end), observed=0.0, mode=PLANE)
+            yield TimelineEntry(VEHICLE, start, end, track.length(start, end), observed=0.0, mode=AEROPLANE)
             continue
         if len(parts) == 1 and parts[0].kind == kind:
             yield parts[0]
@@ -286,7 +286,7 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
     lasted, far = piece.duration, track.length(piece.start, piece.end) if piece.kind == GAP else 0.0
     if far > max(SHORTEST_FLIGHT, SLOWEST_FLIGHT * lasted):
-        return PLANE
+        return AEROPLANE
     # shortest jump [m] over a short silence, from which a fast one is a ride
     if far > max(FASTEST_WALK * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
@@ -333,7 +333,7 @@ def with_guesses(rows: Sequence[TimelineEntry], guesses: Sequence[Guess]) -> lis
     named = list[TimelineEntry]()
     for row in known:
         first, after = np.searchsorted(ended, row.start), np.searchsorted(starts, row.end)
-        kind = VISIT if row.kind == STAY else ACTIVITY if row.mode == PLANE else ""
+        kind = VISIT if row.kind == STAY else ACTIVITY if row.mode == AEROPLANE else ""
         near = guesses[int(first) : int(after)] if kind else ()
         same = [guess for guess in near if guess.kind == kind and _overlap(guess, row) > row.duration / 2]
         named.append(replace(row, guess=max(same, key=lambda g: _overlap(g, row)).text) if same else row)

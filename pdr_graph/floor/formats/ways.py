@@ -24,7 +24,7 @@ from pdr_graph.io.xml_elements import XmlElements
 from pdr_graph.priors import WAYS
 from pdr_graph.types import Array
 
-SMALL = 60_000_000  # [bytes] of XML that is read without libosmium; a tree takes ten times as much memory
+SMALL_XML = 60_000_000  # [bytes] of XML that is read without libosmium; a tree takes ten times as much memory
 CLOSED_TO_WALKERS = ("no", "private")  # values of access and foot
 FORMATS = "OpenStreetMap (.osm, .osm.pbf), lines of GeoJSON or GPX routes"
 LONG = 30  # corners from which a way that begins elsewhere may still come near
@@ -117,7 +117,7 @@ def _osm(path: Path, low: Array, high: Array, is_xml: bool, far: _Far) -> Iterat
         from osmium.filter import EntityFilter, KeyFilter
         from osmium.osm import NODE, WAY, Way
     except ImportError:
-        if not is_xml or path.stat().st_size > SMALL:
+        if not is_xml or path.stat().st_size > SMALL_XML:
             raise InputError(path, "", "an OpenStreetMap extract", "pip install 'pdr-graph[paths]'") from None
         yield from _osm_tree(path)
         return
@@ -147,8 +147,8 @@ def _osm_tree(path: Path) -> Iterator[Street]:
     """The ways of a small .osm."""
     content = path.read_bytes()
     if content[:2] == b"\x1f\x8b":
-        content = _unpacked(path, SMALL + 1)
-        if len(content) > SMALL:
+        content = _unpacked(path, SMALL_XML + 1)
+        if len(content) > SMALL_XML:
             raise InputError(path, "", "a large OpenStreetMap extract", "pip install 'pdr-graph[paths]'")
     root = parsed_xml(str(path), content, "a whole .osm file")
     nodes = {
