@@ -17,7 +17,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.units import IMPLAUSIBLE, check_one_unit, unit_of
+from pdr_graph.inertial.units import IMPLAUSIBLE, axis_scales, check_one_unit, unit_of
 from pdr_graph.types import (
     DAY_LENGTH,
     GNSS,
@@ -68,6 +68,10 @@ def build_recording(
     for sensor in ("accelerometer", "gyroscope", "magnetometer", "barometer"):
         if sensor in signals:
             signal = signals.pop(sensor)
+            if sensor == "accelerometer" and (scales := axis_scales(signal)) is not None:
+                signal = replace(signal, values=signal.values * scales)
+                factors = ", ".join(f"{scale:.2f}" for scale in scales)
+                notes.append(f"accelerometer: gravity is not 9.81 m/s²: its axes are multiplied by {factors}")
             kind, factor = unit_of(path, sensor, signal, notes)
             signals.setdefault(kind, signal if factor == 1.0 else replace(signal, values=signal.values * factor))
     _note_quality(signals, notes)

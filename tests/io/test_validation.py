@@ -51,6 +51,16 @@ def test_an_unknown_unit_raises_with_the_measured_gravity(sampled, factor):
         validated(sampled, sampled.acceleration * factor)
 
 
+def test_an_axis_of_another_scale_is_recognised(sampled):
+    """A phone that states 7.3 m/s² where its long axis stands up; held still like that, the scale is right to 3 %."""
+    upright = sampled.acceleration @ np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # z becomes -y
+    axis = int(np.argmax(np.abs(upright.mean(axis=0))))
+    wrong = upright * np.where(np.arange(3) == axis, 7.3 / G, 1.0)
+    walk = validated(sampled, wrong)
+    assert np.linalg.norm(walk.accelerometer.values.mean(axis=0)) == pytest.approx(G, rel=0.03)
+    assert_noted(walk, "its axes are multiplied by")
+
+
 def test_removed_gravity_is_recognised(sampled):
     walk = validated(sampled, sampled.acceleration - sampled.gravity)
     assert walk.accelerometer is None
