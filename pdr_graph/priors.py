@@ -251,7 +251,7 @@ class MotionPriors(Table):
         12, "steps", "before and after a change of pace, whose median durations are compared", still=(0.5, 2)
     )
     pace_change: float = number(0.15, "ratio", "change of these from which it is another pace", still=(0.5, 2))
-    run_speed: float = number(2.0, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5", still=(0.5, 2))
+    run_speed: float = number(2.3, "m/s", "of a run", "people walk up to 2 m/s: a Froude number of 0.5", still=(0.5, 2))
     run_change: float = number(
         3.5, "factor", "of the change of pace between walk and run: strides are off by 0.25", RUNS, still=(0.5, 2)
     )

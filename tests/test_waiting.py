@@ -30,6 +30,7 @@ LIMITED = {
     "apps/serve/study.py: process.wait()": "the process was killed",
     "apps/serve/study.py: self._changed.wait()": "for the next upload, until the server ends and cancels it",
     "recovery.py: sqlite3.connect(path, LOCK_CALL, isolation_level=None, check_same_thread=False)": "LOCK_CALL",
+    "recovery.py: sqlite3.connect(':memory:', isolation_level=None, check_same_thread=False)": "nobody else's memory",
     "recovery.py: sqlite3.connect(address, LOCK_CALL, uri=True)": "LOCK_CALL is its timeout",
 }
 

@@ -292,7 +292,7 @@ def test_where_something_is_missing_live_steps_are_those_of_the_whole_recording_
     recording = replace(walk(), **LACKING[name]())
     steps, found = detect_steps(recording), whole(live(sent(recording, sensors=recording.signals))[0])
     assert len(found) == pytest.approx(len(steps), abs=2)
-    assert set(found.unknown) == {text for text in steps.unknown if "in the recording" not in text}
+    assert set(found.unknown) == {text for text in steps.unknown if "of the recording" not in text}
     assert found.length.sum() == pytest.approx(steps.length.sum(), rel=0.05)
     assert found.turn.sum() == pytest.approx(steps.turn.sum(), abs=0.15)
     unmeasured = [np.sum(s.sigma_turn == MOTION.unmeasured_turn) for s in (found, steps)]

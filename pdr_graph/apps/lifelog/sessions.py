@@ -18,7 +18,6 @@ from pdr_graph.apps.lifelog.facts import SHORTEST_FLIGHT, SLOWEST_FLIGHT
 from pdr_graph.apps.lifelog.observation import MIN_POSITIONS, Observation, in_frame, shifted
 from pdr_graph.apps.lifelog.stays_and_legs import arc, on_sphere
 from pdr_graph.errors import count
-from pdr_graph.estimation.gps_track import plausible
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.priors import FIXES, TRACK
@@ -205,6 +204,8 @@ def local_parts(part: Observation) -> list[Observation]:
     """
     if not part.frame.georeferenced or part.plan:
         return [part]
+    from pdr_graph.estimation.gps_track import plausible  # imports scipy, which a diary of done days does not need
+
     used = plausible(part.fixes)
     time, lonlat = part.fixes.time[used], part.frame.to_lonlat(part.fixes.position[used])
     sphere = on_sphere(lonlat)
