@@ -24,7 +24,7 @@ def test_every_step_counts_once_at_any_pace(walks):
 
 
 def test_uncalibrated_lengths_are_true_at_any_pace(walks):
-    """The total of every walk within 12 %, half of them within 6.5 % (asked: 5; the slowest have longer steps by it)."""
+    """The total of every walk within 12 %, half of them within 6.5 % (asked: 5)."""
     errors = np.array([steps.length.sum() / walk.length - 1 for walk, steps in walks])
     assert np.abs(errors).max() < 0.12
     assert np.median(np.abs(errors)) < 0.065
