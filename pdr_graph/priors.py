@@ -89,7 +89,7 @@ SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 class StepPriors(Table):
     """Durations of steps."""
 
-    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 2))
+    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 1))
     longest: float = number(2.2, "s", "longest duration of a step", "strides: 1.0 to 1.6 s at 0.3 to 0.5 m/s")
     pause: float = number(
         2.2, "steps", "interval between landings from which it is a stop: 1.2 s at a usual pace", still=(1, 1)
@@ -103,10 +103,10 @@ class CandidatePriors(Table):
 
     sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(1, 2))
     slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
-    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(0.5, 2))
+    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
     usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
     smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 2))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 1))
     window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 1))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
@@ -139,7 +139,7 @@ class CandidatePriors(Table):
         0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings", still=(0.5, 2)
     )
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
-    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 2))
+    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 1))
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
     jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
@@ -166,7 +166,7 @@ class BoutPriors(Table):
         0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
     )
     push_off: float = number(
-        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(0.5, 1)
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
     late: float = number(6.0, "s", "after which it is too late to report a step")
@@ -192,9 +192,9 @@ class StridePriors(Table):
     """Lengths of steps."""
 
     shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(0.5, 2))
+    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(1, 2))
     sigma: float = number(
-        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(1, 2)
+        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", still=(0.5, 1)
     )
     turn_shortens: float = number(
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
@@ -204,7 +204,7 @@ class StridePriors(Table):
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
     run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS, still=(1, 1))
     run_duration: float = number(0.40, "s", "duration of that step", RUNS, still=(1, 1))
-    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 2))
+    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 1))
     run_period: tuple[float, float] = number(
         (0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS, still=(1, 1)
     )
@@ -213,7 +213,7 @@ class StridePriors(Table):
         "m/s²",
         "hardly and surely of a run",
         "simulated runs; walkers who hurry have up to 10 at such a rhythm",
-        still=(0.5, 1),
+        still=(1, 1),
     )
 
 
@@ -329,7 +329,7 @@ class GripPriors(Table):
     clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
     windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
-    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(0.5, 2))
+    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(1, 2))
     weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
     sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
 
