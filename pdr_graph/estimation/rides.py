@@ -32,8 +32,8 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     along = length_along(place)
 
     # Times in which the positions move farther than the steps can have led, and not by one jump of a receiver
-    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
-    moved, reach = np.diff(along), FIXES.stretched * np.diff(distance_walked(steps, time, length))
+    led = distance_walked(steps, time, _farthest_lengths(steps))
+    moved, reach = np.diff(along), FIXES.stretched * np.diff(led)
     excess, noise = moved - reach - RIDING.slowest * np.diff(time), FIXES.outlier * float(np.median(fixes.sigma))
     rows = largest_sums(excess, max(noise, RIDING.gradual))
     score, jump = (np.array([of(part[a:b]) for a, b in rows]) for of, part in ((np.sum, excess), (np.max, moved)))
@@ -69,6 +69,11 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     return np.column_stack(
         [np.maximum(last, spans[:, 0] - RIDING.boarding), np.minimum(next_, spans[:, 1] + RIDING.boarding)]
     )
+
+
+def _farthest_lengths(steps: Steps) -> Array:
+    """How far each row ``(n,)`` can have led: a step its length, a gap at FIXES.driven. [m]"""
+    return np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
 
 
 def _count(time: Array, spans: Array) -> Index:
@@ -187,13 +192,16 @@ class RideWatch:
     @property
     def notes(self) -> tuple[str, ...]:
         """A line for each ride so far."""
-        return ride_notes(np.array(self.found).reshape(-1, 3)[:, :2])
+        return ride_notes(self._table[:, :2])
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Those of the rides so far."""
-        rides = np.array(self.found).reshape(-1, 3)
-        return ride_contradictions(rides[:, :2], rides[:, 2])
+        return ride_contradictions(self._table[:, :2], self._table[:, 2])
+
+    @property
+    def _table(self) -> Array:
+        return np.array(self.found).reshape(-1, 3)
 
     @property
     def end(self) -> float:
@@ -202,7 +210,7 @@ class RideWatch:
 
     def steps(self, steps: Steps) -> list[Steps]:
         """The steps to use now: those given, or in a ride a gap every `RIDING.boarding` seconds."""
-        self._led += float(np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length).sum())
+        self._led += float(_farthest_lengths(steps).sum())
         if not self._rides:
             return [steps]
         self._held.append(steps)

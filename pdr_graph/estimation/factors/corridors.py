@@ -247,42 +247,29 @@ class PathFactor(Measurement):
         """The factors of a walk along the ways on which its places are, once moved there. on: ``(n,)``."""
         walked, place = length_along(track.position), np.searchsorted(track.piece, track.keyframe_piece, "right") - 1
         directions, rows = list[tuple[int, float, float]](), list[tuple[int, Array, Array, float, int]]()
-        bounds = np.flatnonzero(np.diff(on, prepend=False, append=False))
-        for begin, end in bounds.reshape(-1, 2).tolist():
+        for begin, end in np.flatnonzero(np.diff(on, prepend=False, append=False)).reshape(-1, 2).tolist():
             part = corrected.position[begin:end]
-            runs = [
-                replace(run, first=run.first + begin, last=run.last + begin)
-                for run in straight_runs(part, self.network)
-            ]
+            runs = straight_runs(part, self.network)
+            runs = [replace(run, first=run.first + begin, last=run.last + begin) for run in runs]
             directions += directions_of(track, runs)
             for stretch in stretches_along(part, self.network):
                 line = shapely.linestrings(self.network.lines[stretch.link])
                 first, last = stretch.first + begin, stretch.last + begin
-                for k in np.flatnonzero((place >= first) & (place < last)).tolist():
-                    foot = shapely.line_interpolate_point(
-                        line, shapely.line_locate_point(line, shapely.Point(corrected.position[place[k]]))
-                    )
-                    bearing = stretch.bearing[min(place[k] - first, len(stretch.bearing) - 1)]
-                    normal = np.array([-np.sin(bearing), np.cos(bearing)])
-                    same = int(walked[place[k]] // WAYS.alike)
-                    sigma = float(self.network.sigma[stretch.link])
-                    rows.append((k, shapely.get_coordinates(foot)[0], normal, sigma, same))
+                here = np.flatnonzero((place >= first) & (place < last))
+                along = shapely.line_locate_point(line, shapely.points(corrected.position[place[here]]))
+                foot = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+                bearing = stretch.bearing[np.minimum(place[here] - first, len(stretch.bearing) - 1)]
+                normal = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
+                same = (walked[place[here]] // WAYS.alike).astype(int).tolist()
+                sigma = [float(self.network.sigma[stretch.link])] * len(here)
+                rows += zip(here.tolist(), foot, normal, sigma, same, strict=True)
         if not rows:
             return self
         rows = list({row[0]: row for row in rows}.values())
         followed, foot, normal, sigma, same = (np.array(column) for column in zip(*rows, strict=True))
-        groups = np.unique(same, return_inverse=True, return_counts=True)
-        shared = groups[2][groups[1].ravel()]
-        along, direction = _headings(at, directions)
-        return replace(
-            self,
-            followed=followed,
-            foot=foot,
-            normal=normal,
-            sigma=sigma * np.sqrt(shared),
-            along=along,
-            direction=direction,
-        )
+        _, group, number = np.unique(same, return_inverse=True, return_counts=True)
+        sigma, (along, direction) = sigma * np.sqrt(number[group]), _headings(at, directions)
+        return replace(self, followed=followed, foot=foot, normal=normal, sigma=sigma, along=along, direction=direction)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """A distance for each keyframe on a way, and a heading for each straight run along it."""
