@@ -48,7 +48,7 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
     if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] + 1.5 * spread and gravity > 0.7 * median:
         notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
         return sensor, STANDARD_GRAVITY
-    if gravity < 0.5 * median and gravity < GRAVITY[0]:
+    if gravity < 0.5 * median and median < GRAVITY[0]:
         notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
         return "linear_acceleration", 1.0
     expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
