@@ -106,6 +106,44 @@ def test_slow_silent_and_flooding_clients_harm_nobody(start):
         server.published(len(BODIES))
 
 
+def test_streams_that_a_user_leaves_unread_do_not_keep_the_owner_waiting(start, tmp_path):
+    """150 of them, of the 100 that a server has; the oldest of the user's end, and the owner's go on."""
+    server = start("--token", OWNERS, "--user", "ann")
+    ann = json.loads((tmp_path / "out" / "tokens.json").read_text(encoding="utf-8"))["ann"]
+    server.ask(f"/sensorlogger?token={OWNERS}", BODIES[0])
+    with ExitStack() as stack:
+        connections = [stack.enter_context(server.connected()) for _ in range(152)]
+        owner, *anns, latest = connections
+        owner.sendall(streamed(OWNERS))
+        received(owner, b"retry: 2000")
+        for connection in anns:
+            connection.sendall(streamed(ann))
+        began = time.monotonic()
+        latest.sendall(streamed(OWNERS))
+        received(latest, b"event: pose")
+        assert time.monotonic() - began < 5.0
+        assert received(anns[0], b"0\r\n\r\n")  # ended as it should
+        received(anns[-1], b"retry: 2000")
+        received(owner, b"event: pose")
+
+
+OWNERS = "a-token-of-my-own-choice"
+
+
+def streamed(token):
+    return b"GET /events?token=%s" % token.encode() + HEAD + b"\r\n"
+
+
+def received(connection, awaited):
+    """What a connection receives up to what is awaited."""
+    data, end = b"", time.monotonic() + PATIENCE
+    while awaited not in data:
+        part = connection.recv(65536)
+        assert part and time.monotonic() < end, data
+        data += part
+    return data
+
+
 @pytest.mark.thorough
 def test_a_hundred_megabytes_cost_no_memory(start):
     server = start()

@@ -9,7 +9,7 @@ import asyncio
 import html
 import re
 import zlib
-from collections.abc import AsyncIterator
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,6 @@ from starlette.responses import (
     PlainTextResponse,
     RedirectResponse,
     Response,
-    StreamingResponse,
 )
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -37,7 +36,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import pdr_graph
 from pdr_graph.apps.serve import publishing
 from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, token_of
-from pdr_graph.apps.serve.publishing import Hub, Published, Subscriber, plan_layers
+from pdr_graph.apps.serve.publishing import Hub, Published, plan_layers
 from pdr_graph.apps.serve.reception import Reception
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
 from pdr_graph.apps.serve.study import StudyReports, upload_of
@@ -46,6 +45,7 @@ from pdr_graph.errors import InputError
 WEB, OPENAPI = Path(__file__).parent / "web", Path(__file__).parent / "openapi.json"
 HEARTBEAT = 15.0  # [s] after which a silent stream sends a comment, by which proxies and the page know that it lives
 SLOWEST_BODY = 30.0  # [s] for a message to arrive completely
+SLOWEST_READER = 30.0  # [s] for an event to be taken
 SHOW_TO_USER = 499  # status by which Sensor Logger shows the text of the answer
 TOKEN = "a token: ?token=… as in the address that pdr-graph serve printed, or Authorization: Bearer …"
 ENCODE = msgspec.json.encode  # NaN becomes null
@@ -331,59 +331,67 @@ async def description_for_people(_: Request) -> Response:
 # ── streams of events ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _subscribe(connection: HTTPConnection) -> Subscriber:
-    viewer = connection.scope["user"]
-    subscriber = _server(connection).hub.subscribe(lambda user: Access.sees(viewer, user))
-    if subscriber is None:
-        raise HTTPException(503, "found the most event streams that this server has", {"Retry-After": "10"})
-    return subscriber
+async def _relay(
+    connection: HTTPConnection, reading: Coroutine[Any, Any, None], send: Callable[[str, Any], Awaitable[None]]
+) -> None:
+    """Send events, "" for a heartbeat, until ``reading`` from the client ends, it takes none, or the hub ends it."""
+    hub, viewer = _server(connection).hub, connection.scope["user"]
+    subscriber = hub.subscribe(viewer, lambda user: Access.sees(viewer, user))
+    gone = asyncio.create_task(reading)
+    gone.add_done_callback(lambda _: subscriber.wake())
+    try:
+        while not (subscriber.ended or gone.done()):
+            for name, data in subscriber.events() if await subscriber.wait(HEARTBEAT) else [("", {})]:
+                async with asyncio.timeout(SLOWEST_READER):
+                    await send(name, data)
+    except (TimeoutError, WebSocketDisconnect, RuntimeError):
+        pass  # the client is gone or reads nothing
+    finally:
+        gone.cancel()
+        hub.unsubscribe(subscriber)
 
 
-async def events(request: Request) -> Response:
+async def events(request: Request) -> ASGIApp:
     """Server-sent events: `pose`, `path` and `forgotten` of all walkers that the user may see."""
-    hub, subscriber = _server(request).hub, _subscribe(request)
 
-    async def stream() -> AsyncIterator[bytes]:
-        try:
-            yield b"retry: 2000\n\n"
-            while not (hub.closed or await request.is_disconnected()):
-                if not await subscriber.wait(HEARTBEAT):
-                    yield b": alive\n\n"
-                for name, data in subscriber.events():
-                    yield b"event: %s\ndata: %s\n\n" % (name.encode(), ENCODE(data))
-        finally:
-            hub.unsubscribe(subscriber)
+    async def stream(scope: Scope, receive: Receive, send: Send) -> None:
+        async def disconnected() -> None:
+            while (await receive())["type"] != "http.disconnect":
+                pass
 
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(stream(), media_type="text/event-stream", headers=headers)
+        async def chunk(body: bytes, more_body: bool = True) -> None:
+            await send({"type": "http.response.body", "body": body, "more_body": more_body})
+
+        async def event(name: str, data: Any) -> None:
+            await chunk(b"event: %s\ndata: %s\n\n" % (name.encode(), ENCODE(data)) if name else b": alive\n\n")
+
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        start = Response(headers=headers, media_type="text/event-stream").raw_headers
+        start = [(name, value) for name, value in start if name != b"content-length"]
+        await send({"type": "http.response.start", "status": 200, "headers": start})
+        await chunk(b"retry: 2000\n\n")
+        await _relay(request, disconnected(), event)
+        with suppress(TimeoutError):  # who reads nothing is disconnected
+            async with asyncio.timeout(1.0):
+                await chunk(b"", more_body=False)
+
+    return stream
 
 
 async def socket(websocket: WebSocket) -> None:
     """A WebSocket with the same events, one JSON a message, each with its name in the member ``event``."""
-    try:
-        subscriber = _subscribe(websocket)
-    except HTTPException:
-        return await websocket.close(1013)
     await websocket.accept()
-    hub = _server(websocket).hub
 
-    async def discard() -> None:
-        with suppress(WebSocketDisconnect, RuntimeError, KeyError):  # until the client closes
+    async def closed() -> None:
+        with suppress(WebSocketDisconnect, RuntimeError, KeyError):
             while True:
                 await websocket.receive_text()
 
-    reading = asyncio.create_task(discard())
-    try:
-        while not (hub.closed or reading.done()):
-            await subscriber.wait(HEARTBEAT)
-            for name, data in subscriber.events():
-                async with asyncio.timeout(30.0):  # [s] after which a subscriber that reads nothing is disconnected
-                    await websocket.send_text(ENCODE({"event": name, **data}).decode())
-    except (TimeoutError, WebSocketDisconnect, RuntimeError):
-        pass
-    finally:
-        reading.cancel()
-        hub.unsubscribe(subscriber)
+    async def event(name: str, data: Any) -> None:
+        if name:  # its own pings are the heartbeat
+            await websocket.send_text(ENCODE({"event": name, **data}).decode())
+
+    await _relay(websocket, closed(), event)
 
 
 # ── the page ────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -42,6 +42,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -276,10 +277,12 @@ class Published:
 
 
 class Subscriber:
-    """A connection that receives events. sees: whether it may see the walker of a user."""
+    """A connection of a viewer that receives events. sees: whether it may see the walker of a user; ended: if it has
+    to go.
+    """
 
-    def __init__(self, hub: Hub, sees: Callable[[str], bool]):
-        self._hub, self.sees = hub, sees
+    def __init__(self, hub: Hub, viewer: str, sees: Callable[[str], bool]):
+        self._hub, self.viewer, self.sees, self.ended = hub, viewer, sees, False
         # ids of walkers with news of each kind, in the order in which these are sent, the oldest first
         self._pending = {kind: dict[str, None]() for kind in ("forgotten", "pose", "path")}
         self._sent = dict[str, tuple[int, int]]()  # revision and number of finalised points
@@ -297,6 +300,11 @@ class Subscriber:
     def wake(self) -> None:
         """End a `wait`."""
         self._changed.set()
+
+    def end(self) -> None:
+        """Have the connection end."""
+        self.ended = True
+        self.wake()
 
     async def wait(self, timeout: float) -> bool:
         """Wait for news; False after ``timeout`` [s] without any."""
@@ -331,14 +339,14 @@ class Hub:
 
     def __init__(self) -> None:
         self.walkers = dict[str, Published]()
-        self.closed = False
-        self._subscribers = set[Subscriber]()
+        self._closed = False
+        self._subscribers = dict[Subscriber, None]()  # the oldest first
 
     def close(self) -> None:
-        """Wake all subscribers, whose connections end since the server does."""
-        self.closed = True
+        """End all connections, since the server ends."""
+        self._closed = True
         for subscriber in self._subscribers:
-            subscriber.wake()
+            subscriber.end()
 
     def pose(self, user: str, pose: dict[str, Any]) -> None:
         """Publish a pose; the first creates the walker."""
@@ -362,17 +370,24 @@ class Hub:
         if walker is not None:
             self._note(id_, walker.user, "forgotten")
 
-    def subscribe(self, sees: Callable[[str], bool]) -> Subscriber | None:
-        """A new subscriber, for whom all walkers are news; None if there are MOST_SUBSCRIBERS."""
+    def subscribe(self, viewer: str, sees: Callable[[str], bool]) -> Subscriber:
+        """A new subscriber, for whom all walkers are news.
+
+        Beyond MOST_SUBSCRIBERS the oldest of the viewer who has the most of them ends.
+        """
         if len(self._subscribers) >= MOST_SUBSCRIBERS:
-            return None
-        subscriber = Subscriber(self, sees)
-        self._subscribers.add(subscriber)
+            [(most, _)] = Counter(each.viewer for each in self._subscribers).most_common(1)
+            oldest = next(each for each in self._subscribers if each.viewer == most)
+            self.unsubscribe(oldest)
+            oldest.end()
+        subscriber = Subscriber(self, viewer, sees)
+        subscriber.ended = self._closed
+        self._subscribers[subscriber] = None
         return subscriber
 
     def unsubscribe(self, subscriber: Subscriber) -> None:
         """Remove a subscriber."""
-        self._subscribers.discard(subscriber)
+        self._subscribers.pop(subscriber, None)
 
     def _note(self, id_: str, user: str, kind: str) -> None:
         for subscriber in self._subscribers:
