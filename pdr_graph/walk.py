@@ -127,6 +127,8 @@ class Options:
     """Time after which a live navigator finalizes a step [s]; None: never."""
     journal: Path | None = None
     """File that stores a live walk, and from which it is resumed."""
+    settings: tuple[str, ...] = ()
+    """Numbers that ``--set`` changed, for the record: in Python `pdr_graph.priors.changed` sets them."""
 
     def __post_init__(self) -> None:
         """Raise InputError if a number is out of range."""

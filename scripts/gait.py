@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from tables import publish, table
 
 from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.bench import data_sets
 from pdr_graph.apps.report.evaluation import in_region, pair, stated_covariance
 from pdr_graph.frames import enu
 from pdr_graph.gait import walker
@@ -34,13 +35,6 @@ from pdr_graph.types import LONLAT
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import gait_data
 
-OXFORD = {  # true counts of the data page
-    "hand": ("user1_hand", 326),
-    "trouser pocket": ("user1_frontpocket", 327),
-    "bag": ("user1_bag", 346),
-    "swinging arm, switch rises": ("SwingingArm", 284),
-    "swinging arm, feet in turn": ("SwingingArm", 264),
-}
 DETECTORS = {
     "[map-matching] peak pairs": peak_pairs,
     "[calibration-walk] candidates": trough_to_peak,
@@ -84,18 +78,18 @@ def steps(data):
 def counts(data):
     """Steps of the Oxford recordings, of an accelerometer alone."""
     rows = []
-    for name, true, path in oxford(data):
-        attitude = attitude_of(load(path))
+    for name, true, recording in oxford(data):
+        attitude = attitude_of(recording)
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
         rows.append([name, true, *(with_error(n, true) for n in found)])
     publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
 
 
 def oxford(data):
-    """Each count of the Oxford recordings: what it is of, the true one, and the file."""
-    files = sorted((data / "oxford_steps").glob("validation/*.csv")) + sorted((data / "oxford_steps").glob("Pixel*"))
-    for name, (part, true) in OXFORD.items():
-        yield name, true, next(f for f in files if part in f.name)
+    """Each count of the Oxford recordings: what it is of, the true one, and the recording."""
+    for name, read in data_sets.oxford(data):
+        walk = read()
+        yield name, int(walk.steps), walk.evidence.walk
 
 
 def with_error(found, true):
@@ -166,9 +160,9 @@ def carry_and_pace(data, walks):
         at = "slow" if speed < 0.8 else "normal" if speed < 1.3 else "fast"
         counted = len(walk.gait.landings) / walk.steps - 1, float(walk.lengths.sum()) / walk.way - 1
         errors.setdefault((carry, "recorded", at), []).append(counted)
-    for name, true, path in oxford(data):
+    for name, true, recording in oxford(data):
         if not name.endswith("switch rises"):
-            attitude = attitude_of(load(path))
+            attitude = attitude_of(recording)
             counted = len(walking_steps(attitude.time, attitude.acceleration)) / true - 1, np.nan
             errors.setdefault((name.split(",")[0], "recorded", "normal"), []).append(counted)
     for hold in HOLDS:
@@ -246,8 +240,8 @@ def confidence(data, walks):
     The latter have 15 % of the weight; all recordings count the same.
     """
     stated = [(walk.gait.landings.confidence, 1) for walk in walks]
-    for _, _, path in oxford(data):
-        attitude = attitude_of(load(path))
+    for _, _, recording in oxford(data):
+        attitude = attitude_of(recording)
         stated.append((walking_steps(attitude.time, attitude.acceleration).confidence, 1))
     for hold in HOLDS:
         for manner in PACES:

@@ -25,6 +25,7 @@ from live import campus, eight, followed, mall, museum, on_campus
 from tables import publish, table
 
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
+from pdr_graph.apps.bench.matrix import percentiles_with_interval
 from pdr_graph.apps.report.evaluation import circular_error, pair
 
 MICROSOFT_METHODS = {
@@ -63,19 +64,6 @@ def withheld_errors(walk, method):
         _, inside, _ = gaps(track, walk.truth, WAYPOINT_NOISE)
     crossings = walk.floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
     return circular_error(pair(track, walk.truth)), inside, crossings
-
-
-def percentiles_with_interval(groups, draws=2000):
-    """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
-    random = np.random.default_rng(0)
-    at = [50, 75, 95]
-    samples = [
-        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), at)
-        for _ in range(draws)
-    ]
-    low, high = np.percentile(samples, [2.5, 97.5], axis=0)
-    values = np.percentile(np.concatenate(groups), at)
-    return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
 
 
 def microsoft(data):

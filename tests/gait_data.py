@@ -3,22 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
-from python_calamine import CalamineWorkbook
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import StateSpace, butter, filtfilt, find_peaks, lsim
+from scipy.signal import StateSpace, lsim
 
 from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph.apps.bench import data_sets
 from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Recording, Signal, Trajectory
+from pdr_graph.types import Fixes, Recording, Trajectory
 
 RATE = 50.0  # [Hz] of made samples
-GRID = 0.02  # [s] of the visual-inertial positions
-HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
 
 
 @dataclass(frozen=True)
@@ -33,39 +31,17 @@ class TrueWalk:
 
 
 def strides(data):
-    """Yield the walks of ``strides``: 0.3 to 1.5 m/s, in the hand. Strides that the foot sensor merged are counted."""
-    for path in sorted((data / "strides").glob("*.txt")):
-        with path.open() as file:
-            rows = np.array([line.split()[1:] for line in file if line.startswith("test")], dtype=float)
-        rows = rows[np.append(True, np.diff(rows[:, 9]) > 0)]
-        first = np.flatnonzero(np.diff(rows[:, 11]) > 0) + 1
-        length = rows[first, 10]
-        usual = np.median(length)
-        whole = sum(max(1, round(each / usual)) for each in length[:-1].tolist())
-        last = 2 if length[-1] > 0.75 * usual else 1
-        time = (rows[:, 9] - rows[0, 9]) / 1000
-        yield TrueWalk(
-            path.stem.removeprefix("PDR_Raw_2018-10-"),
-            recording_of(path.name, time, rows[:, :3], rows[:, 3:6]),
-            2 * whole + last,
-            float(rows[:, 12].max()),
-        )
+    """Yield the walks of ``strides``: 0.3 to 1.5 m/s, in the hand."""
+    yield from (true_walk(name, read()) for name, read in data_sets.strides(data))
 
 
 def ridi(data):
-    """Yield the walks of ``ridi``: pocket, bag, hand, body. Steps are maxima of |a| about its strongest frequency."""
-    for path in sorted((data / "ridi").glob("*.xlsx")):
-        column = columns(path)
-        time = column["time"] - column["time"][0]
-        acceleration, rate, position = (
-            np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("acce", "gyro", "pos")
-        )
-        yield TrueWalk(
-            path.stem,
-            recording_of(path.name, time, acceleration, rate),
-            *visual_inertial(time, position, np.linalg.norm(acceleration, axis=1)),
-            track=Trajectory(time, position[:, :2], np.full(len(time), np.nan)),
-        )
+    """Yield the walks of ``ridi``: pocket, bag, hand, body."""
+    yield from (true_walk(name, read()) for name, read in data_sets.ridi(data))
+
+
+def true_walk(name, walk):
+    return TrueWalk(name, walk.evidence.walk, walk.steps, walk.length, walk.truth)
 
 
 def given_start(walk, share=0.25, sigma=0.2):
@@ -125,34 +101,3 @@ def waved(frequency, angle, lever=0.6, seconds=60.0, rate=RATE, seed=0):
     x, z = (np.gradient(np.gradient(v, 1 / rate), 1 / rate) for v in (lever * np.sin(at), -lever * np.cos(at)))
     along, across = (z + 9.81) * np.cos(at) - x * np.sin(at), x * np.cos(at) + (z + 9.81) * np.sin(at)
     return t, np.column_stack([np.zeros(len(t)), across, along]) + random.normal(0, 0.08, (len(t), 3))
-
-
-def recording_of(name, time, acceleration, rate):
-    """A recording of accelerometer and gyroscope."""
-    return Recording(name, 0.0, None, accelerometer=Signal(time, acceleration), gyroscope=Signal(time, rate))
-
-
-def visual_inertial(time, position, magnitude):
-    """True number of steps and length [m] of a walk with known positions ``(n, 3)`` [m]."""
-    grid = np.arange(0, time[-1], GRID)
-    x, y = (np.interp(grid, time, position[:, axis]) for axis in (0, 1))
-    speed = np.hypot(np.gradient(x, GRID), np.gradient(y, GRID))
-    moving = gaussian_filter1d(speed, 0.5 / GRID) > 0.25
-    level = np.interp(grid, time, magnitude)
-    level -= gaussian_filter1d(level, 0.8 / GRID)
-    frequency = np.fft.rfftfreq(8 * len(grid), GRID)
-    power = np.abs(np.fft.rfft(level * np.hanning(len(grid)), 8 * len(grid)))
-    walked = (frequency > 1.2) & (frequency < 2.6)
-    strongest = frequency[walked][np.argmax(power[walked])]
-    band = butter(2, [0.7 * strongest, 1.35 * strongest], fs=1 / GRID, btype="band")
-    landed, _ = find_peaks(filtfilt(*band, level), height=0.2)
-    x, y = (gaussian_filter1d(values, HEAD_SWAY / GRID)[::5] for values in (x, y))
-    return int(moving[landed].sum()), float(np.hypot(np.diff(x), np.diff(y)).sum())
-
-
-def columns(path):
-    """The columns of numbers of a workbook's first sheet, by name."""
-    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
-    return {
-        name: np.array(column, dtype=float) for name, column in zip(head, zip(*rows, strict=True), strict=True) if name
-    }

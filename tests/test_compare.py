@@ -1,9 +1,14 @@
 """``pdr-graph compare``: trajectories, results and methods in one table and one picture."""
 
 import json
+from dataclasses import replace
+from unittest.mock import patch
 
 import pytest
 from commands import run
+
+from pdr_graph.io.loading import load
+from pdr_graph.io.tables import read_trajectory
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +51,22 @@ def test_methods_are_estimated_and_compared(arcade_walk, tmp_path):
     scores = json.loads(printed)["scores"]
     assert scores["graph"]["ce"]["p50"] < scores["pdr"]["ce"]["p50"]
     assert [path.name for path in tmp_path.iterdir()] == ["comparison.png"]
+
+
+def test_a_recording_with_its_truth_needs_no_other(arcade_walk, tmp_path):
+    """Methods that smooth does not have stand beside ours: particles, live, a function of one's own."""
+    walk = replace(load(arcade_walk), truth=read_trajectory(arcade_walk / "truth.csv", load(arcade_walk)))
+    (tmp_path / "mine.py").write_text("def ends(evidence):\n    return evidence.walk.truth[[0, -1]]\n")
+    methods = ("graph", "live", "particles", "mine:ends")
+    with patch("pdr_graph.walk.load", lambda *_: walk):
+        command = ("compare", *methods, "--recording", arcade_walk, *given(arcade_walk), "--json")
+        code, printed, errors = run(*command, cwd=tmp_path)
+    assert (code, errors) == (0, [])
+    compared = json.loads(printed)
+    assert compared["reference"] == "the recording's truth"
+    assert list(compared["scores"]) == list(methods)
+    assert compared["scores"]["particles"]["ce"]["p50"] < 1.5
+    assert compared["scores"]["graph"]["fe"] == 1.0
 
 
 def test_without_truth_the_first_is_the_reference(results, tmp_path):

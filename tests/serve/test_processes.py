@@ -138,8 +138,9 @@ def received(connection, awaited):
     """What a connection receives up to what is awaited."""
     data, end = b"", time.monotonic() + PATIENCE
     while awaited not in data:
+        assert time.monotonic() < end, data
         part = connection.recv(65536)
-        assert part and time.monotonic() < end, data
+        assert part, data
         data += part
     return data
 

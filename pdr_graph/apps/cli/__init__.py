@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import pdr_graph
+from pdr_graph.apps.cli.bench import bench
 from pdr_graph.apps.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.apps.cli.options import (
     AsJson,
@@ -67,6 +67,7 @@ app = App(
 maps = App(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")
 app.add_typer(maps, name="map")
 app.add_typer(lifelog_commands, name="lifelog")
+app.add_typer(bench, name="bench")
 app.command()(serve)
 
 
@@ -150,8 +151,8 @@ Tracks = Annotated[
     list[str],
     typer.Argument(
         metavar="A B ...",
-        help="Trajectories as CSV or TUM, output folders of smooth or replay; with --recording also methods of smooth: "
-        "graph, filter, rts, pdr.",
+        help="Trajectories as CSV or TUM, output folders of smooth or replay; with --recording also methods: graph, "
+        "filter, rts, pdr, live, particles (with --map), module:function.",
     ),
 ]
 Recorded = Annotated[
@@ -171,44 +172,34 @@ def compare(
 ) -> None:
     """Compare trajectories of one walk in a table and a picture.
 
-    The scores are those of evaluate. All are in one frame and on one clock. Without --truth the others are scored
-    against the first. The options from --fixes to --radio-map are those of the methods.
+    The scores are those of evaluate, against --truth, else against the truth in the recording, else of the others
+    against the first. All are in one frame and on one clock. The options from --fixes to --paths are those of the
+    methods.
 
     \b
     pdr-graph compare result other.tum --truth truth.csv --map plan.geojson
     pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
     """
+    from pdr_graph.apps.bench.methods import estimated
     from pdr_graph.apps.report import evaluation
     from pdr_graph.apps.report.plotting import picture_bytes, plot_comparison
     from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
     from pdr_graph.whole_files import write_file
 
-    if len(tracks) < 2 and walk.truth is None:
+    by, truth, frame = estimated(tracks, recording, walk.options())
+    read = by | evaluation.read_tracks([Path(name) for name in tracks if name not in by], frame)
+    reference = "the recording's truth" if walk.truth is None else walk.truth.name
+    truth = read_trajectory(walk.truth) if walk.truth else truth
+    if len(read) < 2 and truth is None:
         raise InputError(tracks[0], "", "one trajectory", "two or more, or --truth")
-    with tempfile.TemporaryDirectory() as folder:
-        results = [_estimated(name, recording, Path(folder), walk) for name in tracks]
-        read = evaluation.read_tracks(results)
-    truth = read_trajectory(walk.truth) if walk.truth else None
     building = Building.load(walk.map, walk.scale) if walk.map else None
-    compared = evaluation.compare(read, truth, walk.truth.name if walk.truth else "", building)
+    compared = evaluation.compare(read, truth, reference if truth else "", building)
     write_file(out, picture_bytes(plot_comparison(read, truth, building)))
     if json_:
         echo_result(json.dumps({"reference": compared.reference, "scores": compared.scores}))
     echo_lines(evaluation.comparison_table(compared))
     echo(f"-> {out}")
-
-
-def _estimated(name: str, recording: Path | None, folder: Path, walk: WalkOptions) -> Path:
-    """The path of a trajectory; if it is the name of a method, its result in a folder."""
-    if name not in set(Method) or Path(name).exists():
-        return Path(name)
-    if recording is None:
-        raise InputError(name, "", "a method of smooth, and no file of that name", "--recording, which it estimates")
-    from pdr_graph.apps.report.output_files import smooth_recording
-
-    smooth_recording(recording, folder / name, walk.options(method=name), report=False)
-    return folder / name
 
 
 @app.command()

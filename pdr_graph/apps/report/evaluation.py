@@ -347,12 +347,13 @@ def comparison_table(comparison: Comparison) -> str:
     return "\n".join([*lines, f"against {one_line(comparison.reference)}"])
 
 
-def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:
+def read_tracks(paths: Sequence[Path], frame: Mapping[str, Any] | None = None) -> dict[str, Trajectory]:
     """The trajectories of files and of output folders of ``smooth`` and ``replay``, by the shortest different names.
 
-    Raises InputError if a file cannot be read, or if folders have different frames.
+    frame: of other tracks beside them, as in ``summary.json``. Raises InputError if a file cannot be read, or if
+    folders have different frames.
     """
-    frames = {}
+    frames = {} if frame is None else {Path("the methods"): dict(frame)}
     tracks = {}
     for name, path in zip(_names_of(paths), paths, strict=True):
         file = path / RESULT[0] if path.is_dir() else path
@@ -362,17 +363,17 @@ def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:
         tracks[name] = read_trajectory(file)
         with suppress(OSError, ValueError, KeyError, TypeError):  # a trajectory without a summary
             frames[path] = dict(json.loads(file.with_name(RESULT[1]).read_text(encoding="utf-8"))["frame"])
-    for path, frame in frames.items():
+    for path, own in frames.items():
         first = next(iter(frames))
-        if frame != frames[first]:
-            found = ", ".join(f"{key} {value}" for key, value in frame.items())
+        if own != frames[first]:
+            found = ", ".join(f"{key} {value}" for key, value in own.items())
             raise InputError(path, "frame", found, f"that of {first}: results with one plan, or with the same fixes")
     return tracks
 
 
 def _names_of(paths: Sequence[Path]) -> list[str]:
     """A name of each path: its last part, or as many as make them different."""
-    for parts in range(1, max(len(path.parts) for path in paths) + 1):
+    for parts in range(1, max((len(path.parts) for path in paths), default=1) + 1):
         names = ["/".join(path.parts[-parts:]) for path in paths]
         if len(set(names)) == len(names):
             return names

@@ -1,0 +1,1 @@
+"""A bench: data sets × what is given × methods, in one table."""

@@ -1,0 +1,286 @@
+"""The walks of each data set with what is known of them, and what an estimate is given.
+
+A data set is a function of the folder of all data that yields the name of each walk and how to read it. A path is a
+data set too: of the recordings in it that have a ``truth.csv``, as ``pdr-graph simulate`` writes them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.frames import Frame
+from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import interpolate
+from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
+from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Recording, Signal, Trajectory
+from pdr_graph.walk import Evidence, Options, read
+
+GIVEN_SIGMA = 0.5  # [m] stated of a place of the truth that is given
+DENSE = 2.0  # [s] between the rows of a truth that is a track, of which no second row can be given
+SCORED_EVERY = 0.5  # [s] at which a track is scored
+
+
+def no_truth() -> Trajectory:
+    """The truth of a walk whose places are not known."""
+    return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0))
+
+
+@dataclass(frozen=True)
+class BenchWalk(OneLineRepr):
+    """A recording, and what is known of it for scores alone.
+
+    evidence: as ``walk.read`` returns it; truth: in its frame, without rows if the places are not known; noise: of the
+    truth, per axis [m]; steps, length: true number, and length [m], NaN if not known.
+    """
+
+    evidence: Evidence
+    truth: Trajectory = field(default_factory=no_truth)
+    noise: float = 0.0
+    steps: float = np.nan
+    length: float = np.nan
+
+
+Walks = Iterator[tuple[str, Callable[[], BenchWalk]]]
+
+
+def recorded(path: Path, options: Options, noise: float = 0.0) -> BenchWalk:
+    """A recording that has its truth, in itself or in the file of the options."""
+    evidence = read(path, options)
+    truth = evidence.walk.truth
+    return BenchWalk(evidence, no_truth() if truth is None else evidence.frame.place(truth), noise)
+
+
+def microsoft(data: Path) -> Walks:
+    """Walks in malls: waypoints, plans (Microsoft Indoor Location Competition 2.0)."""
+    for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
+        name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
+        yield name, partial(recorded, path, Options(plan=path.parent), WAYPOINT_SIGMA)
+
+
+def ipin2023(data: Path) -> Walks:
+    """Trials in a museum: landmarks, GNSS, listed beacons (IPIN 2023, track 3)."""
+    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
+        yield path.stem.removeprefix("IPIN2023_T3_Training"), partial(recorded, path, Options())
+
+
+def ipin21(data: Path) -> Walks:
+    """A figure of eight on a plan with each set of simulated fixes (HCU Hamburg, IPIN 2021)."""
+    folder = data / "ipin21_hcu"
+    plan = folder / "map" / "Plan4OG.geojson"
+    for path in sorted(folder.rglob("*_err*.csv"), key=lambda path: path.stem.lower()):
+        yield path.stem, partial(recorded, folder / "eight", Options(plan=plan, fixes=path))
+
+
+def nju(data: Path) -> Walks:
+    """A campus by its GPS, which is its truth as well: give one in N s (Nanjing University, phyphox)."""
+    if (path := data / "nju_phyphox_outdoor").exists():
+        yield "campus", lambda: BenchWalk(read(path, Options()))
+
+
+def ridi(data: Path) -> Walks:
+    """A minute each in pocket, bag, hand and at the body, by a camera (RIDI, Yan et al. 2018)."""
+    for path in sorted((data / "ridi").glob("*.xlsx")):
+        yield path.stem, partial(_of_camera, path)
+
+
+def strides(data: Path) -> Walks:
+    """Walks of 0.3 to 1.5 m/s whose strides a sensor at the foot measured; no places."""
+    for path in sorted((data / "strides").glob("*.txt")):
+        yield path.stem.removeprefix("PDR_Raw_2018-10-"), partial(_of_foot_sensor, path)
+
+
+OXFORD = {  # true counts of the data page
+    "hand": ("user1_hand", 326),
+    "trouser pocket": ("user1_frontpocket", 327),
+    "bag": ("user1_bag", 346),
+    "swinging arm, switch rises": ("SwingingArm", 284),
+    "swinging arm, feet in turn": ("SwingingArm", 264),
+}
+
+
+def oxford(data: Path) -> Walks:
+    """Counted steps, of an accelerometer alone (Oxford step counter data); no places."""
+    folder = data / "oxford_steps"
+    files = [*sorted(folder.glob("validation/*.csv")), *sorted(folder.glob("Pixel*"))]
+    for name, (part, count) in OXFORD.items():
+        for file in [file for file in files if part in file.name][:1]:
+            yield name, partial(_counted, file, count)
+
+
+DATA_SETS: Mapping[str, Callable[[Path], Walks]] = {
+    each.__name__: each for each in (microsoft, ipin2023, ipin21, nju, ridi, strides, oxford)
+}
+
+
+def walks_of(name: str, data: Path, beside: Path = Path()) -> Walks:
+    """The walks of a data set in the folder of all data, or of one's own folder ``beside / name``.
+
+    Raises InputError if there are none.
+    """
+    folder = beside / name
+    walks = list(DATA_SETS[name](data)) if name in DATA_SETS else list(_own(folder)) if folder.is_dir() else None
+    if walks is None:
+        expected = f"one of {', '.join(DATA_SETS)}, or a folder of recordings with their truth.csv"
+        raise InputError("data_sets", "", repr(name), expected)
+    if not walks:
+        expected = "recordings, each a folder with its truth.csv" if name not in DATA_SETS else "its recordings"
+        raise InputError(folder if name not in DATA_SETS else data, name, "no walk", f"{expected} (docs/bench.md)")
+    return iter(walks)
+
+
+def _own(folder: Path) -> Walks:
+    """The recordings in a folder, each a folder with ``truth.csv``, and ``plan.geojson`` and ``fixes.csv`` if any."""
+    for truth in sorted(folder.glob("*/truth.csv")):
+        beside = {name: truth.with_name(name) for name in ("plan.geojson", "fixes.csv")}
+        plan, fixes = (path if path.exists() else None for path in beside.values())
+        yield truth.parent.name, partial(recorded, truth.parent, Options(plan=plan, fixes=fixes, truth=truth))
+
+
+def _counted(file: Path, count: int) -> BenchWalk:
+    return BenchWalk(read(file, Options()), steps=count)
+
+
+def recording_of(name: str, time: Array, acceleration: Array, rate: Array) -> Recording:
+    """A recording of an accelerometer ``(n, 3)`` [m/s²] and a gyroscope ``(n, 3)`` [rad/s] at times ``(n,)`` [s]."""
+    return Recording(name, 0.0, None, accelerometer=Signal(time, acceleration), gyroscope=Signal(time, rate))
+
+
+def _of_foot_sensor(path: Path) -> BenchWalk:
+    """A walk of ``strides``; strides that its sensor merged are counted."""
+    with path.open(encoding="utf-8") as file:
+        rows = np.array([line.split()[1:] for line in file if line.startswith("test")], dtype=float)
+    rows = rows[np.append(True, np.diff(rows[:, 9]) > 0)]
+    length = rows[np.flatnonzero(np.diff(rows[:, 11]) > 0) + 1, 10]
+    usual = np.median(length)
+    whole = sum(max(1, round(each / usual)) for each in length[:-1].tolist())
+    last = 2 if length[-1] > 0.75 * usual else 1
+    recording = recording_of(path.name, (rows[:, 9] - rows[0, 9]) / 1000, rows[:, :3], rows[:, 3:6])
+    return BenchWalk(_alone(recording), steps=2 * whole + last, length=float(rows[:, 12].max()))
+
+
+def _of_camera(path: Path) -> BenchWalk:
+    """A walk of ``ridi``."""
+    column = _columns(path)
+    time = column["time"] - column["time"][0]
+    acceleration, rate, position = (
+        np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("acce", "gyro", "pos")
+    )
+    recording = recording_of(path.name, time, acceleration, rate)
+    count, length = visual_inertial(time, position, np.linalg.norm(acceleration, axis=1))
+    truth = Trajectory(time, position[:, :2], np.full(len(time), np.nan))
+    return BenchWalk(_alone(recording), truth, steps=count, length=length)
+
+
+def _alone(recording: Recording) -> Evidence:
+    return Evidence(recording, Walker(), None, Frame(), Fixes.none())
+
+
+GRID = 0.02  # [s] of the visual-inertial positions
+HEAD_SWAY = 0.25  # [s] Gaussian that smooths these positions: a path is not longer for the sway of the phone
+
+
+def visual_inertial(time: Array, position: Array, magnitude: Array) -> tuple[int, float]:
+    """True number of steps and length [m] of a walk with known positions ``(n, 3)`` [m].
+
+    Steps are the maxima of |a| ``(n,)`` [m/s²] about its strongest frequency while the positions move.
+    """
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import butter, find_peaks, sosfiltfilt
+
+    grid = np.arange(0, time[-1], GRID)
+    x, y = (np.interp(grid, time, position[:, axis]) for axis in (0, 1))
+    speed = np.hypot(np.gradient(x, GRID), np.gradient(y, GRID))
+    moving = gaussian_filter1d(speed, 0.5 / GRID) > 0.25
+    level = np.interp(grid, time, magnitude)
+    level -= gaussian_filter1d(level, 0.8 / GRID)
+    frequency = np.fft.rfftfreq(8 * len(grid), GRID)
+    power = np.abs(np.fft.rfft(level * np.hanning(len(grid)), 8 * len(grid)))
+    walked = (frequency > 1.2) & (frequency < 2.6)
+    strongest = frequency[walked][np.argmax(power[walked])]
+    band = butter(2, [0.7 * strongest, 1.35 * strongest], fs=1 / GRID, btype="band", output="sos")
+    landed, _ = find_peaks(sosfiltfilt(band, level), height=0.2)
+    x, y = (gaussian_filter1d(values, HEAD_SWAY / GRID)[::5] for values in (x, y))
+    return int(moving[landed].sum()), float(np.hypot(np.diff(x), np.diff(y)).sum())
+
+
+def _columns(path: Path) -> dict[str, Array]:
+    """The columns of numbers of a workbook's first sheet, by name."""
+    try:
+        from python_calamine import CalamineWorkbook
+    except ImportError:
+        raise InputError(path, "", "a workbook", "pip install 'pdr_graph[bench]', which reads it") from None
+
+    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
+    columns = zip(head, zip(*rows, strict=True), strict=True)
+    return {str(name): np.array(column, dtype=float) for name, column in columns if name}
+
+
+# What is given
+
+CHOICES: Mapping[str, Callable[[Trajectory], list[int]]] = {  # rows of the truth
+    "first": lambda truth: [0],
+    "first and last": lambda truth: [0, len(truth) - 1],
+    "every second": lambda truth: sorted({*range(0, len(truth), 2), len(truth) - 1}),
+    "first and 25 %": lambda truth: [0, int(np.searchsorted(truth.time, 0.75 * truth.time[0] + 0.25 * truth.time[-1]))],
+}
+THINNED = re.compile(r"one in (\d+) s")
+GIVEN = ("recorded", "one in N s", *CHOICES, "nothing")
+
+
+def given(walk: BenchWalk, text: str) -> BenchWalk | None:
+    """A walk that is given what a text says, and is scored at the rest; None if it has no such thing.
+
+    text: one of GIVEN, with ", plan" if the plan is given too. Raises InputError for another.
+    """
+    which, _, plan = text.partition(",")
+    thinned, evidence, truth = THINNED.fullmatch(which), walk.evidence, walk.truth
+    if plan.strip() not in ("", "plan") or not (thinned or which in GIVEN):
+        raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', plan'")
+    fixes = evidence.fixes
+    if not plan:
+        evidence = replace(evidence, building=None, beacons=None if which in CHOICES else evidence.beacons)
+    elif evidence.building is None:
+        return None
+    if which in CHOICES:
+        dense = len(truth) > 1 and np.median(np.diff(truth.time)) < DENSE
+        if not len(truth) or (dense and which == "every second"):
+            return None
+        rows = np.unique(CHOICES[which](truth))
+        fixes = Fixes(truth.time[rows], truth.position[rows], np.full(len(rows), GIVEN_SIGMA))
+        truth = truth[np.setdiff1d(np.arange(len(truth)), rows)]
+    elif thinned:
+        rows = _thinned(fixes.time, float(thinned[1]))
+        others = fixes[np.setdiff1d(np.arange(len(fixes)), rows)]
+        if not len(truth):
+            truth = Trajectory(others.time, others.position, np.full(len(others), np.nan))
+        fixes = fixes[rows]
+    elif which == "nothing":  # there are no places, then, to compare
+        fixes, truth = Fixes.none(), no_truth()
+    if which != "nothing" and not (len(fixes) and len(truth)):
+        return None
+    return replace(walk, evidence=replace(evidence, fixes=fixes), truth=_sampled(truth))
+
+
+def _thinned(time: Array, every: float) -> Index:
+    """The rows of sorted times ``(n,)`` of which none is nearer than ``every`` [s] to the one before."""
+    rows, last = list[int](), -np.inf
+    for row, at in enumerate(time.tolist()):
+        if at >= last + every:
+            rows.append(row)
+            last = at
+    return np.array(rows, dtype=np.intp)
+
+
+def _sampled(truth: Trajectory) -> Trajectory:
+    """A truth of at most a row every SCORED_EVERY; the places of one with fewer stay."""
+    if len(truth) < 2 or np.median(np.diff(truth.time)) > SCORED_EVERY:
+        return truth
+    time = np.arange(truth.time[0], truth.time[-1], SCORED_EVERY)
+    return Trajectory(time, interpolate(time, truth.time, truth.position), np.full(len(time), np.nan))

@@ -1,0 +1,250 @@
+"""A matrix of data sets × what is given × methods: its file, its rows as they are made, and their statistics."""
+
+from __future__ import annotations
+
+import json
+import time
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdr_graph.apps.bench.data_sets import BenchWalk, given, walks_of
+from pdr_graph.apps.bench.methods import Method, method_of, particles
+from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
+from pdr_graph.errors import InputError, one_line
+from pdr_graph.types import Array, Trajectory
+from pdr_graph.walk import observe
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RESULTS = "results.jsonl"
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """What a matrix file says. path: of the file; out: folder of the results; data: folder of all data."""
+
+    path: Path
+    data_sets: tuple[str, ...]
+    methods: tuple[str, ...] = ("graph", "filter", "pdr")
+    given: tuple[str, ...] = ("recorded",)
+    data: Path = Path()
+    out: Path = Path("bench")
+    commands: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: Path, data: Path | None = None) -> Matrix:
+        """Read a matrix. data: unless the file names it; both paths are from its folder. Raises InputError."""
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(path, "", one_line(str(error)), "TOML (docs/bench.md)") from None
+        lists, texts = ("data_sets", "methods", "given"), ("data", "out")
+        for key, value in content.items():
+            if key in lists:
+                right = isinstance(value, list) and value and all(isinstance(each, str) for each in value)
+            elif key == "commands":
+                right = isinstance(value, dict) and all(isinstance(each, str) for each in value.values())
+            else:
+                right = key in texts and isinstance(value, str)
+            if not right:
+                expected = f"{', '.join(lists)} as lists of texts, {' and '.join(texts)} as texts, [commands]"
+                raise InputError(path, key, one_line(repr(value)), expected)
+        if "data_sets" not in content:
+            raise InputError(path, "data_sets", "none", "names of data sets, or folders (pdr-graph bench ls)")
+        values: dict[str, Any] = {key: tuple(value) if key in lists else value for key, value in content.items()}
+        folder = path.parent / content["data"] if "data" in content else data or path.parent
+        return cls(path, **values | {"data": folder, "out": path.parent / content.get("out", "bench")})
+
+    def rows(self, only: Sequence[str] = (), again: bool = False) -> Iterator[Row]:
+        """Make the rows that the results lack, and add each to them at once; again: those that they have, too.
+
+        only: texts that a row's name contains. What failed is tried again.
+        """
+        methods = {name: method_of(name, self.commands) for name in self.methods}
+        have = self._have(again)
+        self.out.mkdir(parents=True, exist_ok=True)
+        with (self.out / RESULTS).open("a", encoding="utf-8") as file:
+            if file.tell():
+                file.write("\n")  # the last line may have been cut off
+            for names, walk in self._walks(only, have):
+                for row in _scored(names, walk, {name: methods[name] for name in self._left(names, only, have)}):
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
+                    yield row
+
+    def missing(self, only: Sequence[str] = (), again: bool = False) -> int:
+        """Number of rows that `rows` makes at most: some walks lack what is to be given."""
+        have = self._have(again)
+        keys = (
+            (of, walk, what)
+            for of in self.data_sets
+            for walk, _ in walks_of(of, self.data, self.path.parent)
+            for what in self.given
+        )
+        return sum(len(self._left(names, only, have)) for names in keys)
+
+    def _have(self, again: bool) -> set[tuple[str, ...]]:
+        return set() if again else {key_of(row) for row in self.results() if "failed" not in row}
+
+    def _left(self, names: tuple[str, ...], only: Sequence[str], have: set[tuple[str, ...]]) -> list[str]:
+        """The methods by which a walk that is given something is still to be estimated."""
+        left = [method for method in self.methods if (*names, method) not in have]
+        return [method for method in left if is_wanted((*names, method), only)]
+
+    def _walks(self, only: Sequence[str], have: set[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], BenchWalk]]:
+        for of in self.data_sets:
+            for name, read in walks_of(of, self.data, self.path.parent):
+                wanted = [what for what in self.given if self._left((of, name, what), only, have)]
+                walk = read() if wanted else None
+                for what in wanted:
+                    if walk is not None and (helped := given(walk, what)) is not None:
+                        yield (of, name, what), helped
+
+    def results(self) -> list[Row]:
+        """The last row of each name. A line that was cut off is left out, and made again."""
+        rows, path = dict[tuple[str, ...], Row](), self.out / RESULTS
+        for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+            try:
+                row = json.loads(line)
+                rows[key_of(row)] = row
+            except (ValueError, KeyError, TypeError):
+                continue
+        return list(rows.values())
+
+
+def key_of(row: Row) -> tuple[str, ...]:
+    """The name of a row: data set, walk, what is given, method."""
+    return row["data_set"], row["walk"], row["given"], row["method"]
+
+
+def is_wanted(name: Sequence[str], only: Sequence[str]) -> bool:
+    """True if the name of a row, "data set | walk | given | method", has all texts."""
+    return all(text in " | ".join(name) for text in only)
+
+
+def _scored(names: tuple[str, ...], walk: BenchWalk, methods: Mapping[str, Method]) -> Iterator[Row]:
+    """A row for each method: errors [m], whether each place is in the 90 % region, length and steps over the true."""
+    head: Row = dict(zip(("data_set", "walk", "given"), names, strict=True))
+    try:
+        evidence = observe(walk.evidence)
+    except InputError as error:
+        yield from (head | {"method": name, "failed": one_line(str(error))} for name in methods)
+        return
+    steps = np.nan if evidence.steps is None else len(evidence.steps) / walk.steps
+    for name, method in methods.items():
+        if method is particles and evidence.building is None:
+            continue
+        row, began = head | {"method": name}, time.perf_counter()
+        try:
+            track = method(evidence)
+        except Exception as error:  # a method of one's own may raise anything, and the others go on
+            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+            yield row | {"failed": one_line(f"{kind}{error}")}
+            continue
+        row |= {"seconds": round(time.perf_counter() - began, 3), "steps": _number(steps)}
+        way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
+        yield row | {"length": _number(way / walk.length)} | places(track, walk.truth, walk.noise)
+
+
+def places(track: Trajectory, truth: Trajectory, noise: float) -> Row:
+    """Errors at the places of a truth, and whether its 90 % region, with the noise of the truth [m], has each."""
+    if not len(truth) or not len(track):
+        return {"places": len(truth), "errors": [], "inside": []}
+    pairs = pair(track, truth)
+    inside = np.empty(0, dtype=bool)
+    if track.covariance is not None:
+        inside = in_region(pairs, stated_covariance(track, pairs.time) + noise**2 * np.eye(2))
+    return {
+        "places": len(truth),
+        "errors": circular_error(pairs).round(3).tolist(),
+        "inside": inside.astype(int).tolist(),
+    }
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+# Statistics
+
+AT = (50, 75, 95)  # percentiles
+COLUMNS = ("data set", "given", "method", "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 %")
+COLUMNS += ("length", "steps", "seconds")
+
+
+def percentiles_with_interval(groups: Sequence[Array], draws: int = 2000) -> list[str]:
+    """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
+    random = np.random.default_rng(0)
+    samples = [
+        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), AT)
+        for _ in range(draws)
+    ]
+    low, high = np.percentile(samples, [2.5, 97.5], axis=0)
+    values = np.percentile(np.concatenate(groups), AT)
+    return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
+
+
+def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """The rows of each data set, what is given and method."""
+    groups = defaultdict[tuple[str, str, str], list[Row]](list)
+    for row in rows:
+        groups[row["data_set"], row["given"], row["method"]].append(row)
+    return dict(groups)
+
+
+def statistics(rows: Iterable[Row]) -> list[list[str]]:
+    """The cells of COLUMNS, a line for each group: percentiles of all places, with intervals; means of the rest."""
+    lines = []
+    for names, alike in grouped(rows).items():
+        done = [row for row in alike if "failed" not in row]
+        errors = [np.array(row["errors"]) for row in done if row["errors"]]
+        inside = [each for row in done for each in row["inside"]]
+        due = sum(row["places"] for row in done)
+        count = sum(map(len, errors))
+        cells = [str(len(alike)), str(len(alike) - len(done)), f"{count} of {due}" if count < due else str(count)]
+        cells += percentiles_with_interval(errors) if errors else ["—"] * len(AT)
+        cells.append(f"{100 * np.mean(inside):.0f} %" if inside else "—")
+        for name in ("length", "steps"):
+            off = [100 * (row[name] - 1) for row in done if row[name] is not None]
+            cells.append(f"{np.mean(off):+.1f} % (rms {np.sqrt(np.mean(np.square(off))):.1f})" if off else "—")
+        cells.append(f"{np.median([row['seconds'] for row in done]):.2f}" if done else "—")
+        lines.append([*names, *cells])
+    return lines
+
+
+def plot(rows: Iterable[Row]) -> Figure:
+    """Share of the places by error, a panel for each data set and what is given, a line for each method."""
+    from pdr_graph.apps.report.plotting import CYCLE, LINE_STYLES, Figure
+
+    panels = defaultdict[tuple[str, str], dict[str, Array]](dict)
+    for (of, what, method), alike in grouped(rows).items():
+        errors = np.concatenate([np.empty(0), *(row["errors"] for row in alike if "failed" not in row)])
+        if len(errors):
+            panels[of, what][method] = np.sort(errors)
+    if not panels:
+        raise InputError("bench stats", "", "no row with places", "rows of walks whose truth has places")
+    wide = min(3, len(panels))
+    high = -(-len(panels) // wide)
+    figure = Figure(figsize=(4.2 * wide, 3.4 * high), layout="constrained")
+    grid = figure.subplots(high, wide, squeeze=False).ravel()
+    for axes, (title, methods) in zip(grid, panels.items(), strict=False):
+        for (name, errors), colour, dashes in zip(methods.items(), cycle(CYCLE), cycle(LINE_STYLES), strict=False):
+            axes.plot(errors, np.arange(1, len(errors) + 1) / len(errors), color=colour, ls=dashes, label=name)
+        axes.set_xscale("log")
+        axes.set_xlabel("error [m]")
+        axes.set_ylabel("share of places")
+        axes.set_title(", ".join(title), fontsize=9)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    return figure

@@ -1,0 +1,123 @@
+"""``pdr-graph bench``: a function for each command, which imports what it uses."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pdr_graph.apps.cli.options import AsJson, Quiet
+from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result
+from pdr_graph.errors import EXIT_DEGRADED, InputError, count, shows_progress
+
+bench = App(no_args_is_help=True, rich_markup_mode=None, help="Data sets by methods, ours and your own, in one table.")
+MatrixPath = Annotated[Path, typer.Argument(metavar="MATRIX", help="A TOML file (docs/bench.md).")]
+DataFolder = Annotated[
+    Path | None,
+    typer.Option("--data", metavar="DIR", help="Folder of all data; default: of MATRIX, else $PDR_GRAPH_DATA."),
+]
+Only = Annotated[
+    list[str] | None,
+    typer.Option(metavar="TEXT", help="Only rows whose name, 'data set | walk | given | method', has it; repeatable."),
+]
+
+
+def _data(stated: Path | None) -> Path | None:
+    folder = stated or os.environ.get("PDR_GRAPH_DATA")
+    return Path(folder) if folder else None
+
+
+@bench.command("ls")
+def ls(data: DataFolder = None) -> None:
+    """List the data sets with their number of walks, what can be given, and our methods.
+
+    \b
+    pdr-graph bench ls --data recordings
+    """
+    from pdr_graph.apps.bench.data_sets import DATA_SETS, GIVEN
+    from pdr_graph.apps.bench.methods import OURS
+
+    folder = _data(data)
+    for name, walks in DATA_SETS.items():
+        found = count(len(list(walks(folder))), "walk") if folder else "no folder of data"
+        echo(f"{name:10} {found:>10}  {(walks.__doc__ or '').splitlines()[0]}")
+    echo(f"given      {'; '.join(GIVEN)}; each also with ', plan'")
+    echo(f"methods    {', '.join(OURS)}; module:function; [commands] that write TUM")
+
+
+@bench.command()
+def run(
+    matrix: MatrixPath,
+    data: DataFolder = None,
+    only: Only = None,
+    again: Annotated[bool, typer.Option("--again", help="Make rows anew that the results have.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the rows of a matrix that its results lack; an interrupted run goes on.
+
+    \b
+    pdr-graph bench run matrix.toml
+    pdr-graph bench run matrix.toml --only ridi --only graph
+    """
+    from pdr_graph.apps.bench.matrix import RESULTS, Matrix, key_of
+
+    table, wanted = Matrix.load(matrix, _data(data)), only or ()
+    most, failed, made = table.missing(wanted, again), 0, 0
+    for row in table.rows(wanted, again):
+        made += 1
+        failed += "failed" in row
+        if shows_progress():
+            typer.echo(f"\r{made} of at most {most} rows: {' | '.join(key_of(row))[:100]:100}", nl=False, err=True)
+    if shows_progress() and made:
+        typer.echo("", err=True)
+    echo(f"{count(made, 'row')} made -> {table.out / RESULTS}")
+    if failed:
+        echo_errors(f"{count(failed, 'row')} failed: pdr-graph bench stats {matrix} names them")
+        raise typer.Exit(EXIT_DEGRADED)
+
+
+@bench.command()
+def stats(
+    matrix: MatrixPath,
+    data: DataFolder = None,
+    only: Only = None,
+    csv_: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="The table as CSV.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Picture of the errors.")] = None,
+    json_: AsJson = False,
+) -> None:
+    """Print the table of the results so far, with 95 % bootstrap intervals over walks.
+
+    CSV and JSON also have the command that makes each line anew.
+
+    \b
+    pdr-graph bench stats matrix.toml --csv table.csv --out errors.png
+    """
+    from pdr_graph.apps.bench.matrix import COLUMNS, Matrix, is_wanted, key_of, plot, statistics
+    from pdr_graph.apps.report.plotting import picture_bytes
+    from pdr_graph.whole_files import write_file
+
+    table = Matrix.load(matrix, _data(data))
+    rows = [row for row in table.results() if is_wanted(key_of(row), only or ())]
+    if not rows:
+        raise InputError(table.out, "", "no rows", f"pdr-graph bench run {matrix} first")
+    lines = statistics(rows)
+    command = f"pdr-graph bench run {matrix} --again --only '{{}} |' --only '| {{}} | {{}}'"
+    head, whole = [*COLUMNS, "command"], [[*line, command.format(*line[:3])] for line in lines]
+    if csv_ is not None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([head, *whole])
+        write_file(csv_, text.getvalue())
+    if out is not None:
+        write_file(out, picture_bytes(plot(rows)))
+    if json_:
+        echo_result(json.dumps([dict(zip(head, line, strict=True)) for line in whole]))
+    width = [max(map(len, column)) for column in zip(COLUMNS, *lines, strict=True)]
+    echo_lines("\n".join("  ".join(map(str.ljust, line, width)).rstrip() for line in [COLUMNS, *lines]))
+    for row in rows:
+        if "failed" in row:
+            echo(f"failed: {' | '.join(key_of(row))}: {row['failed']}")
