@@ -590,8 +590,12 @@ def without_ways(evidence: Evidence) -> tuple[str, ...]:
 
 
 def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:
-    """The causal filter's track, which the report shows beside a smoothed estimate; it needs a position to begin at."""
-    return {} if graph.unplaced else {"filter": kalman_filter(graph).trajectory}
+    """The causal filter's track from its first fix on, which the report shows beside a smoothed estimate."""
+    used = graph.positions.fixes.time[graph.positions.used]
+    if graph.unplaced or not len(used):
+        return {}
+    track = kalman_filter(graph).trajectory
+    return {"filter": track[track.time >= used.min()]} if track.time[-1] >= used.min() else {}
 
 
 def _dead_reckoned(graph: WalkGraph) -> Estimate:

@@ -19,7 +19,6 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INERTIAL,
     INSTANT,
-    SENSORS,
     Array,
     Fixes,
     Levels,
@@ -30,7 +29,6 @@ from pdr_graph.types import (
     last_time,
     row_columns,
     take,
-    unknown_sensor,
 )
 
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
@@ -63,9 +61,7 @@ class EventChecks:
         self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
 
     def in_unit(self, sensor: str, time: Array, values: Array) -> Array:
-        """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit. Raises ValueError for an unknown sensor."""
-        if sensor not in SENSORS:
-            raise ValueError(f"Samples.sensor: {unknown_sensor(sensor)}")
+        """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit."""
         stamps, values = np.asarray(time, dtype=float).reshape(-1), np.asarray(values, dtype=float)
         if not len(stamps) or values.ndim != 2 or len(values) != len(stamps):
             return values

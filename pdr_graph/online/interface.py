@@ -22,6 +22,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import confidence_ellipse, horizontal_sigma, protection_level, wrap_angle
 from pdr_graph.types import (
+    SENSORS,
     Array,
     Estimate,
     Measured,
@@ -34,6 +35,7 @@ from pdr_graph.types import (
     last_time,
     take,
     time_span,
+    unknown_sensor,
 )
 
 PACKET = 0.1  # [s] of samples that a phone delivers at once
@@ -54,9 +56,11 @@ class Samples(OneLineRepr, row="sample"):
     values: Array
 
     def __post_init__(self) -> None:
-        """Lift one sample to arrays of one row."""
+        """Lift one sample to arrays of one row. Raises ValueError for an unknown sensor."""
         if isinstance(self.sensor, Sensor):
             object.__setattr__(self, "sensor", self.sensor.value)
+        if self.sensor not in SENSORS:
+            raise ValueError(f"Samples.sensor: {unknown_sensor(self.sensor)}")
         if isinstance(self.time, float | int | np.number):
             object.__setattr__(self, "time", np.array([self.time], dtype=float))
             object.__setattr__(self, "values", np.asarray(self.values, dtype=float).reshape(1, -1))

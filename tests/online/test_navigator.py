@@ -240,7 +240,7 @@ def test_unknown_data_is_ignored():
 def test_an_unknown_sensor_is_an_error_that_lists_the_known(sensor, hint):
     known = "accelerometer, gyroscope, magnetometer, linear_acceleration, barometer"
     with pytest.raises(ValueError, match=r"Samples\.sensor") as raised:
-        Navigator().push(Samples(sensor, np.array([50.0]), np.zeros((1, 3))))
+        Samples(sensor, np.array([50.0]), np.zeros((1, 3)))
     assert str(raised.value) == f"Samples.sensor: found {sensor!r}{hint}, expected one of {known}"
 
 

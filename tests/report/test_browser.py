@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import io
 import json
 import re
 import time
@@ -14,6 +15,7 @@ import simulated
 from browser import Page, chromium
 from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
+from PIL import Image
 from plans import MAPS
 
 from pdr_graph.apps.replay import replay_recording
@@ -326,18 +328,29 @@ def test_a_time_without_samples_is_dashed_on_the_map(browser, tmp_path):
     assert report.errors == []
 
 
+def test_a_sound_walk_that_lacks_something_is_not_plainly_ok(browser, tmp_path):
+    said = content(estimated(*laps(1)))
+    said |= {"verdict": {"state": "ok", "reasons": []}}
+    for missing, colour, text in ((["walls"], "doubtful", "but 1 missing"), ([], "ok", "found")):
+        report = Page(browser, written(tmp_path, said | {"missing": missing}))
+        found = report.run("const bar = document.getElementById('verdict'); return [bar.className, bar.textContent]")
+        assert found[0] == colour
+        assert text in found[1]
+        assert ("missing" in found[1]) == bool(missing)
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_is_readable_and_the_legend_light_by_day_and_by_night(browser, walk, scheme):
-    """The legend has the light ground of the map, on which the tracks are."""
+def test_text_is_readable_and_map_and_legend_are_dark_by_night(browser, walk, scheme):
     with dressed(browser, scheme):
         report = Page(browser, walk / "out" / "report.html")
-        text, ground, legend = report.run(
+        text, ground = report.run(
             "const tick = document.querySelector('#charts .ytick text'), page = document.getElementById('charts');"
-            "return [getComputedStyle(tick).fill, getComputedStyle(page).backgroundColor,"
-            "document.querySelector('#map .legend .bg').style.fill]"
+            "return [getComputedStyle(tick).fill, getComputedStyle(page).backgroundColor]"
         )
+        picture = Image.open(io.BytesIO(browser.find_element("id", "map").screenshot_as_png)).convert("L")
     assert abs(lightness(parts(text)) - lightness(parts(ground))) > 45
-    assert min(parts(legend)) > 200
+    grey = np.median(np.asarray(picture), axis=1)  # of each row: legend, map, axis
+    assert grey.max() < 90 if scheme == "dark" else grey.min() > 165
 
 
 def test_a_page_of_paper_has_no_text_beyond_its_border(browser, report):

@@ -29,7 +29,7 @@ from pdr_graph.apps.report.page import MAXIMUM_ROWS, OTHER, TRUTH, column, page,
 from pdr_graph.estimation.factors.heading_prior import HeadingReport
 from pdr_graph.notebook_html import BLUE, GREY
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
-from pdr_graph.walk import Options
+from pdr_graph.walk import Options, estimate, observe, read
 
 HOUR = 70  # laps of 55 s
 DRAWN = {"result": BLUE, "causal": CAUSAL, "another route": OTHER, "dead reckoning": GREY, "truth": TRUTH}
@@ -330,3 +330,13 @@ def test_notes_are_apart_from_warnings_and_those_of_the_estimate_come_first(lap)
     said = content(made)
     assert said["warnings"] == ["of the estimate", "of a file"]
     assert sorted(said["notes"]) == ["of the reader", usual]
+
+
+def test_the_filter_is_drawn_from_its_first_fix_on(arcade_walk, tmp_path):
+    """Before it, its place is (0, 0) with a sigma of a kilometre, which made the map shrink."""
+    head, *rows = (arcade_walk / "fixes.csv").read_text().splitlines()
+    (tmp_path / "late.csv").write_text("\n".join([head, *rows[3:]]))
+    result = estimate(observe(read(arcade_walk, Options(fixes=tmp_path / "late.csv"))))
+    track = result.causal()["filter"]
+    assert track.time[0] >= result.evidence.fixes.time[0] > result.estimate.trajectory.time[0] + 5
+    assert np.sqrt(track.covariance[:, 0, 0].max()) < 50

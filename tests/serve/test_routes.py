@@ -315,6 +315,24 @@ def test_a_session_of_any_name_stays_in_its_folder(client):
             client.delete(f"/walkers/{pose['id']}")
 
 
+def test_a_session_of_three_letters_keeps_its_name(client):
+    post(client, first_message("abc"))
+    assert client.get("/walkers/abc").status_code == 200
+    client.delete("/walkers/abc")
+
+
+def test_a_second_phone_with_the_name_of_a_session_has_its_own(client):
+    """Both number their messages from 0: those of the second were taken for repetitions, and lost with 200."""
+    for phone in ("one", "two", "one", "two"):
+        message = json.loads(first_message("shared")) | {"deviceId": phone}
+        assert post(client, json.dumps(message).encode()).status_code == 200
+    found = [pose["id"] for pose in client.get("/walkers").json() if pose["id"] != "walk-one"]
+    assert len(found) == 2
+    assert "shared" in found
+    for id_ in found:
+        client.delete(f"/walkers/{id_}")
+
+
 def test_what_is_degraded_is_shown_to_the_user_of_the_phone_once(client):
     values = {"x": 0.1, "y": 0.0, "z": 0.0}
     samples = [{"name": "accelerometer", "time": 10**18 + n * 10**7, "values": values} for n in range(300)]

@@ -46,7 +46,8 @@ class Session:
     """What a session is.
 
     id: in addresses; key: the app's name of it; name: for people; user: to whom it belongs; protocol: of its messages;
-    platform: "ios" or "android" if it was stated; began: Unix time of the first message [s].
+    platform: "ios" or "android" if it was stated; began: Unix time of the first message [s];
+    phone: the app's name of it, if it states one.
     """
 
     id: str
@@ -57,6 +58,7 @@ class Session:
     platform: str
     began: float
     finished: bool = False
+    phone: str = ""
 
 
 class MessageLog(RecordLog):

@@ -37,7 +37,7 @@ from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.storage import decode_json, encode_json
 
-PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{4,64}")
+PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 @dataclass(frozen=True)
@@ -159,15 +159,16 @@ class Reception:
             message = sensor_messages.parse(body)
             if (samples := len(message.payload)) > self.limits.samples:
                 raise HTTPException(413, f"found {samples} samples in a message, expected up to {self.limits.samples}")
-            key, identity = message.sessionId, message.messageId
+            key, identity, phone = message.sessionId, message.messageId, message.deviceId
             label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
         else:
             device, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
             key = label = one_line(device or name or "phone")[:64]
+            phone = ""
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
-        state = self._state(protocol, user, key, label, platform)
+        state = self._state(protocol, user, key, label, platform, phone)
         self._charge(state, len(body))
         now = time.time()
         try:
@@ -184,12 +185,15 @@ class Reception:
         state.shown_advice.update(fresh)
         return "; ".join(fresh)
 
-    def _state(self, protocol: str, user: str, key: str, label: str, platform: str) -> State:
+    def _state(self, protocol: str, user: str, key: str, label: str, platform: str, phone: str) -> State:
         """The session of a message, which its first one creates; a finished one is resumed. Raises HTTPException.
 
-        Positions name no session: a new one of their device begins after a long silence.
+        Positions name no session: a new one of their device begins after a long silence. A second phone with the name
+        of a session has one of its own, since the messages of both are numbered from the same number.
         """
         id_ = id_of(key)
+        if (named := self._states.get(id_)) is not None and named.session.phone not in ("", phone):
+            id_ = id_of(f"{key} {phone}")
         if protocol != SENSOR_LOGGER:
             names = (protocol, user, key)
             earlier = [s for s in self._states.values() if (s.session.protocol, s.session.user, s.session.key) == names]
@@ -201,7 +205,7 @@ class Reception:
         state = self._states.get(id_)
         if state is None:
             self._make_room(user)
-            session = Session(id_, key, label, user, protocol, platform, time.time())
+            session = Session(id_, key, label, user, protocol, platform, time.time(), phone=phone)
             (self.root / id_).mkdir(exist_ok=True, mode=0o700)
             state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
             self._store(state, session)

@@ -4,10 +4,10 @@ const LETTER = 6; // [px] width of a letter of a name
 const MANY = 50; // marks above which they are drawn small and below the track
 const OUTSIDE = "#efece6";
 const LIGHT = { ink: "#26241f", soft: "#6b655b", line: "#e4e0d8", card: "#ffffff", map: "#ffffff" };
-const DARK = { ink: "#e8e4dc", soft: "#a8a196", line: "#3d3a34", card: "#201e1a", map: "#e4e0d8" }; // the map stays light
+const DARK = { ink: "#e8e4dc", soft: "#a8a196", line: "#3d3a34", card: "#201e1a" };
 const night = matchMedia("(prefers-color-scheme: dark)");
 let theme = night.matches ? DARK : LIGHT;
-const font = () => ({ family: "system-ui, sans-serif", size: 12, color: theme.ink });
+const font = ({ ink } = theme) => ({ family: "system-ui, sans-serif", size: 12, color: ink });
 const CONFIG = {
   // privacy: no button that uploads the track to the makers of the library
   displaylogo: false,
@@ -157,13 +157,14 @@ const LENGTHS = [
 const drawMap = () => {
   const own = content.maps[shown],
     [[west, south], [east, north]] = own.corners;
-  const style = { zeroline: false, gridcolor: LIGHT.line, ticks: "", tickfont: { color: theme.soft, size: 11 } };
+  const style = { zeroline: false, gridcolor: LIGHT.line, ticks: "", tickfont: { color: LIGHT.soft, size: 11 } };
   const axis = { ...style, uirevision: shown, ticksuffix: "m", tickformatstops: LENGTHS, automargin: true };
+  // in the colours of the plan; on a dark page the style turns all of it around
   const layout = {
-    font: font(),
+    font: font(LIGHT),
     margin: { l: 40, r: 8, t: 30, b: 24 },
-    paper_bgcolor: theme.card,
-    plot_bgcolor: own.plan ? OUTSIDE : theme.map,
+    paper_bgcolor: LIGHT.card,
+    plot_bgcolor: own.plan ? OUTSIDE : LIGHT.map,
     dragmode: "pan",
     hovermode: "closest",
     xaxis: { ...axis, range: [west, east], nticks: 6, showgrid: !own.plan },
@@ -173,13 +174,13 @@ const drawMap = () => {
       y: 1.01,
       yanchor: "bottom",
       font: { size: 11, color: LIGHT.ink },
-      bgcolor: theme === LIGHT ? theme.card : theme.map, // light as the map, whose colours it shows
+      bgcolor: LIGHT.card,
     },
     images: picture(own),
     shapes: walkerShapes(),
     uirevision: "always",
-    hoverlabel: { bgcolor: theme.card, font: font(), align: "left" },
-    modebar: { orientation: "v", bgcolor: pale(theme.card, 0.7), color: theme.soft, activecolor: theme.ink },
+    hoverlabel: { bgcolor: LIGHT.card, font: font(LIGHT), align: "left" },
+    modebar: { orientation: "v", bgcolor: pale(LIGHT.card, 0.7), color: LIGHT.soft, activecolor: LIGHT.ink },
   };
   const banded = content.tracks.filter((track) => track.bands && track.bands[shown]).map(bandOf),
     tied = content.marks.filter((mark) => mark.to_x).map(tiesOf),

@@ -6,7 +6,9 @@ const judge = ({ state, reasons }) => {
   const list = element("ul");
   list.append(...reasons.map((reason) => element("li", `${reason.text} (to check: ${reason.check})`)));
   here("verdict").className = state;
-  here("verdict").append(element("strong", state), reasons.length ? list : ": no reason for doubt found");
+  const lacks = content.missing.length ? `, but ${content.missing.length} missing, see below` : "";
+  here("verdict").append(element("strong", state), reasons.length ? list : `: no reason for doubt found${lacks}`);
+  if (lacks && !reasons.length) here("verdict").className = "doubtful";
 };
 const write = () => {
   if (content.verdict) judge(content.verdict);
