@@ -83,3 +83,24 @@ def test_what_is_imported_is_a_dependency():
                 needed = id(node) in at_once and file.parent.name != "serve" and file.name != "particle_kernels.py"
                 allowed = core if needed else core | extra
                 assert named(distributions[top]) & allowed, f"{file.name} imports {top}"
+
+
+WITHOUT_GTSAM = """import sys
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "gtsam":
+            raise ImportError(name)
+sys.meta_path.insert(0, Refused())
+from pdr_graph.__main__ import main
+sys.argv[0] = "pdr-graph"
+main()
+"""
+
+
+@pytest.mark.parametrize("command", ["smooth", "replay"])
+def test_only_the_export_needs_gtsam(command, arcade_walk, tmp_path):
+    plan, fixes = ("--map", arcade_walk / "plan.geojson"), ("--fixes", arcade_walk / "fixes.csv")
+    line = [sys.executable, "-c", WITHOUT_GTSAM, command, arcade_walk, *plan, *fixes, "--out", tmp_path / "out"]
+    ended = subprocess.run(line, capture_output=True, text=True, timeout=240, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith("ok")

@@ -183,7 +183,7 @@ class State:
 
     def to_values(self) -> gtsam.Values:
         """All variables as ``gtsam.Values``."""
-        import gtsam  # here, as wherever GTSAM is used: it is slow to load, and only the export and live walks need it
+        import gtsam  # here, as wherever GTSAM is used: it is slow to load, and only the export needs it
 
         values = gtsam.Values()
         for symbol, rows in self.arrays.items():
