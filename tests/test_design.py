@@ -64,7 +64,7 @@ LIBRARIES = {
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
     ".": (15, 2940),
-    "apps": (3, 149),
+    "apps": (3, 153),
     "apps/cli": (6, 1033),
     "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5650),
@@ -72,10 +72,10 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/report": (8, 1372),
     "apps/serve": (13, 2570),
     "estimation": (18, 3162),
-    "estimation/ambiguity": (6, 388),
+    "estimation/ambiguity": (6, 390),
     "estimation/factors": (15, 2580),
     "estimation/live": (10, 1824),
-    "floor": (9, 1314),
+    "floor": (9, 1359),
     "floor/formats": (16, 1893),
     "gait": (10, 1490),
     "inertial": (6, 530),
