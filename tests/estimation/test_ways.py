@@ -235,7 +235,7 @@ def test_ways_end_at_the_doors_of_a_plan():
     joined = network.joined(Building.around(building))
     assert joined.joined(Building.around(building)) is joined
     assert [line[0].round(1).tolist() for line in joined.lines[-1:]] == [[-0.2, 1.5]], "from the door"
-    assert not any(shapely.linestrings(line).crosses(shapely.box(0, 0, 60, 10)) for line in joined.lines)
+    assert not any(shapely.LineString(line).crosses(shapely.box(0, 0, 60, 10)) for line in joined.lines)
     assert joined.lines[-1][1].tolist() in joined.lines[0].tolist(), "a corner of the street"
 
     corners = np.array([(-12.0, -90.0), (-12.0, 1.5), (57.0, 1.5)])

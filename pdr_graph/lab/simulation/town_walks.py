@@ -173,4 +173,4 @@ def lawn(network: PathNetwork, walk: TownWalk, around: float = 40.0) -> PathNetw
     """The network without ways on the lawn that a walk crosses: those within a distance [m] of it, but for its ends."""
     off = walk.place[~walk.on]
     inner = off[len(off) // 10 : -(len(off) // 10)]
-    return network.outside(shapely.buffer(shapely.linestrings(inner), around))
+    return network.outside(shapely.LineString(inner).buffer(around, quad_segs=8))
