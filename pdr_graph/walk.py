@@ -102,7 +102,7 @@ class Options:
     ranges: Path | None = None
     """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
     paths: Path | None = None
-    """Ways outdoors: an OpenStreetMap extract, lines of GeoJSON or GPX routes; not of live walks."""
+    """Ways outdoors: an OpenStreetMap extract, lines of GeoJSON or GPX routes."""
     radio_map: Path | None = None
     """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
     walker: Path | None = None
@@ -318,11 +318,8 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
 
 
 def _paths(options: Options, frame: Frame, fixes: Fixes, notes: list[str]) -> PathNetwork | None:
-    """The ways around the fixes; None without --paths, and for live walks, which do not use them."""
+    """The ways around the fixes; None without --paths."""
     if options.paths is None:
-        return None
-    if options.method == LIVE:
-        notes.append(f"{options.paths.name} was left out: a live walk does not use ways, smooth does")
         return None
     from pdr_graph.floor.paths import PathNetwork  # with the readers of its formats
 

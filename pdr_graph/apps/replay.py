@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,10 @@ from pdr_graph.walk import (
     without_acceleration,
 )
 from pdr_graph.whole_files import output_folder
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.building import Building
+    from pdr_graph.floor.paths import PathNetwork
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 MEMORY_INTERVAL = 50.0  # [s] of the walk between measurements of the memory, doubled at MOST_MEASUREMENTS
@@ -155,6 +159,7 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
     if evidence is not None:
         known = {"floor": evidence.building, "walker": evidence.walker, "frame": evidence.frame}
         known |= {"beacons": evidence.beacons, "radio_map": evidence.radio_map}
+        known |= {} if evidence.paths is None else {"paths": evidence.paths}
         if evidence.start_heading is not None:  # another class of navigator need not have it
             known["start_heading"] = evidence.start_heading
     else:
@@ -163,11 +168,21 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
             check_beacons_on_plan(options.beacons, beacons, building)
         known = {"floor": building, "walker": options.person(), "beacons": beacons}
         known["radio_map"] = read_radio_map(options, building)
+        known |= {} if options.paths is None else {"paths": _paths(options.paths, building)}
     if kind is None:
         from pdr_graph.online.navigator import Navigator
 
         kind = Navigator
     return partial(kind, **known, lag=options.lag, start_floor=options.floor)
+
+
+def _paths(path: Path, building: Building | None) -> PathNetwork:
+    """The ways of a file for a walk still to come. Raises InputError for a plan that is not on the map."""
+    from pdr_graph.floor.paths import PathNetwork  # with the readers of its formats
+
+    if building is not None and not building.floors[0].frame.georeferenced:
+        raise InputError(path, "", "a plan without latitude and longitude beside it", "a plan with them, or ways alone")
+    return PathNetwork.load(path)
 
 
 def _opened(evidence: Evidence, events: int, kind: Any) -> Any:
@@ -189,7 +204,7 @@ def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict
 
     files: further ones beside plan, beacons and radio map, by name.
     """
-    files = {"beacons": options.beacons, "radio_map": options.radio_map, **files}
+    files = {"beacons": options.beacons, "radio_map": options.radio_map, "paths": options.paths, **files}
     settings = {name: fingerprint(path) for name, path in files.items() if path}
     settings |= {"map": plan_fingerprint(options.plan, options.scale)} if options.plan else {}
     return settings | {"lag": options.lag, "floor": options.floor}

@@ -69,7 +69,7 @@ class WalkGraph:
     directions in that frame; floor: plan or building whose walls are factors, optional; floors: the floor's label for
     each row of the trajectory ``(n + 2,)``, expected for a building of several floors; levels: of beacons; closures:
     moments at one place; measurements: data of any other registered type (`Ranges`); paths: ways outdoors, in that
-    frame;
+    frame, which lead to the doors of the floor;
     prior: see ``Prior``; others: start [s] and prior of each further walk in the same steps, in order of time.
 
     chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
@@ -134,7 +134,12 @@ class WalkGraph:
         kinds = [kind.initialized(poses) if isinstance(kind, Initialized) else kind for kind in kinds]
         calibrations = calibration_prior(prior_of_segment, self.prior.change, self.prior.another)
         priors = calibrations, self._start_prior(float(poses[0, 2]))
-        self._measurements = (steps_between_keyframes(), *kinds, *priors, *ways_of(paths))
+        self._measurements = (
+            steps_between_keyframes(),
+            *kinds,
+            *priors,
+            *ways_of(paths if paths is None or floor is None else paths.joined(Building.around(floor))),
+        )
         self.start = initial_state(poses, c, self._measurements)
         self.walled, self.optimum = False, cast("State | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
@@ -146,11 +151,8 @@ class WalkGraph:
 
     def __repr__(self) -> str:
         plan = ["walls"] if self.walled else []
-        parts = [
-            count(len(self.steps), "step"),
-            count(len(self.keyframe_time), "keyframe"),
-            count(len(self.fixes), "fix"),
-        ]
+        sizes = {"step": len(self.steps), "keyframe": len(self.keyframe_time), "fix": len(self.fixes)}
+        parts = [count(size, name) for name, size in sizes.items()]
         return f"WalkGraph({', '.join([*parts, *plan])})"
 
     @classmethod
@@ -343,11 +345,14 @@ class WalkGraph:
 
     def classified_as(self, other: WalkGraph) -> WalkGraph:
         """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for plan and walker."""
-        plan = tuple(measurement for measurement in self._measurements if measurement.on_plan)
         graph = self._replaced(chain=other.chain, prior=other.prior)
-        return graph._with_variables(
-            (*(measurement for measurement in other.measurements if not measurement.on_plan), *plan)
-        )
+        kept = tuple(measurement for measurement in other.measurements if not measurement.on_plan)
+        if other.ways is None or self.floor_sequence is None:
+            return graph._with_variables((*kept, *(kind for kind in self._measurements if kind.on_plan)))
+        beside = replace(self.floor_sequence, outdoors=other.ways.outdoors(other.chain))
+        plan = walls_on_plan(beside, self.prior), *corridors_of(beside, self.prior)
+        graph = graph._replaced(floor_sequence=beside)._with_variables((*kept, *plan))
+        return graph.associated_at(graph.start)
 
     def same_association(self, other: WalkGraph) -> bool:
         """True if both graphs have the same rooms and corridors."""

@@ -11,15 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdr_graph.errors import count, percent
-from pdr_graph.estimation.factors.base import Displaced
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.priors import FIXES, REPORTS, VERDICTS, WAYS
+from pdr_graph.priors import REPORTS, VERDICTS
 from pdr_graph.types import (
     DOUBTFUL,
     DUPLICATE,
@@ -206,36 +204,6 @@ def movement_contradictions(stepless: float, walked: float) -> tuple[Contradicti
         return ()
     text, check = MOVED.format(stepless), "how the phone was carried; a ride? shuffling steps?"
     return (Contradiction("steps", "accelerometer", stepless, "s", text, check),)
-
-
-def displaced_by_ways(best: Optimum) -> tuple[Contradiction, ...]:
-    """Contradictions of sources that are off to one side throughout with the ways outdoors, which show it."""
-    if best.graph.ways is None or not len(best.graph.ways):
-        return ()
-    found = list[Contradiction]()
-    for kind in best.graph.measurements:
-        for name, symbol, row in kind.offsets(best.at) if isinstance(kind, Displaced) else ():
-            offset = best.state[symbol][row, :2]
-            covariance = best.solution.joint((symbol, np.array([row])))[0, :2, :2]
-            size, sigma = float(np.hypot(*offset)), float(np.sqrt(np.trace(covariance) / 2))
-            if size > VERDICTS.displaced * sigma:
-                text = f"{name} is off by {size:.0f} ± {sigma:.0f} m throughout, as the ways on which it leads show"
-                found.append(Contradiction(name, "paths", round(size, 1), "m", text, "the receiver, and the ways"))
-    return tuple(found)
-
-
-def beside_warnings(optima: Sequence[Optimum], share: Array) -> tuple[str, ...]:
-    """Warn of ways beside those of the estimate that fit about as well. share: ``(n,)`` of each solution."""
-    best, elsewhere, times = optima[0].graph.ways, 0.0, list[float]()
-    for optimum, weight in zip(optima[1:], share[1:].tolist(), strict=True):
-        apart = optimum.graph.ways.apart(best) if best is not None else np.empty(0, np.intp)
-        if len(apart) and np.ptp(optimum.graph.keyframe_time[apart]) > 2 * WAYS.station / FIXES.walking_speed:
-            elsewhere += weight
-            times += optimum.graph.keyframe_time[apart].tolist()
-    if elsewhere <= 1 - REPORTS.sure:
-        return ()
-    span = f"between {min(times):.0f} and {max(times):.0f} s"
-    return (f"ways beside each other fit {span}: the walk followed others with a probability of {percent(elsewhere)}",)
 
 
 def time_on_steps(steps: Steps) -> float:

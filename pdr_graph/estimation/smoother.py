@@ -14,10 +14,8 @@ from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.linear_system import covariance_of_ends, one_thread
 from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
-    beside_warnings,
     calibration_of,
     contradiction_warnings,
-    displaced_by_ways,
     movement_contradictions,
     plan_contradictions,
     stated_probability,
@@ -65,6 +63,8 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         variance = np.trace(_covariance_of_rows(best)[:, :2, :2], axis1=1, axis2=2).mean() / 2
         of_path *= 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
     trajectory = replace(track, covariance=covariance)
+    outside = None if best.graph.floor_sequence is None else best.graph.floor_sequence.outdoors
+    on_plan = trajectory if outside is None else trajectory[~outside[np.append(0, best.at.pieces.row_end)]]
 
     # The routes that are worth reporting, the estimate's first
     routes = list[tuple[float, Trajectory]]()
@@ -92,21 +92,21 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         converged=best.converged,
         probability=of_path,
         contradictions=(
-            *plan_contradictions(graph, trajectory if best.graph.walled else None),
+            *plan_contradictions(graph, on_plan if best.graph.walled else None),
             *contradictions(optima, share),
-            *displaced_by_ways(best),
+            *(() if best.graph.ways is None else best.graph.ways.contradictions(best.at, best.solution)),
             *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
         ),
         routes=tuple(routes),
         assumed=tuple(claim.label for claim in best.assumed),
         graph=best.graph.smoothed(best.state),
     )
-    stated = stated_probability(estimate, graph.floor, fits=fits)
+    stated = stated_probability(replace(estimate, trajectory=on_plan), graph.floor, fits=fits)
     walks = sum(float(probability[path == n].sum()) > REPORTS.least_reported for n in np.unique(path).tolist())
     warned = (
         *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
-        *beside_warnings(optima, share / share.sum()),
+        *(() if best.graph.ways is None else best.graph.ways.warnings(optima, share / share.sum())),
     )
     return replace(estimate, probability=stated, warnings=warned)
 

@@ -16,6 +16,7 @@ from pdr_graph.errors import count, expect
 from pdr_graph.floor.cells import CONNECTING, NOWHERE, overlap, stray_of
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.priors import REGIONS
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 
@@ -169,10 +170,14 @@ class Building(OneLineRepr):
 
 @dataclass(frozen=True, eq=False)
 class FloorSequence(OneLineRepr):
-    """The floor of each piece of a walk: ``level (m,)`` is its index in the floors of a building."""
+    """The floor of each piece of a walk: ``level (m,)`` is its index in the floors of a building.
+
+    outdoors: ``(m,)`` True where it is on ways outside, which is no evidence against the plan.
+    """
 
     building: Building
     level: Index
+    outdoors: Mask | None = None
 
     @classmethod
     def of(cls, plan: FloorPlan | Building, labels: Sequence[str]) -> FloorSequence:
@@ -233,7 +238,9 @@ class FloorSequence(OneLineRepr):
             if len(before) and connections:
                 nearest = min(connections, key=lambda c: c.distance(track[before[-1:]])[0])
                 of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
-        return tuple(number), of_piece, total
+        if self.outdoors is not None:
+            total -= REGIONS.outside_price * np.count_nonzero(self.outdoors & (of_piece == NOWHERE))
+        return tuple(number), of_piece, float(total)
 
     def walled_off(self, first: Array, second: Array, pieces: Index) -> bool:
         """True if walls separate two paths ``(n, 2)`` [m] at the ends of these pieces.

@@ -16,29 +16,32 @@ for each point, so that neither a missing way nor a park bends it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
+from scipy.special import log_ndtr
 
 from pdr_graph.errors import InputError, count
+from pdr_graph.floor.cells import DOOR
 from pdr_graph.floor.network import Lines
-from pdr_graph.frames import enu
+from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
 from pdr_graph.priors import WAYS
 from pdr_graph.types import Array, Fixes, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
+    from pdr_graph.floor.building import Building
     from pdr_graph.floor.formats.ways import Found
-    from pdr_graph.frames import Frame
 
+OUTER_WALL = 0.5  # [m] thickness, at most
 SAME_NODE = 0.05  # [m] between ends of ways that meet: OpenStreetMap has 1 cm
 LONGEST_MATCHED = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
 SOURCES = 400  # points whose distances to all others are computed at a time
@@ -52,12 +55,18 @@ FARTHEST_FROM_WALK = 5000.0  # [m] the same at most
 class PathNetwork(Lines, OneLineRepr):
     """Ways on foot, in a metric frame.
 
-    lines: ``(m, 2)`` of each way [m]; classes: of each, a value of OpenStreetMap's key ``highway``; notes: of the file.
+    lines: ``(m, 2)`` of each way [m]; classes: of each, a value of OpenStreetMap's key ``highway``; notes: of the file;
+    frame: of the lines, None for that of the walk; target: into which `around` converts them; building: to whose doors
+    they then lead; area: of that building, where its plan takes their place [m], None without.
     """
 
     lines: tuple[Array, ...]
     classes: tuple[str, ...]
     notes: tuple[str, ...] = field(default=(), compare=False)
+    frame: Frame | None = None
+    target: Frame | None = None
+    building: Building | None = field(default=None, repr=False, compare=False)
+    area: shapely.Geometry | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def load(cls, path: str | Path, frame: Frame | None = None, fixes: Fixes | None = None) -> PathNetwork:
@@ -94,7 +103,81 @@ class PathNetwork(Lines, OneLineRepr):
         """The ways of a file in a frame."""
         every = frame.from_lonlat(np.concatenate(found.lines))
         ends = np.cumsum([len(line) for line in found.lines])[:-1]
-        return cls(tuple(np.split(every, ends)), found.classes, found.notes)
+        return cls(tuple(np.split(every, ends)), found.classes, found.notes, frame)
+
+    def seen_from(self, frame: Frame, building: Building | None = None) -> PathNetwork:
+        """The network for walks in a frame, which may lead into a building of the same frame."""
+        return replace(self, target=frame, building=building)
+
+    def around(self, data: Sequence[Any]) -> PathNetwork | None:
+        """The ways within reach of the fixes among the data of a walk, in its frame; None without a fix."""
+        fixes = next((table for table in data if isinstance(table, Fixes) and len(table)), None)
+        if fixes is None:
+            return None
+        frame, target = self.frame, self.target
+        if frame is None or target is None:
+            frame = target = Frame()
+        elif not target.georeferenced:
+            return None
+        places = frame.from_frame(target, fixes.position)
+        reach, (low, high) = reach_of(fixes), self._bounds
+        near = (high >= places.min(axis=0) - reach) & (low <= places.max(axis=0) + reach)
+        which = np.flatnonzero(near.all(axis=1)).tolist()
+        lines = tuple(target.from_frame(frame, self.lines[n]) for n in which)
+        found = PathNetwork(lines, tuple(self.classes[n] for n in which))
+        return found if self.building is None else found.joined(self.building)
+
+    def outside(self, area: shapely.Geometry) -> PathNetwork:
+        """The ways without what lies in an area [m]."""
+        lines, classes = list[Array](), list[str]()
+        shapely.prepare(area)
+        for line, name, crosses in zip(
+            self.lines, self.classes, shapely.intersects(_lines(self.lines), area).tolist(), strict=True
+        ):
+            parts = shapely.get_parts(shapely.difference(shapely.linestrings(line), area)) if crosses else [line]
+            for part in parts:
+                if len(corners := shapely.get_coordinates(part) if crosses else line) > 1:
+                    lines.append(corners)
+                    classes.append(name)
+        return replace(self, lines=tuple(lines), classes=tuple(classes))
+
+    def joined(self, building: Building) -> PathNetwork:
+        """The ways outside a building of the same frame, and a footway from each outer door to the nearest of them."""
+        if self.area is not None:
+            return self
+        walkable = shapely.union_all([floor.walkable for floor in building.floors])
+        rings = shapely.get_exterior_ring(shapely.get_parts(shapely.buffer(walkable, OUTER_WALL)))
+        area = shapely.union_all(shapely.polygons(rings))
+        found, (rim, doors) = self.outside(area), (shapely.boundary(area), list[shapely.Geometry]())
+        for floor in building.floors:
+            doors += [door.shape for door in floor.of_kind(DOOR) if shapely.distance(door.shape, rim) < 2 * OUTER_WALL]
+        lines, ways = list(found.lines), list[Array]()
+        for door in shapely.centroid(doors).tolist() if lines else []:
+            apart = shapely.distance(door, _lines(lines))
+            for n in np.argsort(apart)[: np.count_nonzero(apart < WAYS.door)].tolist():
+                along = float(shapely.line_locate_point(shapely.linestrings(lines[n]), door))
+                foot = shapely.get_coordinates(shapely.line_interpolate_point(shapely.linestrings(lines[n]), along))[0]
+                way = np.array([shapely.get_coordinates(door)[0], foot])
+                if shapely.length(shapely.intersection(shapely.linestrings(way), area)) < 3 * OUTER_WALL:
+                    lines[n] = np.insert(lines[n], int(np.searchsorted(length_along(lines[n]), along)), foot, axis=0)
+                    ways.append(way)
+                    break
+        return replace(found, lines=(*lines, *ways), classes=(*found.classes, *("footway",) * len(ways)), area=area)
+
+    def indoors(self, place: Array, sigma: Array) -> Array:
+        """Negative log probability ``(n,)`` that places, with sigma ``(n,)`` [m], lie outside the building. [nats]"""
+        if self.area is None:
+            return np.zeros(len(place))
+        points = shapely.points(place)
+        inside = np.where(shapely.contains(self.area, points), -1.0, 1.0)
+        return -log_ndtr(inside * shapely.distance(shapely.boundary(self.area), points) / sigma)
+
+    @cached_property
+    def _bounds(self) -> tuple[Array, Array]:
+        """Least and greatest x and y ``(l, 2)`` of each way [m]."""
+        first = np.cumsum([0, *(len(line) for line in self.lines[:-1])])
+        every = np.concatenate(self.lines)
+        return np.minimum.reduceat(every, first), np.maximum.reduceat(every, first)
 
     @cached_property
     def sigma(self) -> Array:
@@ -237,7 +320,8 @@ def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> 
     points = network.points.within(place, reach)
     if n < 2 or not len(points.place):
         return [nowhere]
-    lattice = _Lattice.of(points, place, np.diff(walked[stations]), stray, askew[stations], reach)
+    indoors = network.indoors(place, np.hypot(stray, WAYS.drawn))
+    lattice = _Lattice.of(points, place, np.diff(walked[stations]), stray, askew[stations], reach, indoors)
     found, paths = list[WayMatch](), lattice.paths()
     for states, cost in paths:
         on = states >= 0
@@ -274,12 +358,19 @@ class _Lattice:
     sigma: Array
 
     @classmethod
-    def of(cls, points: WayPoints, place: Array, walked: Array, stray: Array, askew: Array, reach: Array) -> _Lattice:
-        """The model of a walk through stations ``place``, which has walked so far from one to the next [m]."""
+    def of(
+        cls, points: WayPoints, place: Array, walked: Array, stray: Array, askew: Array, reach: Array, indoors: Array
+    ) -> _Lattice:
+        """The model of a walk through stations ``place``, which has walked so far from one to the next [m].
+
+        indoors: ``(s,)`` cost of any way there [nats].
+        """
         off = points.place - place[:, None]
         square = np.sum(off**2, axis=2)
         variance = 2 * (stray[:, None] ** 2 + points.sigma**2)
-        emission = np.where(square < reach[:, None] ** 2, square / variance * WAYS.station / WAYS.alike, np.inf)
+        emission = np.where(
+            square < reach[:, None] ** 2, square / variance * WAYS.station / WAYS.alike + indoors[:, None], np.inf
+        )
         source, to, far = points.moves(WAYS.detour * float(walked.max()) + WAYS.slack)
         turn = np.minimum((askew[1:] + askew[:-1]) / 2, WAYS.askew)
         sigma = np.hypot(WAYS.moved, walked * turn)

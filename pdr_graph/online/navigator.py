@@ -71,6 +71,7 @@ from pdr_graph.types import (
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
+    from pdr_graph.floor.paths import PathNetwork
 
 SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
 MOST_RECEIVERS = 100  # whose last positions are stored, to recognise duplicate epochs
@@ -90,6 +91,7 @@ class Navigator:
     floor: plan or building whose walls are factors; lag: steps older than this are finalized [s], None: never; walker:
     of this walk; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior:
     see ``Prior``, by default from the walker's profile; beacons: with their positions; radio_map: for fixes from scans;
+    paths: ways outdoors, in their own frame;
     start_floor: label of the floor where the walk begins, for a building of several floors; start_heading,
     start_heading_sigma: direction of the first step, counter-clockwise from +x of the frame, and its sigma [rad];
     epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; executor: computes long answers beside
@@ -108,6 +110,7 @@ class Navigator:
         prior: Prior | None = None,
         beacons: Beacons | None = None,
         radio_map: RadioMap | None = None,
+        paths: PathNetwork | None = None,
         start_floor: str | None = None,
         start_heading: float | None = None,
         start_heading_sigma: float = INITIAL.heading_sigma,
@@ -125,7 +128,8 @@ class Navigator:
         self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else start_floor or "")
         self._gait = StepStream(self.walker, self._compass.update, self._compass.preview)
         prior, executor = prior or prior_of(self.walker.profile), shared_thread() if executor == "thread" else executor
-        self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
+        lag = np.inf if lag is None else lag
+        self._graph = LiveSmoother(prior, lag, self.building, start_floor or "", executor, paths)
         self._alone: FixesAlone | None = None
         self._away, self._rides = Away(), RideWatch()
         self._display, self._stand = Display(), Stand()
@@ -348,6 +352,8 @@ class Navigator:
     def _lie_in(self, frame: Frame) -> Frame:
         """Set the frame of all results, and place the beacons in it; plan or beacons tell the compass where it is."""
         self.frame = frame
+        if self._graph.graph.paths is not None:
+            self._graph.graph.paths = self._graph.graph.paths.seen_from(frame, self.building)
         listed = None if self._beacons is None else frame.place(self._beacons)
         if listed is not None:
             self._graph.graph.collectors.append(LevelCollector(listed))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import count
+from pdr_graph.estimation.factors.base import Followed
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.results import (
     calibration_warnings,
@@ -137,6 +138,8 @@ def contradictions_of(
     rows: the walk so far; reports: of its measurements.
     """
     found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
+    for ways in graph.at.measurements:
+        found = (*found, *ways.contradictions(graph.at, graph.solution)) if isinstance(ways, Followed) else found
     if restarts := smoother.ambiguity.restarts:
         text = f"the walk jumps to fixes that contradicted it, at {restarts[-1]:.0f} s"
         check = "where the walk was before and after: one of both is wrong"
@@ -162,6 +165,7 @@ def warnings_of(smoother: LiveSmoother, plan: Building | None, estimate: Estimat
         *placement_warnings(used, bool(reports.get("headings")), bool(len(places)) and plan is not None, walled),
         *(() if calibration is None else calibration_warnings(calibration)),
         *contradiction_warnings(fixes),
+        *smoother.ambiguity.findings.warnings,
         *(() if smoother.sure or not smoother.graph.has_position else (UNSURE,)),
     )
 

@@ -11,13 +11,19 @@ from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
+import plans
 import pytest
+import shapely
+import walks
 from commands import run
 from derivatives import assert_derivatives
+from synthetic_walks import live_events
 
-from pdr_graph import Fixes, InputError, PathNetwork, WalkGraph, smooth
+from pdr_graph import Fixes, InputError, Navigator, PathNetwork, WalkGraph, smooth
+from pdr_graph.estimation.factors.base import decisions_of
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.paths import _Lattice, match
-from pdr_graph.frames import enu
+from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.papers.hmm_map_matching import hmm_match
 from pdr_graph.lab.simulation import town_walks
@@ -172,6 +178,84 @@ def test_a_receiver_that_is_off_is_recognised_by_ways():
         assert mean_error(estimate, walk) < most
         assert any(found.against == "paths" for found in estimate.contradictions) == said
     assert mean_error(smooth(WalkGraph(walk.steps, off)), walk) > 9.0, "without ways"
+
+
+@pytest.mark.thorough
+def test_a_live_walk_follows_ways_and_shows_a_receiver_that_is_off():
+    """The ways come in a frame of their own, those of a whole extract; no more than a minute is in the window."""
+    walk, fixes = walked(TOWN, 1, length=900)
+    off = replace(fixes, position=fixes.position + np.array([8.0, -7.0]))
+    extract, errors, said = PathNetwork.load(KREMS), [], []
+    for ways in (None, extract):
+        nav = Navigator(frame=FRAME, paths=ways, executor=None)
+        for event in live_events(walk.steps, off):
+            nav.push(event)
+        estimate = nav.finish()
+        errors.append(mean_error(estimate, walk))
+        said.append([found for found in estimate.contradictions if found.against == "paths"])
+    assert errors[1] < 0.7 * errors[0]
+    assert [len(found) for found in said] == [0, 1]
+
+
+def test_ways_of_another_town_bend_no_live_walk():
+    walk, fixes = walked(TOWN, 1, length=150)
+    extract = PathNetwork.load(KREMS)
+    for frame in (enu(48.208, 16.373), Frame()):  # Vienna; a plan without latitude
+        nav = Navigator(frame=frame, paths=extract, executor=None)
+        for event in live_events(walk.steps, fixes):
+            nav.push(event)
+        estimate = nav.finish()
+        assert mean_error(estimate, walk) < 7.0
+        assert not any(found.against == "paths" for found in estimate.contradictions)
+
+
+def test_the_window_has_the_distances_of_the_batch():
+    """The same factor at the same keyframes: decisions carry the ways, without the directions of runs."""
+    walk, fixes = walked(TOWN, 1, length=500)
+    graph = smooth(WalkGraph(walk.steps, fixes, paths=TOWN)).graph
+    batch = graph.ways
+    window = batch.about(TOWN).continued(decisions_of(batch)).bind(graph.chain)
+    at = graph.evaluate(graph.start)
+    [distances, _], [again, directions] = batch.factors(at), window.factors(at)
+    np.testing.assert_array_equal(again.residual, distances.residual)
+    assert not len(directions)
+    half = window.bind(graph.chain.after(len(graph.chain.segment) // 2))
+    assert 0 < len(half) < len(window)
+
+
+def test_ways_end_at_the_doors_of_a_plan():
+    """A street leads past a building, a path along its wall, another through it; the walk goes in by the door."""
+    building = plans.plan(
+        ("corridor", shapely.box(0, 0, 60, 3)),
+        ("room", shapely.box(0, 3, 60, 10)),
+        ("door", shapely.box(-0.4, 0.9, 0.1, 2.1)),
+    )
+    lines = [[(-12, -100), (-12, 60)], [(-12, -5), (80, -5)], [(-12, 6), (80, 6)]]
+    network = PathNetwork(tuple(np.array(line, float) for line in lines), ("path",) * 3)
+    joined = network.joined(Building.around(building))
+    assert joined.joined(Building.around(building)) is joined
+    assert [line[0].round(1).tolist() for line in joined.lines[-1:]] == [[-0.2, 1.5]], "from the door"
+    assert not any(shapely.LineString(line).crosses(shapely.box(0, 0, 60, 10)) for line in joined.lines)
+    assert joined.lines[-1][1].tolist() in joined.lines[0].tolist(), "a corner of the street"
+
+    corners = np.array([(-12.0, -90.0), (-12.0, 1.5), (57.0, 1.5)])
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
+    place = np.stack([np.interp(np.arange(0, walked[-1], 0.7), walked, axis) for axis in corners.T], axis=1)
+    move = np.diff(place, axis=0)
+    heading = np.arctan2(move[:, 1], move[:, 0])
+    steps = walks.steps_of(np.hypot(*move.T), np.diff(heading, prepend=heading[0]))
+    rows = np.flatnonzero(place[1:, 0] < 0)[::4]  # none indoors
+    position = place[rows + 1] + np.random.default_rng(0).normal(0, 2, (len(rows), 2))
+    fixes = Fixes(steps.time[rows], position, np.full(len(rows), 5.0), ("",) * len(rows), source=("GPS",) * len(rows))
+    estimate = smooth(WalkGraph(steps, fixes, floor=building, paths=network))
+    assert estimate.graph.walled
+    assert not estimate.contradictions, "neither the plan nor the walk outdoors is doubted"
+    ways, pose = estimate.graph.ways, estimate.graph.optimum.poses
+    inside = pose[:, 0] > 2
+    assert inside.sum() > 5
+    assert not inside[ways.followed].any(), "the plan rules there"
+    assert len(ways) > 0.8 * np.count_nonzero(pose[:, 1] < -8)
+    assert ((pose[inside, 1] > 0) & (pose[inside, 1] < 10)).all()
 
 
 def test_a_missing_way_bends_nothing():

@@ -336,3 +336,31 @@ def test_twenty_kills_lose_nothing_and_repeat_nothing(tmp_path):
     built(other)
     assert content(other) == content(log)
     assert not list((tmp_path / "log.d" / "days").iterdir())
+
+
+def test_ways_are_kept_for_later_builds_and_a_change_of_them_builds_the_days_again(tmp_path):
+    """Days are built with ways once; those of a file that is gone, or is none, are refused before anything is done."""
+    ways = tmp_path / "krems.osm"
+    shutil.copy(HERE.parent / "floor" / "krems.osm", ways)
+    log, _ = added(tmp_path, people=1, days=2)
+    given = []
+
+    def reconstruct(person, date, observations, profile, *file):
+        given.append(file)
+        return standin.reconstruct(person, date, observations, profile)
+
+    def built(paths=None):
+        return build(log, observe=standin.observe, reconstruct=reconstruct, paths=paths).built
+
+    assert [built(str(ways)), built()] == [2, 0]
+    assert {file for ((file, _),) in given} == {str(ways)}
+    ways.write_bytes(ways.read_bytes().replace(b"footway", b"path"))
+    assert built() == 2
+    with pytest.raises(InputError, match="no such file"):
+        built(str(tmp_path / "none.osm"))
+    ways.unlink()
+    with pytest.raises(InputError, match="or --paths none"):
+        built()
+    given.clear()
+    assert built("none") == 2
+    assert given == [(), ()]

@@ -132,6 +132,10 @@ def build(
         str | None,
         typer.Option(metavar="NAME", help="Time zone of the days, kept for later builds; default: local."),
     ] = None,
+    paths: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Ways outdoors that walks follow, kept for later builds; none: no ways."),
+    ] = None,
     workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes on this machine.")] = 1,
     scheduler: Annotated[
         str,
@@ -169,7 +173,7 @@ def build(
     from pdr_graph.apps.lifelog.build import build as built
 
     with _progress_bar() as advance:
-        result = built(store, zone, workers, scheduler, 60 * time_limit, advance)
+        result = built(store, zone, workers, scheduler, 60 * time_limit, advance, paths=paths)
     rest = f"{result.up_to_date} up to date, {len(result.failures)} failed"
     echo(f"{count(result.built, 'day')} built, {rest} -> {store}")
     if together:

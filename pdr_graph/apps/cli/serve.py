@@ -9,7 +9,15 @@ from typing import Annotated
 
 import typer
 
-from pdr_graph.apps.cli.options import BeaconsPath, FloorLabel, MapPath, RadioMapPath, WalkerPath, lag_seconds
+from pdr_graph.apps.cli.options import (
+    BeaconsPath,
+    FloorLabel,
+    MapPath,
+    PathsPath,
+    RadioMapPath,
+    WalkerPath,
+    lag_seconds,
+)
 from pdr_graph.apps.cli.terminal import echo
 from pdr_graph.errors import InputError, install
 
@@ -71,6 +79,7 @@ def serve(
     walker: WalkerPath = None,
     beacons: BeaconsPath = None,
     radio_map: RadioMapPath = None,
+    paths: PathsPath = None,
     floor: FloorLabel = None,
     lag: Lag = "60",
 ) -> None:
@@ -92,7 +101,7 @@ def serve(
     from pdr_graph.apps.serve.study import StudyReports
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
-    options |= {"floor": floor, "lag": lag_seconds(lag)}
+    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag)}
     building = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS

@@ -16,25 +16,20 @@ from datetime import datetime
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pdr_graph.apps.lifelog import cache, observation
 from pdr_graph.apps.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
 from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_times
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
-from pdr_graph.apps.lifelog.store import ZONE, Entry, Store, StoredDay
+from pdr_graph.apps.lifelog.store import PATHS, ZONE, Entry, Store, StoredDay
 from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, pack
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.tables import BEACON_LIST
 from pdr_graph.storage import decode, encode, fingerprint
 
-if TYPE_CHECKING:
-    from pdr_graph.apps.lifelog.observation import Observation
-
-
-Reconstruct = Callable[[str, str, "Mapping[str, Observation]", Profile | None], Day]  # as `reconstruct.reconstruct`
+Reconstruct = Callable[..., Day]  # as `reconstruct.reconstruct`
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,8 @@ class PlannedDay:
 class DayChain:
     """Consecutive days of a person that are still to be reconstructed.
 
-    profile: of the walker before the first day; folder: ``STORE.d``; version: `cache.RESULT_VERSION` of the build.
+    profile: of the walker before the first day; folder: ``STORE.d``; version: `cache.RESULT_VERSION` of the build;
+    ways: outdoors, the file and its fingerprint, "" without.
     """
 
     person: str
@@ -61,15 +57,15 @@ class DayChain:
     profile: Profile | None
     folder: str
     version: str
+    ways: tuple[str, str] = ("", "")
 
     @property
     def key(self) -> str:
         """Key of the first day: the hash of its inputs."""
         known = None if self.profile is None else profile_row(self.profile)
         stated = [correction.inputs for correction in self.days[0].corrections]
-        return cache.key_of(
-            self.person, self.days[0].date, self.days[0].recordings, known, *([stated] if stated else [])
-        )
+        more = [*([stated] if stated else []), *([self.ways[1]] if self.ways[1] else [])]
+        return cache.key_of(self.person, self.days[0].date, self.days[0].recordings, known, *more)
 
     @property
     def file(self) -> Path:
@@ -132,7 +128,8 @@ def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> tupl
             from pdr_graph.apps.lifelog.corrections import apply_to_observations
 
             observations = apply_to_observations(observations, first.corrections)
-        day = reconstruct(chain.person, first.date, observations, chain.profile)
+        known = chain.person, first.date, observations, chain.profile
+        day = reconstruct(*known, *([chain.ways] if chain.ways[0] else []))
         rows = rows_of(day, chain.key, [name for name, _ in first.recordings])
         blob = encode(DayRows(rows))
     except Exception as error:  # a failure of one day must not stop the others
@@ -153,6 +150,7 @@ def _read_rows(file: Path) -> Rows | None:
     return cache.read(file, lambda blob: decode(blob, DayRows).tables)
 
 
+NO_PATHS = "none"  # in place of the file of ways
 PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # whose versions are stored with a build
 Progress = Callable[[str, int, int], None]  # called with the name of a stage, the tasks done, and all tasks
 
@@ -181,19 +179,23 @@ def build(
     progress: Progress = lambda stage, done, total: None,
     observe: Observe = observation.observe,
     reconstruct: Reconstruct | None = None,
+    paths: str | None = None,
 ) -> BuildResult:
     """Bring a lifelog up to date: observe recordings and reconstruct days where an input changed.
 
     zone: time zone whose midnights separate the days, LOCAL for that of each place, stored for later builds;
     workers: processes on this machine; scheduler: address of a Dask cluster whose workers see the same paths;
     time_limit: of a recording or a day in a worker process [s]. observe, reconstruct: replacements for
-    `observation.observe` and `reconstruct.reconstruct`, for tests.
+    `observation.observe` and `reconstruct.reconstruct`, for tests; paths: file of ways outdoors that walks follow,
+    stored for later builds, NO_PATHS for none.
 
     Raises InputError if the lifelog, the zone or the scheduler cannot be used; OSError of the disk.
     """
     with Store(store, thorough=True) as log, fleet(workers, scheduler, time_limit) as crew:
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
+        if paths is not None:
+            log.put_setting(PATHS, _checked_ways(paths))
         observe_work = partial(observe_all, observe=observe)
         reconstruct_work = partial(reconstruct_days, reconstruct=reconstruct)
 
@@ -229,6 +231,25 @@ def build(
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)
     up_to_date = len(days) - built - len(failures) - len(unbuilt)
     return BuildResult(built, up_to_date, failures, refusals, unfinished_lines(crew.lost, unobserved, unbuilt))
+
+
+def _checked_ways(paths: str) -> str:
+    """The setting of a file of ways outdoors. Raises InputError if it has none."""
+    if paths == NO_PATHS:
+        return ""
+    from pdr_graph.floor.paths import PathNetwork  # with the readers of its formats
+
+    PathNetwork.load(path := Path(paths).resolve())
+    return str(path)
+
+
+def ways_of(log: Store) -> tuple[str, str]:
+    """The file of ways outdoors, and its fingerprint, "" without. Raises InputError if it is gone."""
+    if not (file := log.setting(PATHS)):
+        return "", ""
+    if not Path(file).is_file():
+        raise InputError(file, "", "no such file", f"the ways that --paths named, or --paths {NO_PATHS}")
+    return file, fingerprint(Path(file))
 
 
 def _tasks_of(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
@@ -322,9 +343,8 @@ def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) ->
             and any(entries[name].overlaps(*c.span) for name in recordings)
         )
         planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date)), stated))
-    return [
-        DayChain(person, tuple(its), None, str(log.folder), cache.RESULT_VERSION) for person, its in planned.items()
-    ]
+    rest = None, str(log.folder), cache.RESULT_VERSION, ways_of(log)
+    return [DayChain(person, tuple(its), *rest) for person, its in planned.items()]
 
 
 def touched_dates(log: Store, person: str, start: float, end: float) -> list[str]:

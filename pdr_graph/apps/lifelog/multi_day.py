@@ -20,6 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.build import ways_of
 from pdr_graph.apps.lifelog.corrections import apply_to_observations
 from pdr_graph.apps.lifelog.day import Day, Outing, rows_of
 from pdr_graph.apps.lifelog.observation import read_observations
@@ -137,7 +138,7 @@ def bound_walks(
         alone = [walk for at in block.walks if isinstance(walk := outings_of(at.day)[at.outing], EstimatedWalk)]
         frame = alone[0].joined.frame
         alone = [
-            walk if walk.joined.frame == frame else estimate_walk(walk.session, None, walk.profile, frame)
+            walk if walk.joined.frame == frame else estimate_walk(walk.session, None, walk.profile, frame, walk.ways)
             for walk in alone
         ]
 
@@ -200,6 +201,7 @@ def estimate_together(store: Path, progress: Callable[[str, int, int], None] = l
         if log.setting(TOGETHER) == key:
             return 0
         log.put_setting(TOGETHER, "")
+        ways = ways_of(log)
         owners, hashes = list(built), {entry.hash: entry.observation for entry in log.entries()}
 
         @lru_cache(maxsize=CONTEXT)  # days of the context of the next block
@@ -211,7 +213,7 @@ def estimate_together(store: Path, progress: Callable[[str, int, int], None] = l
             before = [
                 day.profile for (who, when), day in built.items() if who == person and when < date and day.profile
             ]
-            return reconstruct_outings(observations, before[-1] if before else None)
+            return reconstruct_outings(observations, before[-1] if before else None, ways)
 
         def put(day: Day) -> None:
             own = built[day.person, day.date]

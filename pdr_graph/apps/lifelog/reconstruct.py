@@ -25,6 +25,7 @@ from pdr_graph.apps.lifelog.stays import follow_positions, segments_of, stays_of
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.verdict import ROUTE, teaches_profile, verdict
+from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile, Walker
@@ -32,13 +33,15 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording, Trajectory
 from pdr_graph.walk import Evidence, Options, estimate, with_tables
 
+NOWHERE = "", ""  # without a file of ways outdoors
+
 
 @dataclass(frozen=True)
 class EstimatedWalk(OneLineRepr):
     """The estimated walk of a session.
 
     profile: of the walker before the walk; joined: the recordings as one; rides: ``(r, 2)`` start and end of each [s];
-    missing: what could not be estimated, a line each.
+    missing: what could not be estimated, a line each; ways: file of ways outdoors, and its fingerprint.
     """
 
     session: Session
@@ -49,6 +52,7 @@ class EstimatedWalk(OneLineRepr):
     graph: WalkGraph
     estimate: Estimate
     missing: tuple[str, ...]
+    ways: tuple[str, str] = NOWHERE
 
     @property
     def looks(self) -> Array:
@@ -89,12 +93,16 @@ class EstimatedWalk(OneLineRepr):
 
 
 def estimate_walk(
-    session: Session, before: EstimatedWalk | Outing | None, profile: Profile | None, frame: Frame | None = None
+    session: Session,
+    before: EstimatedWalk | Outing | None,
+    profile: Profile | None,
+    frame: Frame | None = None,
+    ways: tuple[str, str] = NOWHERE,
 ) -> EstimatedWalk:
     """Estimate the walk of a session with steps.
 
     before: the previous outing of the day; profile: of the walker; frame: a georeferenced frame of the result, by
-    default that of the recordings. Raises InputError where the plan cannot be used.
+    default that of the recordings; ways: outdoors. Raises InputError where plan or ways cannot be used.
     """
     # All measurements, in one frame
     first = session.parts[0][1]
@@ -121,6 +129,7 @@ def estimate_walk(
         options=Options(plan=Path(first.plan) if first.plan else None, floor=first.floor or None),
         steps=steps,
         headings=joined.headings,
+        paths=_ways(*ways).seen_from(joined.frame).around([fixes]) if ways[0] else None,
         modes=[(start, end, ACTIVITIES.index(kind)) for start, end, kind in joined.activities],
     )
 
@@ -128,7 +137,7 @@ def estimate_walk(
     result = estimate(with_tables(evidence))
     assert result.graph is not None, "a walk has steps"
     rides, graph = result.evidence.rides, result.graph
-    return EstimatedWalk(session, profile, joined, building, rides, graph, result.estimate, result.missing)
+    return EstimatedWalk(session, profile, joined, building, rides, graph, result.estimate, result.missing, ways)
 
 
 def building_of(plan: str) -> Building:
@@ -139,6 +148,12 @@ def building_of(plan: str) -> Building:
 @lru_cache(maxsize=8)
 def _read(plan: str, content: str) -> Building:
     return Building.load(plan)
+
+
+@lru_cache(maxsize=1)
+def _ways(file: str, content: str) -> PathNetwork:
+    """Read ways outdoors, once for all walks until their content changes."""
+    return PathNetwork.load(file)
 
 
 def _with_start_after(last: EstimatedWalk | Outing | None, joined: Observation) -> Observation:
@@ -161,12 +176,18 @@ def _with_start_after(last: EstimatedWalk | Outing | None, joined: Observation) 
     return replace(joined, frame=frame, fixes=fix)
 
 
-def reconstruct(person: str, date: str, observations: Mapping[str, Observation], profile: Profile | None) -> Day:
+def reconstruct(
+    person: str,
+    date: str,
+    observations: Mapping[str, Observation],
+    profile: Profile | None,
+    ways: tuple[str, str] = NOWHERE,
+) -> Day:
     """Reconstruct a day from its observations, by content hash of the recording, and the profile before the day.
 
-    Raises InputError where a plan cannot be used.
+    ways: file of ways outdoors, and its fingerprint. Raises InputError where a plan or the ways cannot be used.
     """
-    outings, profile = reconstruct_outings(observations, profile)
+    outings, profile = reconstruct_outings(observations, profile, ways)
     return Day(person, date, as_outings(outings), profile)
 
 
@@ -176,7 +197,7 @@ def as_outings(outings: Sequence[EstimatedWalk | Outing]) -> tuple[Outing, ...]:
 
 
 def reconstruct_outings(
-    observations: Mapping[str, Observation], profile: Profile | None
+    observations: Mapping[str, Observation], profile: Profile | None, ways: tuple[str, str] = NOWHERE
 ) -> tuple[list[EstimatedWalk | Outing], Profile | None]:
     """Estimate the outings of a day, those with steps as walks; also returns the profile of the walker after the day.
 
@@ -198,7 +219,7 @@ def reconstruct_outings(
                 outing = _outing(session, part, track, segments)
                 outings.append(replace(outing, stays=stays, notes=(*notes, *outing.notes)))
         else:
-            walk = estimate_walk(session, outings[-1] if outings else None, profile)
+            walk = estimate_walk(session, outings[-1] if outings else None, profile, ways=ways)
             profile = walk.profile_after
             outings.append(walk)
     return outings, profile

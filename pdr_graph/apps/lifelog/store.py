@@ -57,8 +57,10 @@ STORE_SCHEMA = (
 KEPT = {"setting": 2, "recording": 3, "correction": 7, "guess": 6, "phone": 2}
 ZONE = "zone"
 TOGETHER = "together"
+PATHS = "paths"
 SOURCES = "imported: "  # and a person: the paths that were imported, JSON
-SETTINGS = {ZONE: "", TOGETHER: ""}  # time zone of the days, "" for that of each place; key of the last joint estimate
+# Time zone of the days, "" for that of each place; key of the last joint estimate; file of ways outdoors, "" for none
+SETTINGS = {ZONE: "", TOGETHER: "", PATHS: ""}
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
 

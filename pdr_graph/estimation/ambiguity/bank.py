@@ -36,12 +36,13 @@ LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that f
 class Findings:
     """What a review of a walk found: the adopted hypotheses, and all that remain possible.
 
-    contradictions: what sources probably get wrong.
+    contradictions: what sources probably get wrong; warnings: what else they leave open.
     """
 
     adopted: tuple[Hypothesis, ...] = ()
     possible: tuple[Hypothesis, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def changes(self) -> frozenset[str]:
@@ -122,11 +123,11 @@ class HypothesisBank:
         often it says only that one of two sources is wrong. decisions: about the kinds that the adopted ones change.
         """
         adopted = frozenset(before.adopted)
-        kept = [frozenset(member.assumed) == adopted for member in self.members]
+        kept = [frozenset(lasting(member.assumed)) == adopted for member in self.members]
         if not kept[0]:
             for n, member in enumerate(self.members):
-                if member.assumed and set(member.assumed) <= set(before.possible):
-                    older = min(self._older(member.assumed), self._older(before.adopted))
+                if (claims := lasting(member.assumed)) and set(claims) <= set(before.possible):
+                    older = min(self._older(claims), self._older(before.adopted))
                     self.members[n] = replace(member, burden=member.burden - older)
         if adopted and not any(kept):
             graph = self.first.graph.decided(decisions)
@@ -147,7 +148,8 @@ class HypothesisBank:
         """The hypotheses of the first member, and those that remain possible."""
         best, least = self.members[0], min(member.surprise for member in self.members)
         possible = [member for member in self.members if member is best or member.surprise < least + DOUBTS.unlikely]
-        return Findings(best.assumed, tuple(dict.fromkeys(claim for member in possible for claim in member.assumed)))
+        every = dict.fromkeys(claim for member in possible for claim in lasting(member.assumed))
+        return Findings(lasting(best.assumed), tuple(every))
 
     def _older(self, hypotheses: Iterable[Hypothesis]) -> float:
         """What older evidence says for hypotheses [nats]; nothing where all that they are about is in the data."""
@@ -157,6 +159,11 @@ class HypothesisBank:
             present = np.isin(rows, self._numbers.get(claim.kind[0], ())).all()
             older += 0.0 if present and len(rows) == len(claim.instances) > 0 else DOUBTS.older
         return older
+
+
+def lasting(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """The hypotheses that hold for a whole walk."""
+    return tuple(claim for claim in hypotheses if claim.lasting)
 
 
 def weighed(optimum: Optimum, base: Optimum, *hypotheses: Hypothesis, information: float = 0.0) -> Optimum:

@@ -23,7 +23,8 @@ class Hypothesis:
     kind: the measurement kind, or "plan", and the type of error; instances: labels of beacons, permanent numbers of
     fixes, names of receivers; parameter: how large the error is, and for a fix its time and place.
     price: see above, with the normaliser of wider priors [nats]; changes: names of the measurement kinds that the
-    hypothesis changes; estimate: what the walk then says about it, for the user.
+    hypothesis changes; estimate: what the walk then says about it, for the user; lasting: it holds for the whole walk,
+    beyond the minutes that a review knows.
     """
 
     kind: tuple[str, str]
@@ -32,6 +33,7 @@ class Hypothesis:
     price: float = field(default=0.0, compare=False)
     changes: tuple[str, ...] = field(default=(), compare=False)
     estimate: tuple[float, ...] = field(default=(), compare=False)
+    lasting: bool = field(default=True, compare=False)
 
     @property
     def label(self) -> str:

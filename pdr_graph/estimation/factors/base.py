@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Fixes, Index, Mask
+from pdr_graph.types import Array, Contradiction, Fixes, Index, Mask
 
 if TYPE_CHECKING:
     import gtsam
@@ -443,11 +443,28 @@ class OnPlan(Structural):
 
 
 class Followed(Structural):
-    """A kind whose instances are the ways outdoors that a walk follows; which these are depends on how sure it is."""
+    """A kind whose instances are the ways outdoors that a walk follows; which these are depends on how sure it is.
+
+    followed: ``(r,)`` keyframes on ways.
+    """
+
+    followed: Index
 
     @abstractmethod
     def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
         """Find the ways along the walk ``at``. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
+
+    @abstractmethod
+    def contradictions(self, at: Evaluation, solution: Any) -> Sequence[Contradiction]:
+        """What the ways show of sources, at the solved optimum ``at``."""
+
+    @abstractmethod
+    def warnings(self, optima: Sequence[Any], share: Array) -> tuple[str, ...]:
+        """What other solutions, with shares ``(n,)``, say of the ways; the first is that of this kind."""
+
+    @abstractmethod
+    def outdoors(self, at: Chain) -> Mask:
+        """True ``(m,)`` for the pieces of a walk that are on ways, or about to be."""
 
 
 class Displaced(Structural):

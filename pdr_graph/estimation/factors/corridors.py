@@ -7,7 +7,7 @@ turns are associated with links and intersections along one walk; the associatio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -15,18 +15,21 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 import shapely
 
+from pdr_graph.errors import percent
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, RobustLoss
+from pdr_graph.estimation.factors.base import AnyArray, Displaced, FactorBlock, Linearized, Measurement, RobustLoss
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Lines, Network, nearest_segments
 from pdr_graph.floor.paths import PathNetwork, match
-from pdr_graph.geometry import length_along, pose_rotation, turn_between, wrap_angle
-from pdr_graph.priors import CORRIDOR, TURNS, WAYS
-from pdr_graph.types import Array, Headings, Index, Mask, OneLineRepr
+from pdr_graph.geometry import length_along, nearest, pose_rotation, turn_between, wrap_angle
+from pdr_graph.priors import CORRIDOR, FIXES, REPORTS, TURNS, VERDICTS, WAYS
+from pdr_graph.types import INSTANT, Array, Contradiction, Headings, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
-    from pdr_graph.estimation.factors.chain import Evaluation
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+    from pdr_graph.estimation.linear_system import Solution
+    from pdr_graph.estimation.optimizer import Optimum
 
 LEAST_LENGTH, LEAST_RATIO = 8.0, 3.0  # of a run [m], and in widths of its corridor: a shorter one may cross a plaza
 
@@ -193,16 +196,16 @@ class PathFactor(Measurement):
     a: a point of the way, n: its normal, w: sigma of a walker across it, m: number of keyframes that share this error.
     Which ways these are is found by `match`; off every way there are no factors.
 
-    network: within reach; followed: ``(r,)`` keyframes on ways; foot: ``(r, 2)`` a [m]; normal: ``(r, 2)``;
-    sigma: ``(r,)`` w √m [m]; along: keyframes of directions; direction: there; price: see `WayMatch` [nats]; other: the
-    same along other ways that are nearly as probable, None if there are none.
+    network: within reach; route: ``(n, 6)`` time [s], a [m], n and w √m [m] at each place of the matched walk, NaN off
+    every way, and after its end; followed: ``(r,)`` keyframes on ways; row: ``(r,)`` of the route at each; along:
+    keyframes of directions; direction: there; price: see `WayMatch` [nats]; other: the same along other ways that are
+    nearly as probable, None if there are none.
     """
 
     network: PathNetwork
+    route: Array
     followed: Index
-    foot: Array
-    normal: Array
-    sigma: Array
+    row: Index
     along: Index
     direction: Headings
     price: float = 0.0
@@ -213,22 +216,81 @@ class PathFactor(Measurement):
     @classmethod
     def about(cls, network: PathNetwork) -> Self:
         """The ways around a walk, none of which it follows yet."""
-        numbers, points = np.empty(0, dtype=np.intp), np.empty((0, 2))
-        return cls(network, numbers, points, points, np.empty(0), numbers, Headings.none())
+        numbers = np.empty(0, dtype=np.intp)
+        return cls(network, np.empty((0, 6)), numbers, numbers, numbers, Headings.none())
 
     def __len__(self) -> int:
         return len(self.followed)
+
+    @property
+    def foot(self) -> Array:
+        """Points ``(r, 2)`` of the ways [m]."""
+        return self.route[self.row, 1:3]
 
     def same_association(self, other: Measurement) -> bool:
         """True if all keyframes follow the same ways."""
         assert isinstance(other, PathFactor)
         same = np.array_equal(self.followed, other.followed)
-        return same and bool(np.allclose(self.normal, other.normal) and np.allclose(self.sigma, other.sigma))
+        return same and bool(np.allclose(self.route[self.row, 3:], other.route[other.row, 3:]))
 
     def apart(self, other: PathFactor) -> Index:
         """The keyframes that are on other ways than those of ``other``."""
         shared, mine, theirs = np.intersect1d(self.followed, other.followed, return_indices=True)
         return shared[np.hypot(*(self.foot[mine] - other.foot[theirs]).T) > WAYS.apart]
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """The ways that the walk followed, for a walk under way."""
+        return {"route": self.route} if len(self.route) else {}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Follow the ways that an earlier part of this walk was matched to, without their directions.
+
+        A run along a way would give its direction again at each match, at another keyframe.
+        """
+        return replace(self.about(self.network), **decisions)
+
+    def bind(self, chain: Chain) -> Self:
+        """Find the keyframes of ``chain`` on ways."""
+        row = np.searchsorted(self.route[:, 0], chain.time + INSTANT, side="right") - 1
+        followed = np.flatnonzero((row >= 0) & np.isfinite(np.append(self.route[:, 5], np.nan)[row]))
+        return replace(self, followed=followed, row=row[followed])
+
+    def outdoors(self, at: Chain) -> Mask:
+        """True ``(m,)`` for the pieces of a walk that are on ways, or within a station of one: a door is between."""
+        moment = at.time[at.pieces.interval] + at.pieces.to_end[1]
+        row = np.searchsorted(self.route[:, 0], moment + INSTANT, side="right") - 1
+        on = np.flatnonzero((row >= 0) & np.isfinite(np.append(self.route[:, 5], np.nan)[row]))
+        if not len(on):
+            return np.zeros(len(moment), dtype=bool)
+        walked = np.cumsum(at.pieces.length)
+        return np.abs(walked[on][nearest(walked[on], walked)] - walked) <= WAYS.station
+
+    def contradictions(self, at: Evaluation, solution: Solution) -> Sequence[Contradiction]:
+        """Sources that are off to one side throughout, as the ways show."""
+        found = list[Contradiction]()
+        for kind in at.measurements if len(self) else ():
+            for name, symbol, row in kind.offsets(at) if isinstance(kind, Displaced) else ():
+                offset = at.state[symbol][row, :2]
+                covariance = solution.joint((symbol, np.array([row])))[0, :2, :2]
+                size, sigma = float(np.hypot(*offset)), float(np.sqrt(np.trace(covariance) / 2))
+                if size > VERDICTS.displaced * sigma:
+                    text = f"{name} is off by {size:.0f} ± {sigma:.0f} m throughout, as the ways on which it leads show"
+                    found.append(Contradiction(name, "paths", round(size, 1), "m", text, "the receiver, and the ways"))
+        return found
+
+    def warnings(self, optima: Sequence[Optimum], share: Array) -> tuple[str, ...]:
+        """Warn of ways beside those of the first solution that fit about as well. share: ``(n,)`` of each."""
+        elsewhere, times = 0.0, list[float]()
+        for optimum, weight in zip(optima[1:], share[1:].tolist(), strict=True):
+            time = optimum.graph.keyframe_time[optimum.graph.ways.apart(self)]
+            if len(time) and np.ptp(time) > 2 * WAYS.station / FIXES.walking_speed:
+                elsewhere += weight
+                times += time.tolist()
+        if elsewhere <= 1 - REPORTS.sure:
+            return ()
+        span = f"between {min(times):.0f} and {max(times):.0f} s"
+        beside = f"the walk followed others with a probability of {percent(elsewhere)}"
+        return (f"ways beside each other fit {span}: {beside}",)
 
     def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
         """Find the ways that the walk ``at`` followed. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
@@ -245,8 +307,9 @@ class PathFactor(Measurement):
 
     def _along(self, at: Evaluation, track: Track, corrected: Track, on: Mask) -> Self:
         """The factors of a walk along the ways on which its places are, once moved there. on: ``(n,)``."""
-        walked, place = length_along(track.position), np.searchsorted(track.piece, track.keyframe_piece, "right") - 1
-        directions, rows = list[tuple[int, float, float]](), list[tuple[int, Array, Array, float, int]]()
+        time = at.chain.time[at.pieces.interval[track.piece]] + at.pieces.to_end[1, track.piece]
+        route, directions = np.full((len(time) + 1, 6), np.nan), list[tuple[int, float, float]]()
+        route[:, 0] = [*time, at.chain.time[-1] + 2 * INSTANT]
         for begin, end in np.flatnonzero(np.diff(on, prepend=False, append=False)).reshape(-1, 2).tolist():
             part = corrected.position[begin:end]
             runs = straight_runs(part, self.network)
@@ -254,39 +317,37 @@ class PathFactor(Measurement):
             directions += directions_of(track, runs)
             for stretch in stretches_along(part, self.network):
                 line = shapely.linestrings(self.network.lines[stretch.link])
-                first, last = stretch.first + begin, stretch.last + begin
-                here = np.flatnonzero((place >= first) & (place < last))
-                along = shapely.line_locate_point(line, shapely.points(corrected.position[place[here]]))
-                foot = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
-                bearing = stretch.bearing[np.minimum(place[here] - first, len(stretch.bearing) - 1)]
-                normal = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-                same = (walked[place[here]] // WAYS.alike).astype(int).tolist()
-                sigma = [float(self.network.sigma[stretch.link])] * len(here)
-                rows += zip(here.tolist(), foot, normal, sigma, same, strict=True)
-        if not rows:
+                here = slice(stretch.first + begin, stretch.last + begin)
+                along = shapely.line_locate_point(line, shapely.points(corrected.position[here]))
+                bearing = np.append(stretch.bearing, stretch.bearing[-1])
+                route[here, 1:3] = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+                route[here, 3], route[here, 4] = -np.sin(bearing), np.cos(bearing)
+                route[here, 5] = self.network.sigma[stretch.link]
+        found = replace(self, route=route).bind(at.chain)
+        if not len(found):
             return self
-        rows = list({row[0]: row for row in rows}.values())
-        followed, foot, normal, sigma, same = (np.array(column) for column in zip(*rows, strict=True))
-        _, group, number = np.unique(same, return_inverse=True, return_counts=True)
-        sigma, (along, direction) = sigma * np.sqrt(number[group]), _headings(at, directions)
-        return replace(self, followed=followed, foot=foot, normal=normal, sigma=sigma, along=along, direction=direction)
+        group = (length_along(track.position) // WAYS.alike).astype(np.intp)
+        number = np.maximum(np.bincount(group[found.row], minlength=int(group[-1]) + 1), 1)  # with the same error
+        route[:-1, 5] *= np.sqrt(number[group])
+        along, direction = _headings(at, directions)
+        return replace(found, along=along, direction=direction)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """A distance for each keyframe on a way, and a heading for each straight run along it."""
         if not len(self):
             return []
-        pose = at.state.poses[self.followed]
-        value = np.sum(self.normal * (pose[:, :2] - self.foot), axis=1) / self.sigma
+        pose, (normal, sigma) = at.state.poses[self.followed], np.split(self.route[self.row, 3:], [2], axis=1)
+        value = np.sum(normal * (pose[:, :2] - self.foot), axis=1, keepdims=True) / sigma
 
         def jacobian() -> list[Array]:
             by = np.zeros((len(self), 1, 3))
-            by[:, 0, :2] = np.einsum("ri,rij->rj", self.normal, pose_rotation(pose[:, 2])[:, :2, :2])
-            return [by / self.sigma[:, None, None]]
+            by[:, 0, :2] = np.einsum("ri,rij->rj", normal, pose_rotation(pose[:, 2])[:, :2, :2])
+            return [by / sigma[:, :, None]]
 
         number, loss = at.state.number("x"), RobustLoss(np.zeros(len(self), dtype=bool))
         variables = [("x", self.followed)]
         return [
-            FactorBlock.uniform(self.name, value[:, None], variables, jacobian, number[self.followed], loss=loss),
+            FactorBlock.uniform(self.name, value, variables, jacobian, number[self.followed], loss=loss),
             heading_block(f"{self.name}.direction", at, self.along, self.direction, number[self.along]),
         ]
 
@@ -294,7 +355,7 @@ class PathFactor(Measurement):
         """The walk followed other ways, a few metres beside (a parallel pavement)."""
         if self.other is None:
             return ()
-        return (Proposal(Hypothesis((self.name, "beside"), price=0.0), (self.other,)),)
+        return (Proposal(Hypothesis((self.name, "beside"), lasting=False), (self.other,)),)
 
 
 @wording_of(PathFactor.name)

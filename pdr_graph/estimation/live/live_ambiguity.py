@@ -43,7 +43,7 @@ from pdr_graph.estimation.live.review import History, Places, Review, places_on_
 from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, numbered
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE
+from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE, WAYS
 from pdr_graph.types import Array, Fixes, Index, Steps
 
 Result = TypeVar("Result")
@@ -196,7 +196,8 @@ class LiveAmbiguity:
         self._restarting = False  # the past is dropped at the next solution, but for its calibration
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
         self.restarts = list[float]()
-        self.history, self.findings = History(), Findings()
+        self.findings = Findings()
+        self.history = History() if graph.paths is None else History(WAYS.span)
         graph.log.longer = self.history.log
 
     def work(self) -> None:
@@ -485,12 +486,16 @@ class LiveAmbiguity:
         if self.sources.idle and now >= self.next_comparison and self.history.has_position(now):
             self.next_comparison = now + SCHEDULE.comparison_delay(window.duration)
             known, walled = self.findings if before is None else before, window.located_plan is not None
-            self.sources.ask(self.history.question(now, graph.prior, known, graph.decisions, walled), now + waiting)
+            asked = self.history.question(now, graph.prior, known, graph.decisions, walled, graph.paths)
+            self.sources.ask(asked, now + waiting)
         review = self.sources.collect(now)
         if review is not None:
             same, self.findings = review.findings.same_decisions(self.findings), review.findings
             if not same:
                 self._adopt_decisions(review)
+            elif review.ways:
+                graph.decide(graph.decisions | review.ways)
+                graph.solve()
             graph.excess = review.excess or graph.excess
 
     def _adopt_decisions(self, review: Review) -> None:

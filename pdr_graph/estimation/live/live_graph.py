@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Priors
-from pdr_graph.estimation.factors.registry import corridors_of
+from pdr_graph.estimation.factors.registry import corridors_of, ways_of
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
     Prior,
@@ -43,6 +43,9 @@ from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Index, take
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.paths import PathNetwork
 
 MOST_REASONS = 100  # reasons that are kept
 
@@ -75,16 +78,23 @@ class WindowFactors:
 class LiveGraph:
     """The factors of a walk under way, and the search for their optimum.
 
-    prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
-    floor.
+    prior, plan, paths: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the
+    first floor.
     leaving_after: the lag in force, infinite until the walk is placed [s]; marginals: of variables that have left;
     c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind, never
     changed in place, since copies and open questions have them too; too_late: number of measurements from before the
     window; excess: what the stated covariance has beside that of the factors; failures: why the search began anew.
     """
 
-    def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
-        self.prior, self.lag = prior or Prior(), lag
+    def __init__(
+        self,
+        prior: Prior | None = None,
+        lag: float = np.inf,
+        plan: Building | None = None,
+        floor: str = "",
+        paths: PathNetwork | None = None,
+    ):
+        self.prior, self.lag, self.paths = prior or Prior(), lag, paths
         if plan is not None and len(plan.labels) == 1:
             floor = plan.labels[0]
         self.window, self.log = Window(self.prior, plan, floor), MeasurementLog()
@@ -194,7 +204,8 @@ class LiveGraph:
             steps = window.steps.steps
             self._measurements = self.log.measurements(steps, self.prior_in_force, window.times[0], end, self.decisions)
             self._measured_at = measured_at
-        kinds = [steps_between_keyframes(), *(measurement.bind(chain) for measurement in self._measurements)]
+        ways = [kind.continued(self.decisions.get(kind.name, {})) for kind in ways_of(self.paths)]
+        kinds = [steps_between_keyframes(), *(measurement.bind(chain) for measurement in (*self._measurements, *ways))]
 
         # Priors of calibration and first pose, while these are in the window; walls and corridors, if the plan is used
         begins = np.flatnonzero(chain.segment_number == self._begins).tolist()
@@ -416,7 +427,9 @@ class LiveGraph:
         of_kinds.pop(WALKER_KIND, None)  # it is in the prior
 
         def build() -> WalkGraph:
-            return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)
+            paths = None if decided or self.paths is None else self.paths.around(data)
+            options = {"floor": plan, "floors": labels, "prior": prior, "paths": paths}
+            return WalkGraph.of(steps, [*data, *raw], **options).decided(of_kinds)
 
         return build
 

@@ -12,7 +12,7 @@ intervals (`solve_batch`), and no keyframe leaves the window.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Estimate, Headings, Sightings, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.paths import PathNetwork
 
 
 class LiveSmoother:
@@ -44,8 +47,9 @@ class LiveSmoother:
         plan: Building | None = None,
         floor: str = "",
         executor: Executor | None = None,
+        paths: PathNetwork | None = None,
     ):
-        self.graph = LiveGraph(prior, lag, plan, floor)
+        self.graph = LiveGraph(prior, lag, plan, floor, paths)
         self.output = LiveOutput(self.graph)
         self.ambiguity = LiveAmbiguity(self.graph, self.output, executor)
         self.final: Estimate | None = None

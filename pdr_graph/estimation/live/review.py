@@ -11,14 +11,15 @@ is certain, its solutions are the ways that remain; then that place is a fix and
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import Findings, HypothesisBank, contradictions, paths, probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import localized
-from pdr_graph.estimation.factors.base import decisions_of, poses_at
+from pdr_graph.estimation.factors.base import AnyArray, decisions_of, poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
@@ -32,6 +33,9 @@ from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import DOUBTS, REPORTS
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
+if TYPE_CHECKING:
+    from pdr_graph.floor.paths import PathNetwork
+
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
 LEAST = 1e-9  # probability of the solutions together
 
@@ -41,13 +45,15 @@ class Review:
     """What the bank says of the recent past of a walk.
 
     findings, decisions: to adopt, of the best walk; path: its keyframes; excess: for the covariance that is stated, by
-    the other walks that remain, none under a plan; None if that of the review before holds.
+    the other walks that remain, none under a plan; None if that of the review before holds; ways: those of the
+    decisions that are about ways outdoors.
     """
 
     findings: Findings
     decisions: Decisions
     path: Path
     excess: Excess | None
+    ways: Decisions = field(default_factory=dict)
 
     def poses(self, time: Array, pose: Array) -> Array:
         """Poses ``(n, 3)`` of the best walk at times ``(n,)`` [s].
@@ -81,17 +87,23 @@ def compare_sources(
     bank.remember(before, decisions)
     best, optima = bank.members[0], bank.members
     probability = probabilities(optima, paths(optima))
-    found = replace(bank.findings, contradictions=contradictions(optima, probability))
-    excess = Excess() if walled else _excess(optima, probability / probability.sum())
+    doubts, share = contradictions(optima, probability), probability / probability.sum()
+    found = replace(bank.findings, contradictions=doubts)
+    excess = Excess() if walled else _excess(optima, share)
     if best is bank.recalled:  # no source says more about it than before
         found, excess = before, excess if walled else None
     changed, chain = before.changes | found.changes, best.at.chain
     decided = {kind.name: decisions_of(kind) for kind in best.graph.measurements if kind.name in changed}
+    ways = dict[str, dict[str, AnyArray]]()
+    if (followed := best.graph.ways) is not None:
+        ways = {followed.name: decisions_of(followed)}
+        found = replace(found, warnings=followed.warnings(optima, share))
     return Review(
         findings=found,
-        decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items()},
+        decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items()} | ways,
         path=Path(chain.time, best.state.poses, chain.time[chain.segment_first], best.state.c),
         excess=excess,
+        ways=ways,
     )
 
 
@@ -119,17 +131,17 @@ def _keyframes(optimum: Optimum, time: Array) -> tuple[Array, Array]:
 
 
 class History:
-    """The steps and measurements of the last `DOUBTS.span` seconds; log: gets the rows of the window's log."""
+    """The steps and measurements of the last ``span`` [s]; log: gets the rows of the window's log."""
 
-    def __init__(self) -> None:
-        self.log = MeasurementLog()
+    def __init__(self, span: float = DOUBTS.span) -> None:
+        self.log, self.span = MeasurementLog(), span
         self._chunks = list[Steps]()
 
     def extend(self, steps: Steps) -> None:
         """Append the next steps. What no question asks for, while nothing measures positions, is dropped in time."""
         self._chunks.append(steps)
-        if steps.end - self._chunks[0].start > 3 * DOUBTS.span:
-            self._forget(steps.end - 2 * DOUBTS.span)
+        if steps.end - self._chunks[0].start > 3 * self.span:
+            self._forget(steps.end - 2 * self.span)
 
     def rewind(self, to: float) -> None:
         """Drop the steps that end after ``to`` [s]."""
@@ -140,16 +152,29 @@ class History:
         self._chunks = [with_goings(steps, goings) for steps in self._chunks]
 
     def has_position(self, now: float) -> bool:
-        """True if a measurement of the last `DOUBTS.span` seconds before ``now`` [s] determines a position."""
+        """True if a measurement of the last ``span`` [s] before ``now`` [s] determines a position."""
         times = self.log.position_times()
-        return bool(((times > now - DOUBTS.span) & (times <= now)).any())
+        return bool(((times > now - self.span) & (times <= now)).any())
 
     def question(
-        self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool
+        self,
+        now: float,
+        prior: Prior,
+        before: Findings,
+        decisions: Decisions,
+        walled: bool,
+        paths: PathNetwork | None = None,
     ) -> Callable[[], Review]:
-        """The review of the recent past before ``now`` [s], see `compare_sources`; older data are dropped."""
-        steps = self._forget(now - DOUBTS.span)
-        graph = partial(WalkGraph.of, steps, self.log.until(steps.end), prior=prior)
+        """The review of the recent past before ``now`` [s], see `compare_sources`; older data are dropped.
+
+        paths: ways outdoors, also beyond it.
+        """
+        steps = self._forget(now - self.span)
+        data = self.log.until(steps.end)
+
+        def graph() -> WalkGraph:
+            return WalkGraph.of(steps, data, prior=prior, paths=None if paths is None else paths.around(data))
+
         kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.changes}
         return partial(compare_sources, graph, before, kept, walled, self.log.all_numbers(steps.end))
 

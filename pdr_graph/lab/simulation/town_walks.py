@@ -173,11 +173,4 @@ def lawn(network: PathNetwork, walk: TownWalk, around: float = 40.0) -> PathNetw
     """The network without ways on the lawn that a walk crosses: those within a distance [m] of it, but for its ends."""
     off = walk.place[~walk.on]
     inner = off[len(off) // 10 : -(len(off) // 10)]
-    area = shapely.buffer(shapely.linestrings(inner), around)
-    lines, classes = list[Array](), list[str]()
-    for line, name in zip(network.lines, network.classes, strict=True):
-        for part in shapely.get_parts(shapely.difference(shapely.linestrings(line), area)):
-            if len(corners := shapely.get_coordinates(part)) > 1:
-                lines.append(corners)
-                classes.append(name)
-    return PathNetwork(tuple(lines), tuple(classes))
+    return network.outside(shapely.LineString(inner).buffer(around, quad_segs=8))
