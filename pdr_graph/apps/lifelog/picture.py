@@ -162,8 +162,9 @@ def time_by_place(drawn: Sequence[DrawnPart], corners: Array) -> Array:
     tracks = [part.track for part in drawn if part.kind not in KINDS_WITHOUT_DATA and len(part.track) > 1]
     middle = [(track.position[1:] + track.position[:-1]) / 2 for track in tracks]
     place, lasts = np.concatenate([np.empty((0, 2)), *middle]), [np.diff(track.time) for track in tracks]
-    cells = np.ceil(np.ptp(corners, axis=0)).astype(int).tolist()
-    time, *_ = np.histogram2d(*place.T, cells, corners.T.tolist(), weights=np.concatenate([np.empty(0), *lasts]))
+    cells = np.ceil(np.ptp(corners, axis=0)).astype(int)
+    sides = [(float(low), float(high)) for low, high in corners.T]
+    time, _ = np.histogramdd(place, list(cells), sides, weights=np.concatenate([np.empty(0), *lasts]))
     return gaussian_filter(time, 1.0)
 
 

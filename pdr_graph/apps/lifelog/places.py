@@ -249,7 +249,9 @@ def _hours_of(part: TimelineEntry) -> Array:
     """Time of an entry in each local hour of the day ``(24,)`` [s]."""
     start, end = part.start + part.offset, part.end + part.offset
     edge = 3600.0 * np.arange(start // 3600, end // 3600 + 2)
-    return np.bincount((edge[:-1] // 3600 % 24).astype(int), np.diff(np.clip(edge, start, end)), minlength=24)
+    hours = np.zeros(24)
+    np.add.at(hours, (edge[:-1] // 3600 % 24).astype(int), np.diff(np.clip(edge, start, end)))
+    return hours
 
 
 @dataclass(frozen=True)

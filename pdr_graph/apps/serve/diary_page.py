@@ -170,10 +170,10 @@ def day_page(store: Path, query: Fields) -> str:
     links = [_link("./", _query(own.person, on), text) for on, text in beside]
     links += [_link("calendar", urlencode({"person": own.person, "month": own.date[:7]}), own.date[:7])]
     links += _others("./", own.person, people)
-    query = escape(_query(own.person, own.date))
-    map_ = f'<div id="map" role="region" aria-label="Map of the day" data-from="map.json?{query}"></div>'
+    address = escape(_query(own.person, own.date))
+    map_ = f'<div id="map" role="region" aria-label="Map of the day" data-from="map.json?{address}"></div>'
     map_ += f'<section id="forms" aria-live="polite" hidden></section>{SCRIPTS}'
-    picture = f'<img alt="" loading="lazy" style="width:100%" src="picture.svg?{query}">'
+    picture = f'<img alt="" loading="lazy" style="width:100%" src="picture.svg?{address}">'
     sums = f'{_strip(own)}<p class="soft">{escape(totals_text(own.totals))}</p>'
     picture = f"<details><summary>as a picture</summary>{picture}</details>"
     rows = ""
