@@ -1015,9 +1015,7 @@ class ScanPriors(Table):
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(
-        15.0, "s", "between samples, and least window of a speed: shorter ones accumulate the receiver's noise"
-    )
+    grid: float = number(15.0, "s", "between samples, and least window of a speed: shorter ones add up noise")
     path: float = number(100.0, "m", "of path for walks")
     ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     errors: float = number(2.0, "errors", "of a receiver, least path: shorter ones are straight by chance")
@@ -1067,6 +1065,7 @@ class TrackPriors(Table):
     """The smoothed track of positions alone; tuples are of standing, walking, riding and gaps."""
 
     fastest: float = number(40.0, "m/s", "on the ground")
+    rails: float = number(100.0, "m/s", "of a train: 350 km/h", "timetables")
     jump: float = number(20.0, "fixes", "on either side to accept a faster jump, such as a flight")
     usual_intervals: float = number(5.0, "intervals", "a gap is longer than this many usual ones")
     longest: float = number(60.0, "s", "and than this: in a minute nobody walks round the block")

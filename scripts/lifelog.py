@@ -1,25 +1,27 @@
 """A lifelog beside the truth: stays of simulated days, and the shop fronts at which somebody stopped.
 
-Days of GPS are those of tests/lifelog/gps_days.py; days indoors are in a mall, and in a market hall with narrow aisles.
+Days of GPS are those of tests/lifelog/gps_days.py, and GeoLife's beside trackintel's recipe; days indoors are in a
+mall, and in a market hall with narrow aisles.
 """
 
 import sys
+import warnings
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
-from conditions import MAPS, ROOT
+from conditions import DATA, MAPS, ROOT
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
 from pdr_graph.apps.lifelog.build import build
-from pdr_graph.apps.lifelog.day import Stay
-from pdr_graph.apps.lifelog.diary import diary
+from pdr_graph.apps.lifelog.day import VEHICLE, WALKING, Stay
+from pdr_graph.apps.lifelog.diary import detailed, diary
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
@@ -52,6 +54,7 @@ PEOPLE, DAYS = range(1, 13), 4  # of the simulation; constants were chosen on th
 
 def lifelog(days=20):
     """The tables of stays and of visits."""
+    publish("results/lifelog.md", "lifelog-recipe", beside_the_recipe())
     publish("results/lifelog.md", "lifelog-simulated-days", simulated_days())
     seen = [day(MAPS / f"{'market' if seed % 2 else 'mall'}.geojson", seed) for seed in range(days)]
     publish("results/lifelog.md", "lifelog-visits", f"{by_aisle(seen)}\n\n{reliability(seen)}")
@@ -335,13 +338,17 @@ def overlap(one, other):
     return (min(one[1], other[1]) - max(one[0], other[0])) / (max(one[1], other[1]) - min(one[0], other[0]))
 
 
-def diary_stays(recordings, log):
-    """The stays at places of a diary, joined over midnights, and its number of rows."""
+def diary_days(recordings, log):
+    """The days of a diary of recordings."""
     add(log, recordings)
     build(log)
     with Store(log) as store:
-        days = diary(store, "me").days
-    found = []
+        return diary(store, "me").days
+
+
+def diary_stays(recordings, log):
+    """The stays at places of a diary, joined over midnights, and its number of rows."""
+    days, found = diary_days(recordings, log), []
     for row in (row for day in days for row in day.entries if row.kind == STAY_ROW and row.place_number > 0):
         if found and row.start - found[-1][1] < 1 and row.place_number == found[-1][2]:
             found[-1] = (found[-1][0], row.end, row.place_number)
@@ -374,8 +381,8 @@ def lengths_row(name, bounds, found):
     return [name, str(len(own)), str(len(own) - len(hit)), *times]
 
 
-def simulated_person(person, days):
-    """Stays of a diary beside the true ones, and its number of rows."""
+def simulated_person(person, days, stays=diary_stays):
+    """Stays of a diary, or by another recipe, beside the true ones, and its number of rows."""
     sys.path.append(str(ROOT / "tests" / "lifelog"))
     from gps_days import gps_day, true_stays
 
@@ -383,5 +390,146 @@ def simulated_person(person, days):
     with TemporaryDirectory() as folder:
         for number, day in enumerate(made):
             day.write(Path(folder) / "raw" / f"{number}.plt")
-        ours, count = diary_stays([Path(folder) / "raw"], Path(folder) / "log")
+        ours, count = stays([Path(folder) / "raw"], Path(folder) / "log")
     return Comparison(ours, [stay[:2] for stay in true_stays(made, SHORTEST_VISIT)]), count
+
+
+# Trackintel's recipe
+
+SILENCE = 15.0  # [min] longest within a stay point of the recipe
+RECORDED = 60.0  # [s] longest between two positions whose labelled mode counts
+
+
+def beside_the_recipe(people=PEOPLE, days=DAYS):
+    """Stays and modes of a diary and by trackintel, beside the truth where there is one, and beside each other."""
+    folders = [[DATA / "geolife_sample" / person] for person in ("000", "001", "005", "010")]
+    rows = []
+    by = {
+        "the diary": diary_stays,
+        f"trackintel, silences up to {SILENCE:.0f} min": recipe,
+        "trackintel, any silence": partial(recipe, silence=1e6),
+    }
+    for name, stays in by.items():
+        found = [simulated_person(person, days, stays)[0] for person in people]
+        rows.append([f"{len(people) * days} simulated days", name, "true stays", *scores(found)])
+    for name, stays in list(by.items())[1:]:
+        found = [Comparison(stays_of_folder(own, diary_stays), stays(own, None)[0]) for own in folders]
+        rows.append(["4 days of GeoLife", "the diary", name, *scores(found)])
+    labelled = labelled_modes(DATA / "geolife_sample" / "010")
+    with TemporaryDirectory() as folder:
+        fine = detailed(row for day in diary_days(folders[-1], Path(folder) / "log") for row in day.entries)
+        ours = [(row.start, row.end, MODES.get(row.kind)) for row in fine]
+    for name, modes in (("the diary", ours), ("trackintel", recipe_modes(folders[-1]))):
+        right = [mode_at(modes, time) == mode for time, _, mode in labelled]
+        lasts = [duration for _, duration, _ in labelled]
+        cells = [f"{np.average(right, weights=lasts):.2f}", "", f"{sum(lasts) / 60:.0f} min"]
+        rows.append(["GeoLife 010", name, "labels: on foot or riding", *cells])
+    return table(["days", "by", "beside", "F1", "time: these", "those"], rows)
+
+
+def scores(found):
+    """Cells of stays beside others: F1, and the times of both."""
+    matched, others, ours = (
+        sum(map(len, own)) for own in zip(*((c.matched, c.others, c.ours) for c in found), strict=True)
+    )
+    times = np.sum([comparison.times for comparison in found], axis=0) / 60
+    return [f"{2 * matched / (ours + others):.2f}", *(f"{time:,.0f} min" for time in times)]
+
+
+def stays_of_folder(recordings, stays):
+    """The stays of recordings by a recipe."""
+    with TemporaryDirectory() as folder:
+        return stays(recordings, Path(folder) / "log")[0]
+
+
+def positionfixes(recordings):
+    """The positions of GeoLife files, as trackintel has them."""
+    import geopandas
+    import pandas
+    import trackintel
+
+    files = sorted(file for folder in recordings for file in folder.glob("*.plt"))
+    names = ["lat", "lon", "zero", "altitude", "days", "date", "time"]
+    rows = pandas.concat([pandas.read_csv(file, skiprows=6, header=None, names=names) for file in files])
+    rows["tracked_at"], rows["user_id"] = pandas.to_datetime(rows.date + " " + rows.time, utc=True), 0
+    rows = rows.sort_values("tracked_at", ignore_index=True)
+    points = geopandas.points_from_xy(rows.lon, rows.lat)
+    fixes = geopandas.GeoDataFrame(rows[["user_id", "tracked_at"]], geometry=points, crs=4326).rename_geometry("geom")
+    return trackintel.Positionfixes(fixes)
+
+
+def staypoints(recordings, silence=SILENCE):
+    """Positions and stay points of 100 m and 5 min by trackintel; silence: longest within one [min]."""
+    from trackintel.preprocessing import generate_staypoints
+
+    options = {"dist_threshold": 100, "time_threshold": 5.0, "gap_threshold": silence, "include_last": True}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return generate_staypoints(positionfixes(recordings), method="sliding", **options)
+
+
+def recipe(recordings, _log, silence=SILENCE):
+    """Stays by trackintel: its stay points, merged at one location within 10 min; and their number."""
+    from trackintel.preprocessing import generate_locations
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        stays, _ = generate_locations(
+            staypoints(recordings, silence)[1], epsilon=100, num_samples=1, agg_level="dataset"
+        )
+    found = []
+    for stay in stays.sort_values("started_at").itertuples():
+        start, end = stay.started_at.timestamp(), stay.finished_at.timestamp()
+        if found and found[-1][2] == stay.location_id and start - found[-1][1] < 600:
+            found[-1] = (found[-1][0], end, stay.location_id)
+        else:
+            found.append((start, end, stay.location_id))
+    return [stay[:2] for stay in found], len(found)
+
+
+MODES = {WALKING: True, VEHICLE: False}  # True: on foot
+
+
+def recipe_modes(recordings):
+    """Start, end [s] and mode of trackintel's triplegs: slow ones are on foot."""
+    from trackintel.analysis import predict_transport_mode
+    from trackintel.preprocessing import generate_triplegs
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fixes, stays = staypoints(recordings)
+        _, legs = generate_triplegs(fixes, stays, gap_threshold=SILENCE)
+        legs = predict_transport_mode(legs, method="simple-coarse")
+    return [
+        (a.timestamp(), b.timestamp(), m == "slow_mobility")
+        for a, b, m in zip(legs.started_at, legs.finished_at, legs["mode"], strict=True)
+    ]
+
+
+def labelled_modes(folder):
+    """Middle and duration of each interval of recorded positions [s] that has a label, and whether it is on foot.
+
+    Of labels within each other the shorter counts.
+    """
+    import pandas
+
+    labels = pandas.read_csv(folder / "labels.txt", sep="\t")
+    spans = [
+        pandas.to_datetime(labels[name], format="%Y/%m/%d %H:%M:%S", utc=True) for name in ("Start Time", "End Time")
+    ]
+    labels = [
+        (a.timestamp(), b.timestamp(), m == "walk")
+        for a, b, m in zip(*spans, labels["Transportation Mode"], strict=True)
+    ]
+    time = np.array([moment.timestamp() for moment in positionfixes([folder]).tracked_at])
+    found = []
+    for a, b in pairwise(time.tolist()):
+        mode = mode_at(sorted(labels, key=lambda label: label[1] - label[0]), (a + b) / 2)
+        if mode is not None and 0 < b - a <= RECORDED:
+            found.append(((a + b) / 2, b - a, mode))
+    return found
+
+
+def mode_at(spans, time):
+    """The mode of the first span ``(start, end, mode)`` around a time, None without any."""
+    return next((mode for start, end, mode in spans if start <= time <= end), None)

@@ -412,27 +412,42 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
     way = smooth_track(rows, motion.of(of), TRACK.final_scales, weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
-    is_fix = np.isfinite(rows.position[:, 0])
-    return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[is_fix])
+    return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])])
 
 
 def plausible(fixes: Fixes) -> Index:
     """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
 
-    Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers.
+    Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers. Fast
+    trains are none, and flights are left out.
     """
     order = np.lexsort((fixes.sigma, fixes.time))
     order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
     first = fixes[order]
-    way = TRACK.fastest * (first.time - first.time[0])
+    far = np.hypot(*np.diff(first.position, axis=0).T) * _by_fast_train(first)
+    way = np.cumsum(np.append(0.0, np.maximum(TRACK.fastest * np.diff(first.time), far)))
     return order[longest_consistent_chain(first.position, FIXES.outlier * _knots(first).white, way, TRACK.jump)[1]]
+
+
+def _by_fast_train(fixes: Fixes) -> Mask:
+    """True ``(n - 1,)`` between two fixes of a run faster than TRACK.fastest that keeps its velocity, as no jump does.
+
+    A run that exceeds TRACK.rails is a flight.
+    """
+    velocity = np.diff(fixes.position, axis=0) / np.diff(fixes.time)[:, None]
+    speed, found = np.hypot(*velocity.T), np.zeros(len(velocity), dtype=bool)
+    fast = speed > TRACK.fastest
+    parted = (fast[1:] != fast[:-1]) | (np.hypot(*np.diff(velocity, axis=0).T) > 0.5 * speed[:-1])
+    for a, b in pairwise([0, *(np.flatnonzero(parted) + 1).tolist(), len(fast)]):
+        long = b - a >= TRAVEL.shortest_ride and fixes.time[b] - fixes.time[a] >= TRACK.longest
+        found[a:b] = long and fast[a] and speed[a:b].max() <= TRACK.rails
+    return found
 
 
 def _knots(fixes: Fixes) -> GpsKnots:
     """Knots at the fixes; fixes with a source have a slowly varying error, others are independent."""
     independent = np.where(np.array(fixes.source, dtype=str) == "", 1.0, RECEIVERS.white)
-    slow = fixes.sigma * np.sqrt(1 - independent**2)
-    return GpsKnots(fixes.time, fixes.position, slow, independent * fixes.sigma)
+    return GpsKnots(fixes.time, fixes.position, fixes.sigma * np.sqrt(1 - independent**2), independent * fixes.sigma)
 
 
 def without_data(time: Array) -> Mask:
@@ -447,7 +462,7 @@ def _lost(fixes: Fixes) -> Mask:
     time, span = fixes.time, np.diff(fixes.time)
     # Shorter jumps are receivers'
     flown = np.hypot(*np.diff(fixes.position, axis=0).T) > TRACK.fastest * (span + TRACK.longest)
-    lost = flown | without_data(fixes.time)
+    lost = (flown & ~_by_fast_train(fixes)) | without_data(fixes.time)
     for begin, end in _stretches(lost):
         if time[end] - time[begin] < TRAVEL.epoch:
             lost[begin:end] = True
@@ -486,44 +501,43 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
     """First and last knot of each walk within a stand, from knot `begin` to `end`, that was at two places.
 
     Coarse positions of a short walk are no evidence of movement each; those of some minutes before and after it are:
-    their means are farther apart than their errors allow, at worst one error for each of the two, and the way between
-    them took as long as a walk.
+    their means are farther apart than their errors allow, and the way between them took as long as a walk. The mean of
+    a Gauss–Markov error over its correlation time has 2/e of its variance.
     """
     time, place = knots.time[begin : end + 1], knots.position[begin : end + 1]
-    variance = (knots.slow**2 + knots.white**2)[begin : end + 1]
-    lasts, n = TRAVEL.lasts, len(time)
-    if time[-1] - time[0] < 3 * lasts:
+    slow, white = (error[begin : end + 1] ** 2 for error in (knots.slow, knots.white))
+    if time[-1] - time[0] < 3 * (lasts := TRAVEL.lasts):
         return
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(np.column_stack([place, variance]), axis=0)])
+    sums = np.concatenate([np.zeros((1, 4)), np.cumsum(np.column_stack([place, slow, white]), axis=0)])
 
-    def means(start: Array, stop: Array) -> tuple[Array, Array]:
-        """Mean place and variance of the knots between times."""
+    def means(start: Array, stop: Array) -> tuple[Array, Array, Array]:
+        """Mean place of the knots between times, its variance, and that of a single knot."""
         first, after = np.searchsorted(time, start - INSTANT), np.searchsorted(time, stop + INSTANT)
         number = after - first
         mean = (sums[after] - sums[first]) / np.maximum(number, 1)[:, None]
         mean[number < 3] = np.nan
-        return mean[:, :2], mean[:, 2]
+        return mean[:, :2], 2 / np.e * mean[:, 2] + mean[:, 3] / np.maximum(number, 1), mean[:, 2] + mean[:, 3]
 
     middle = np.arange(time[0] + lasts, time[-1] - lasts, TRAVEL.epoch)
-    before, error = means(middle - 1.5 * lasts, middle - 0.5 * lasts)
-    after, other = means(middle + 0.5 * lasts, middle + 1.5 * lasts)
+    before, error, scatter = means(middle - 1.5 * lasts, middle - 0.5 * lasts)
+    after, other, scattered = means(middle + 0.5 * lasts, middle + 1.5 * lasts)
     apart = after - before
     gain = np.einsum("ij,ij->i", apart, apart) / (2 * (error + other))
     price = 2 * np.log(lasts / TRAVEL.epoch) + np.log((time[-1] - time[0]) / lasts)
-    peaks = [k for k in np.argsort(-np.nan_to_num(gain)).tolist() if gain[k] > price]
-    taken = list[float]()
-    for k in peaks:
-        if any(abs(middle[k] - t) < lasts for t in taken):
+    taken = list[int]()
+    for k in np.argsort(-np.nan_to_num(gain)).tolist():
+        # Windows beside a change end at 1.5 of their length from it
+        if not gain[k] > price or any(abs(middle[k] - middle[t]) < 1.5 * lasts for t in taken):
             continue
-        taken.append(float(middle[k]))
+        taken.append(k)
         length = float(np.hypot(*apart[k]))
         share = (place - before[k]) @ apart[k] / length**2  # of the way between both places
         at = int(np.searchsorted(time, middle[k]))
-        here = np.flatnonzero(share[:at] * length <= np.sqrt(error[k]))
-        there = at + np.flatnonzero((1 - share[at:]) * length <= np.sqrt(other[k]))
-        first, last = (int(here[-1]) if len(here) else 0), (int(there[0]) if len(there) else n - 1)
-        speed = length / (time[last] - time[first])
-        if abs(speed - TRAVEL.walk) <= 2 * TRAVEL.walk_spread:
+        here = np.flatnonzero(share[:at] * length <= np.sqrt(scatter[k]))
+        there = at + np.flatnonzero((1 - share[at:]) * length <= np.sqrt(scattered[k]))
+        first, last = int(np.append(0, here)[-1]), int(np.append(there, len(time) - 1)[0])
+        lasted, off = time[last] - time[first], np.sqrt(scatter[k] + scattered[k])
+        if abs(length - TRAVEL.walk * lasted) <= 2 * np.hypot(TRAVEL.walk_spread * lasted, off):
             yield begin + first, begin + last
 
 

@@ -1,11 +1,13 @@
 """The smoothed track of positions alone, and its covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 from streets import SIGMA
 
-from pdr_graph.estimation.gps_track import LOST, RIDES, WALKS, GpsKnots, Motion, smooth_track, way_through
+from pdr_graph.estimation.gps_track import LOST, RIDES, WALKS, GpsKnots, Motion, plausible, smooth_track, way_through
 from pdr_graph.priors import TRACK
 from pdr_graph.types import Fixes
 
@@ -57,11 +59,14 @@ def test_the_covariance_of_a_gap_is_honest():
     assert 0.8 < np.mean(inside) < 0.98
 
 
-@pytest.mark.parametrize("sigma", [40.0, 50.0])
-@pytest.mark.parametrize("error", [0.0, 15.0, 35.0])
-def test_a_short_walk_between_coarse_positions_is_found_and_none_where_there_is_none(sigma, error):
-    """400 m at 1.3 m/s, to a place of 40 minutes and back, a position a minute; and as long at one place."""
-    length, walk = 400.0, 400.0 / 1.3
+@pytest.mark.parametrize(
+    ("length", "sigma", "error"),
+    [(400.0, sigma, error) for sigma in (40.0, 50.0) for error in (0.0, 15.0, 35.0)]
+    + [(200.0, sigma, error) for sigma in (20.0, 30.0) for error in (0.0, 15.0)],
+)
+def test_a_short_walk_between_coarse_positions_is_found_and_none_where_there_is_none(length, sigma, error):
+    """A walk at 1.3 m/s, to a place of 40 minutes and back, a position a minute; and as long at one place."""
+    walk = length / 1.3
     bounds = np.cumsum([0.0, 7200.0, walk, 2400.0, walk, 7200.0])
     time = np.arange(0.0, bounds[-1], 60.0)
     there = np.interp(time, bounds, [0.0, 0.0, length, length, 0.0, 0.0])
@@ -76,3 +81,19 @@ def test_a_short_walk_between_coarse_positions_is_found_and_none_where_there_is_
 
     assert walks(there) == pytest.approx(bounds[1:5].reshape(2, 2), abs=180.0)
     assert not len(walks(np.zeros(len(time))))
+
+
+@pytest.mark.parametrize("every", [10.0, 60.0])
+@pytest.mark.parametrize(("speed", "is_train"), [(30.0, True), (60.0, True), (90.0, True), (200.0, False)])
+def test_a_fast_train_is_a_ride_and_a_flight_is_no_data(every, speed, is_train):
+    """Half an hour between two hours at a place; positions that jump there and back stay outliers."""
+    time = np.arange(0.0, 9000.0, every)
+    east = np.clip(time - 3600.0, 0.0, 1800.0) * speed
+    fixes = Fixes(time, np.column_stack([east, 0 * east]), np.full(len(time), 10.0), source=("GNSS",) * len(time))
+    way = way_through(fixes)
+    under_way = (time > 3600.0) & (time < 5400.0)
+    assert np.isin(np.flatnonzero(under_way), way.used).mean() == pytest.approx(float(is_train), abs=0.1)
+    middle = np.searchsorted(way.trajectory.time, 4500.0)
+    assert way.kind[middle - 1] == (RIDES if is_train else LOST)
+    jumping = fixes.position + np.where(np.arange(len(time)) % 5 == 2, 3000.0 + speed * every, 0.0)[:, None]
+    assert len(plausible(replace(fixes, position=jumping))) < 0.85 * len(time)

@@ -484,8 +484,9 @@ def test_gaps_divide_tracks_and_days_without_a_position_are_left_out(geopandas):
 def test_the_command_writes_private_files(month_log, tmp_path):
     dates = ("--from", "2024-05-02", "--to", "2024-05-03")
     out = tmp_path / "out"
-    assert run("export", month_log, "--format", "parquet", "--out", out, *dates) == f"4 files -> {out}\n"
-    assert len(names_in(out)) == 4
+    assert run("export", month_log, "--format", "parquet", "--out", out, *dates) == f"7 files -> {out}\n"
+    frames = {"positionfixes", "triplegs", "staypoints", "locations"}
+    assert set(names_in(out)) == {f"{name}.parquet" for name in frames | {"dwell", "flows", "busy"}}
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections import defaultdict
 from dataclasses import replace
 from datetime import date, datetime
 from itertools import pairwise
@@ -437,6 +438,42 @@ def test_time_at_places_over_all_persons_is_the_expected_one_with_its_spread():
     assert kiosk.time + bank.time == pytest.approx(lasted.sum())
     [first, *_] = csv.DictReader(io.StringIO(tables(shown)["dwell.csv"].decode()))
     assert (first["place"], float(first["time"])) == ("Kiosk", pytest.approx(kiosk.time, abs=0.1))
+
+
+def test_flows_and_hours_of_places_are_those_of_draws_of_where_each_stay_was():
+    """Twelve persons stop four times: Kiosk, Bank, neither, Kiosk; against 20,000 draws of all stays."""
+    chance = [{"Kiosk": 0.7, "Bank": 0.2}, {"Bank": 0.6, "Cafe": 0.3}, {"Cafe": 0.2}, {"Kiosk": 0.5, "Bank": 0.5}]
+    legs, stays, now = [], [], 0.0
+    for facing in chance:
+        legs += [(WALKING, 60.0, EAST), (STANDING, 1500.0, EAST)]
+        stays.append(stay(now + 60, now + 1560, facing=tuple(facing.items())))
+        now += 1560
+    diaries = []
+    for n in range(12):
+        diaries += overview_of(replace(day(outing(legs, stays=stays)), person=f"walker {n}")).diaries
+    shown = overview(diaries, period_of(day="2024-05-01"))
+
+    random, drawn = np.random.default_rng(0), defaultdict(list)
+    names = [[*facing, ""] for facing in chance]
+    shares = [[*facing.values(), max(1 - sum(facing.values()), 0.0)] for facing in chance]
+    for _ in range(20_000):
+        went = [name for own, p in zip(names, shares, strict=True) if (name := own[random.choice(len(own), p=p)])]
+        for pair in {*pairwise(went)}:
+            drawn[pair].append(sum(pair == other for other in pairwise(went)) if pair[0] != pair[1] else 0)
+    for flow in shown.flows:
+        one = np.pad(drawn[flow.origin, flow.target], (0, 20_000 - len(drawn[flow.origin, flow.target])))
+        assert flow.number == pytest.approx(12 * one.mean(), abs=0.15)
+        assert flow.sigma == pytest.approx(np.sqrt(12 * one.var()), rel=0.1)
+    assert {(f.origin, f.target) for f in shown.flows} == {pair for pair in drawn if pair[0] != pair[1]}
+
+    made = tables(shown)
+    rows = [list(csv.DictReader(io.StringIO(made[f"{name}.csv"].decode()))) for name in ("flows", "dwell", "busy")]
+    assert (rows[0][0]["origin"], rows[0][0]["target"]) == (shown.flows[0].origin, shown.flows[0].target)
+    for dwelt in rows[1]:
+        hours = {row["hour"]: float(row["time"]) for row in rows[2] if row["place"] == dwelt["place"]}
+        assert sum(hours.values()) == pytest.approx(float(dwelt["time"]), abs=0.5)
+        assert dwelt["busiest"] == max(hours, key=hours.get)
+    assert f"{shown.flows[0].number:.1f} ±" in as_text(shown)
 
 
 def test_the_page_of_fifty_persons_is_bounded_and_names_places_and_persons():

@@ -38,7 +38,7 @@ from pdr_graph.geometry import length_along
 MALL = "maps/mall.geojson"
 HOUR = 3600.0
 STROLL = [(WALKING, 300.0, 0.0), (WALKING, 300.0, 1.5)]
-FILES = {"dwell.csv", "overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
+FILES = {"busy.csv", "dwell.csv", "overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}
 DAY = {"day": "2024-05-16"}
 
@@ -211,7 +211,7 @@ def test_offsets_are_written_as_people_do():
 
 @pytest.mark.parametrize(
     ("persons", "period", "names"),
-    [(("Ada",), DAY, FILES | REPORT), ((), {"week": "2024-W20"}, FILES)],
+    [(("Ada",), DAY, FILES | REPORT), ((), {"week": "2024-W20"}, FILES | {"flows.csv"})],
     ids=["day", "week"],
 )
 def test_files_are_for_their_owner_alone_and_the_page_needs_nothing_else(month_log, tmp_path, persons, period, names):

@@ -14,7 +14,10 @@ from urllib.parse import urlencode
 import pytest
 import uvicorn
 from browser import PATIENCE, ShownPage, chromium
+from live_page import SOFTWARE_GL
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 from stand_in_server import QuietHandler, served
 from starlette.testclient import TestClient
 
@@ -82,8 +85,25 @@ def test_a_day_has_its_rows_and_its_picture(page):
     assert b"<svg" in picture.content
     last = page.get("/")
     assert last.text.count("<tr>") == len(rows(page)), "the last day is the default"
-    policy = last.headers["content-security-policy"]
-    assert ("default-src 'none'" in policy, "script-src" in policy) == (True, False)
+    policies = [page.get(path).headers["content-security-policy"] for path in ("/", "/calendar", "/places")]
+    assert all("default-src 'none'" in policy for policy in policies)
+    assert ["script-src" in policy for policy in policies] == [True, False, False], "the map of a day alone"
+    assert "script-src 'self';" in policies[0]
+    assert "http" not in policies[0], "no other server without --tiles"
+
+
+def test_the_map_of_a_day_has_its_legs_and_stays(page, made):
+    query = {"person": "Ada", "date": DATE}
+    shown, own = page.get("/map.json", params=query).json(), rows(page)
+    assert {own[leg["properties"]["n"]][3] for leg in shown["legs"]} == {"walking", "riding"}
+    assert [own[stay["n"]][3] for stay in shown["stays"]] == ["stay"] * sum(row[3] == "stay" for row in own)
+    with Store(made) as log:
+        [day] = [one for one in diary(log, "Ada").days if one.date == DATE]
+    for stay in shown["stays"]:
+        entry = day.entries[stay["n"]]
+        assert stay["at"] == pytest.approx([entry.longitude, entry.latitude], abs=1e-6)
+    assert (shown["tiles"], shown["plan"]["features"]) == (None, [])
+    assert page.get("/web/diary.js").status_code == 200
 
 
 def test_a_form_does_what_the_command_does(page, made):
@@ -198,8 +218,9 @@ class DiaryBrowser(ShownPage):
     def rows(self):
         """The cells of the rows of the day."""
         self.open_day()
-        rows = self.browser.find_elements(By.CSS_SELECTOR, "tr")
-        return [[cell.text for cell in row.find_elements(By.TAG_NAME, "td")] for row in rows]
+        return self.run(
+            "return [...document.querySelectorAll('tr')].map((row) => [...row.cells].map((c) => c.innerText))"
+        )
 
     def number(self, kind, nth=0):
         """Number of the row that is the nth of a kind."""
@@ -243,12 +264,13 @@ def serving(store):
 
 
 @pytest.fixture
-def diary_browser(made, tmp_path):
-    """A browser with a copy of the lifelog, whose forms it may submit."""
+def diary_browser(made, tmp_path, request):
+    """A browser with a copy of the lifelog, whose forms it may submit; without WebGL and so without maps by default."""
     store = tmp_path / "log"
     shutil.copy(made, store)
     shutil.copytree(f"{made}.d", f"{store}.d")
-    with serving(store) as url, chromium(offline=False) as browser:
+    arguments = getattr(request, "param", ("--disable-3d-apis",))
+    with serving(store) as url, chromium(offline=False, arguments=arguments) as browser:
         yield DiaryBrowser(browser, url), store
 
 
@@ -318,6 +340,52 @@ def test_a_place_is_named_and_forgotten_on_its_page_in_a_browser(diary_browser):
     assert page.browser.find_elements(By.LINK_TEXT, "correct")
     with Store(store) as log:
         assert {fact.kind for fact in log.corrections()} == {"forgotten"}
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("diary_browser", [SOFTWARE_GL], indirect=True)
+def test_a_stay_on_the_map_is_named_and_moved_by_keyboard_and_finger_on_a_phone(diary_browser):
+    page, store = diary_browser
+    browser = page.browser
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+    def opened(number):
+        """The forms of a place, opened by the keyboard."""
+        page.open_day()
+        page.until("return document.getElementById('map').dataset.drawn === 'yes'")
+        browser.find_elements(By.CSS_SELECTOR, "#map .stay")[number].send_keys(Keys.ENTER)
+        page.until("return document.querySelectorAll('#forms form').length > 5")
+        return {form.find_element(By.NAME, "do").get_attribute("value"): form for form in forms()}
+
+    def forms():
+        return browser.find_elements(By.CSS_SELECTOR, "#forms form")
+
+    own = opened(1)
+    assert browser.switch_to.active_element.tag_name == "h2"
+    names = [one.text for one in browser.find_elements(By.CSS_SELECTOR, "#map .stay")]
+    assert len(names) == len(set(names)) > 2, "a button for each place"
+    assert set(own) == {"at", "name", "merge", "mode", "split", "not-me", "forget"}
+    own["name"].find_element(By.NAME, "value").send_keys("the office", Keys.TAB)
+    assert browser.switch_to.active_element.text == "Save"
+    assert page.press(own["name"]).splitlines()[1] == "saved"
+
+    own = opened(1)
+    stay = browser.find_elements(By.CSS_SELECTOR, "#map .stay")[1]
+    assert stay.get_attribute("title").startswith("the office")
+    ActionChains(browser).scroll_to_element(stay).drag_and_drop_by_offset(stay, 30, -20).perform()
+    value = own["at"].find_element(By.NAME, "value").get_attribute("value")
+    assert re.fullmatch(r"52\.\d{6},13\.\d{6}", value)
+    assert page.press(own["at"]).splitlines()[1] == "saved"
+    with Store(store) as log:
+        named, moved = log.corrections()
+    assert moved.place == pytest.approx(tuple(map(float, value.split(","))))
+    assert 0.0005 < abs(moved.place[0] - named.place[0]) < 0.1
+    page.open_day()
+    assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    asked = browser.execute_script("return performance.getEntriesByType('resource').map((one) => one.name)")
+    assert all(address.startswith(page.url) for address in asked)
 
 
 @pytest.mark.thorough

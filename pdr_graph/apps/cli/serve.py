@@ -122,6 +122,7 @@ LIFELOG_PORT = 8081  # not that of `serve`
 def serve_lifelog(
     store: Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")],
     port: Port = LIFELOG_PORT,
+    tiles: Tiles = None,
 ) -> None:
     """Show and correct days in the browser, on this machine alone.
 
@@ -131,7 +132,7 @@ def serve_lifelog(
     pdr-graph lifelog serve days.db
     """
     try:
-        from pdr_graph.apps.serve import diary_page, serving
+        from pdr_graph.apps.serve import application, diary_page, serving
     except ImportError as error:
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.lifelog.store import Store
@@ -139,7 +140,7 @@ def serve_lifelog(
     with Store(store, reads=True):
         pass  # refuses what is no lifelog
     token = secrets.token_urlsafe(24)
-    app = diary_page.application(store, token)
+    app = diary_page.application(store, token, application.checked_tiles(tiles))
     serving.serve(app, LOOPBACK, port, lambda port: echo(f"http://{LOOPBACK}:{port}/?token={token}   Ctrl-C ends"))
 
 

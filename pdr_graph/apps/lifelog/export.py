@@ -43,6 +43,7 @@ from pdr_graph.apps.lifelog.day import (
     split_at_gaps,
 )
 from pdr_graph.apps.lifelog.diary import (
+    Diary,
     UnpartedDiary,
     corrected_rows,
     date_of_guess,
@@ -55,7 +56,8 @@ from pdr_graph.apps.lifelog.diary import (
 )
 from pdr_graph.apps.lifelog.facts import MODE, VISIT, Correction, Guess
 from pdr_graph.apps.lifelog.local_time import LocalClock
-from pdr_graph.apps.lifelog.places import NamedArea, Place
+from pdr_graph.apps.lifelog.overview import place_records
+from pdr_graph.apps.lifelog.places import NamedArea, Place, dwells, flows
 from pdr_graph.apps.lifelog.privacy import (
     CIRCLE,
     PrivatePlace,
@@ -269,6 +271,7 @@ def as_csv(day: Day) -> bytes:
 
 
 TABLE_NAMES = ("positionfixes", "triplegs", "staypoints", "locations")  # of PARQUET
+PLACE_TABLES = ("dwell", "flows", "busy")  # of places on plans, of PARQUET without hidden places
 GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
 DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
 SECRET = "secret"  # setting that determines how private areas are moved
@@ -308,7 +311,9 @@ def export_days(
         else:
             with output_folder(out, private=True) as staged:
                 if file_format == PARQUET:
-                    contents = iter(parquet_tables(days, statements).items())
+                    own = (who for who in _people(log) if person in (None, who) and not (cut or blur))
+                    diaries = [diary(log, who, *dates, outings=False) for who in own]
+                    contents = iter((parquet_tables(days, statements) | place_tables(diaries)).items())
                 else:
                     contents = _files_by_day(log, file_format, days, statements)
                 for name, content in contents:
@@ -317,7 +322,7 @@ def export_days(
     if cut or blur:  # files of an earlier export would show what is private now
         possible = [out]
         if not single and file_format == PARQUET:
-            possible = [out / f"{name}.parquet" for name in TABLE_NAMES]
+            possible = [out / f"{name}.parquet" for name in (*TABLE_NAMES, *PLACE_TABLES)]
         elif not single:
             possible = [out / name for person, day in wanted for name in _day_files(file_format, person, day)]
         for file in possible:
@@ -551,6 +556,20 @@ def parquet_tables(
             frame.to_parquet(buffer)
             tables[f"{name}.parquet"] = buffer.getvalue()
     return tables
+
+
+def place_tables(diaries: Iterable[Diary]) -> dict[str, bytes]:
+    """Time, flows and hours of all persons at places on plans as Parquet files, as ``lifelog show`` has."""
+    import pandas
+
+    days = [day for own in diaries for day in own.days]
+    dwelt = dwells((day.person, row) for day in days for row in day.entries)
+    made = dict[str, bytes]()
+    for name, (rows, columns) in place_records(dwelt, flows(day.entries for day in days)).items():
+        buffer = io.BytesIO()
+        pandas.DataFrame(rows, columns=columns.split()).to_parquet(buffer)
+        made[f"{Path(name).stem}.parquet"] = buffer.getvalue()
+    return made
 
 
 def _line_of(track: Track, row: TimelineEntry) -> Array | None:

@@ -29,9 +29,11 @@ from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
     FEWEST_HOURS,
     Dwell,
+    Flow,
     Place,
     UsualHours,
     dwells,
+    flows,
     is_place,
     joined_visits,
     local_date,
@@ -81,6 +83,11 @@ class Overview(OneLineRepr):
         """The time of all persons at each place on a plan, longest first."""
         return dwells((day.person, row) for day in self.days for row in day.entries)
 
+    @cached_property
+    def flows(self) -> list[Flow]:
+        """How often persons went from one place on a plan to the next, largest first."""
+        return flows(day.entries for day in self.days)
+
     @property
     def days(self) -> list[DiaryDay]:
         """The days with data, by person and date."""
@@ -122,6 +129,8 @@ ENTRY_COLUMNS = (
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
 DWELL_COLUMNS = "place floor persons stops time sigma median busiest"
+FLOW_COLUMNS = "origin origin_floor target target_floor number sigma"
+BUSY_COLUMNS = "place floor hour time"
 HOURS_COLUMNS = (
     "person number place weekday arrivals arrival_25 arrival_50 arrival_75 "
     "departures departure_25 departure_50 departure_75"
@@ -172,6 +181,22 @@ def dwell_record(dwell: Dwell) -> Record:
     return _record(DWELL_COLUMNS, dwell, place=dwell.name, busiest=f"{dwell.hour:02d}:00")
 
 
+def place_records(dwelt: Sequence[Dwell], went: Sequence[Flow]) -> dict[str, tuple[list[Record], str]]:
+    """Rows and columns of the tables of places on plans by file name, without empty ones: time, flows, hours."""
+    busy = [
+        _record(BUSY_COLUMNS, dwell, place=dwell.name, hour=f"{hour:02d}:00", time=time)
+        for dwell in dwelt
+        for hour, time in enumerate(dwell.hours.tolist())
+        if time > 0
+    ]
+    found = {
+        "dwell.csv": ([dwell_record(dwell) for dwell in dwelt], DWELL_COLUMNS),
+        "flows.csv": ([_record(FLOW_COLUMNS, flow) for flow in went], FLOW_COLUMNS),
+        "busy.csv": (busy, BUSY_COLUMNS),
+    }
+    return {name: made for name, made in found.items() if made[0]}
+
+
 def hour_text(hour: float) -> str:
     """A time of day [h] as ``07:42``; "" if unknown."""
     minutes = round(hour * 60) % 1440 if np.isfinite(hour) else 0
@@ -191,8 +216,7 @@ def tables(shown: Overview) -> dict[str, bytes]:
         "visits.csv": ([visit_record(*visited) for visited in shown.visits], VISIT_COLUMNS),
         "hours.csv": (hours, HOURS_COLUMNS),
     }
-    if shown.dwells:
-        records["dwell.csv"] = ([dwell_record(dwell) for dwell in shown.dwells], DWELL_COLUMNS)
+    records |= place_records(shown.dwells, shown.flows)
     return {name: csv_table(rows, columns.split(), DEGREE_DIGITS).encode() for name, (rows, columns) in records.items()}
 
 
@@ -447,6 +471,7 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         yield ShownTable("usual hours", HOURS_TITLES, rows)
 
 
+FLOW_TITLES = ("from", "to", "persons went")
 DWELL_TITLES = ("place", "floor", "persons", "stops", "time", "a stop (median)", "busiest")
 
 
@@ -471,7 +496,19 @@ def fleet_tables(shown: Overview, short: bool) -> Iterator[ShownTable]:
     ]
     hidden = len(shown.dwells) - most
     note = f"and {count(hidden, 'other place')} in dwell.csv. " if hidden > 0 else ""
-    yield ShownTable("time at places", DWELL_TITLES, dwelt, f"{note}Expected values by the probabilities of the stays.")
+    hours = np.sum([dwell.hours for dwell in shown.dwells], axis=0) if shown.dwells else np.zeros(24)
+    busiest = [f"{n:02d}:00 ({time_text(hours[n])})" for n in np.argsort(-hours, kind="stable")[:3] if hours[n] >= 1]
+    note += f"Busiest hours: {', '.join(busiest)}. " if busiest else ""
+    note += "Expected values by the probabilities of the stays."
+    yield ShownTable("time at places", DWELL_TITLES, dwelt, note)
+    went = [
+        [short_text(flow.origin), short_text(flow.target), f"{flow.number:.1f} ± {flow.sigma:.1f}"]
+        for flow in shown.flows[: most // 2]
+    ]
+    hidden = len(shown.flows) - len(went)
+    yield ShownTable(
+        "from place to place", FLOW_TITLES, went, f"and {count(hidden, 'other')} in flows.csv" if hidden else ""
+    )
 
 
 def short_text(name: str) -> str:

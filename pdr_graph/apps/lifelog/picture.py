@@ -27,7 +27,7 @@ from matplotlib.transforms import Bbox
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, YEAR
-from pdr_graph.apps.lifelog.maps import Dot, MercatorFrame, Panel, panels, short_name, tiles
+from pdr_graph.apps.lifelog.maps import Dot, DrawnPart, MercatorFrame, Panel, panels, short_name, tiles
 from pdr_graph.apps.lifelog.overview import Overview, distance_text, fleet_text, period_title, sums_text
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
@@ -114,7 +114,10 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     for way in (near for own in panel.ways for track in own for near in _parts_near(track, shown)):
         if way.covariance is not None:
             draw_uncertainty(axes, way, panel.floor or None)
-    for line in lines_of(panel):
+    if panel.plan and not panel.ways:
+        heat = np.ma.masked_less(time_by_place(panel.drawn, shown), LEAST_HEAT)
+        axes.imshow(heat.T, cmap="YlOrRd", norm="log", alpha=0.7, origin="lower", extent=shown.T.ravel(), zorder=2)
+    for line in lines_of(panel) if not panel.plan or panel.ways else ():
         near = line.tracks if line.unseen else [part for track in line.tracks for part in _parts_near(track, shown)]
         parts = [part.position for part in near]
         look: dict[str, Any] = (
@@ -147,6 +150,22 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     title = "   ".join(one_line(word) for word in (panel.letter, panel.floor) if word)
     bold: Any = {"size": "x-large", "weight": "bold", "va": "top", "zorder": 9, "path_effects": HALO}
     axes.annotate(title, (0, 1), (6, -6), "axes fraction", "offset points", **bold)
+
+
+LEAST_HEAT = 1.0  # [s/m²] of all persons that a heat map shows
+
+
+def time_by_place(drawn: Sequence[DrawnPart], corners: Array) -> Array:
+    """Time of tracks in each square of one metre, blurred by a metre as positions are [s]. corners: ``(2, 2)`` [m]."""
+    from scipy.ndimage import gaussian_filter
+
+    tracks = [part.track for part in drawn if part.kind not in KINDS_WITHOUT_DATA and len(part.track) > 1]
+    middle = [(track.position[1:] + track.position[:-1]) / 2 for track in tracks]
+    place, lasts = np.concatenate([np.empty((0, 2)), *middle]), [np.diff(track.time) for track in tracks]
+    cells = np.ceil(np.ptp(corners, axis=0)).astype(int)
+    sides = [(float(low), float(high)) for low, high in corners.T]
+    time, _ = np.histogramdd(place, list(cells), sides, weights=np.concatenate([np.empty(0), *lasts]))
+    return gaussian_filter(time, 1.0)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -203,8 +204,8 @@ class Dwell:
     """Time of all persons at a place on a plan, by the probability of each stay that it was there.
 
     name; floor: its labels; persons, stops: expected numbers; time: expected time [s]; sigma: its standard deviation,
-    since each stay was at one place alone [s]; median: of the duration of a stop [s]; hour: of the day in which most
-    time was spent there, local.
+    since each stay was at one place alone [s]; median: of the duration of a stop [s]; hours: expected time in each hour
+    of the day ``(24,)``, local [s].
     """
 
     name: str
@@ -214,7 +215,12 @@ class Dwell:
     time: float
     sigma: float
     median: float
-    hour: int
+    hours: Array
+
+    @property
+    def hour(self) -> int:
+        """The hour of the day in which most time was spent there."""
+        return int(self.hours.argmax())
 
 
 def dwells(rows: Iterable[tuple[str, TimelineEntry]]) -> list[Dwell]:
@@ -230,15 +236,56 @@ def dwells(rows: Iterable[tuple[str, TimelineEntry]]) -> list[Dwell]:
         absent, hours = defaultdict[str, float](lambda: 1.0), np.zeros(24)
         for person, probability, part in own:
             absent[person] *= 1 - probability
-            hours[int((part.start + part.duration / 2 + part.offset) // 3600 % 24)] += probability * part.duration
+            hours += probability * _hours_of(part)
         order = np.argsort(lasted)
         half = np.searchsorted(np.cumsum(p[order]), p.sum() / 2)
         spread = float(np.sqrt((p * (1 - p) * lasted**2).sum()))
         persons, median = sum(1 - none for none in absent.values()), float(lasted[order][half])
-        found.append(
-            Dwell(name, floor, persons, float(p.sum()), float(p @ lasted), spread, median, int(hours.argmax()))
-        )
+        found.append(Dwell(name, floor, persons, float(p.sum()), float(p @ lasted), spread, median, hours))
     return sorted(found, key=lambda dwell: (-dwell.time, dwell.name))
+
+
+def _hours_of(part: TimelineEntry) -> Array:
+    """Time of an entry in each local hour of the day ``(24,)`` [s]."""
+    start, end = part.start + part.offset, part.end + part.offset
+    edge = 3600.0 * np.arange(start // 3600, end // 3600 + 2)
+    hours = np.zeros(24)
+    np.add.at(hours, (edge[:-1] // 3600 % 24).astype(int), np.diff(np.clip(edge, start, end)))
+    return hours
+
+
+@dataclass(frozen=True)
+class Flow:
+    """How often persons went from one place on a plan to the next, by the probabilities of their stays.
+
+    origin, target: names; origin_floor, target_floor: labels; number: expected; sigma: its standard deviation.
+    """
+
+    origin: str
+    origin_floor: str
+    target: str
+    target_floor: str
+    number: float
+    sigma: float
+
+
+def flows(days: Iterable[Sequence[TimelineEntry]]) -> list[Flow]:
+    """The flows between the places that persons faced, largest first. days: entries of each day of each person.
+
+    Stays are independent: the last place before a stay is one that an earlier stay was at, if none since was at any.
+    """
+    found = defaultdict[tuple[str, str, str, str], list[float]](list)
+    for entries in days:
+        last = dict[tuple[str, str], float]()
+        for part in (part for row in entries for part in row.parts or (row,) if part.kind == STAY):
+            here = {(name, " > ".join(part.floor)): probability for name, probability in part.facing}
+            nowhere = max(1 - sum(here.values()), 0.0)
+            for (origin, p), (target, q) in product(last.items(), here.items()):
+                if origin != target:
+                    found[*origin, *target].append(p * q)
+            last = {name: nowhere * last.get(name, 0.0) + here.get(name, 0.0) for name in last | here}
+    made = [Flow(*names, sum(p), float(np.sqrt(sum(x * (1 - x) for x in p)))) for names, p in found.items()]
+    return sorted(made, key=lambda flow: (-flow.number, flow.origin, flow.target))
 
 
 def is_place(text: str, name: str, number: int) -> bool:

@@ -14,7 +14,7 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.facts import SHORTEST_FLIGHT, SLOWEST_FLIGHT
+from pdr_graph.apps.lifelog.facts import SHORTEST_FLIGHT
 from pdr_graph.apps.lifelog.observation import MIN_POSITIONS, Observation, in_frame, shifted
 from pdr_graph.apps.lifelog.stays_and_legs import arc, on_sphere
 from pdr_graph.errors import count
@@ -197,10 +197,10 @@ LARGEST_FRAME = 1_000_000.0  # [m] from the origin of a frame: distances are rig
 
 
 def local_parts(part: Observation) -> list[Observation]:
-    """Positions alone, divided at flights and where they are far from where their frame begins.
+    """Positions alone, divided at jumps such as flights, and where they are far from where their frame begins.
 
-    Each part but the first has a frame about its first position, with distances and north of its own. Positions during
-    a flight are left out.
+    Each part but the first has a frame about its first position, with distances and north of its own. Single positions
+    between two jumps are left out.
     """
     if not part.frame.georeferenced or part.plan:
         return [part]
@@ -210,10 +210,10 @@ def local_parts(part: Observation) -> list[Observation]:
     time, lonlat = part.fixes.time[used], part.frame.to_lonlat(part.fixes.position[used])
     sphere = on_sphere(lonlat)
     far = arc(np.linalg.norm(np.diff(sphere, axis=0), axis=1))
-    flown = (far > SHORTEST_FLIGHT) & (far > SLOWEST_FLIGHT * np.diff(time))
+    jumps = far > SHORTEST_FLIGHT
     first, spans = 0, list[tuple[int, int]]()
     for n in range(1, len(time)):
-        if flown[n - 1]:
+        if jumps[n - 1]:
             spans.append((first, n - 1))
             first = n
         elif arc(np.linalg.norm(sphere[[n]] - sphere[first], axis=1)) > LARGEST_FRAME:

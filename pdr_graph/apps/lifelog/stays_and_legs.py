@@ -258,6 +258,9 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
         start, end = pieces[0].start, pieces[-1].end
         fast = track.length(start, end) > FASTEST_WALK * (end - start)
         kinds = [VEHICLE if fast else WALKING] * len(pieces)
+    for n, piece in enumerate(pieces):  # what was recorded of a flight beside a silence
+        if piece.kind == VEHICLE and piece.distance > TRACK.fastest * piece.duration:
+            kinds[n] = AEROPLANE if AEROPLANE in kinds[max(n - 1, 0) : n + 2] else kinds[n]
     named = list[tuple[str, TimelineEntry]]()
     for n, piece in enumerate(pieces):
         beside = [next(filter(None, side), "") for side in (reversed(kinds[:n]), kinds[n + 1 :])]
@@ -267,7 +270,8 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
         parts = [piece for _, piece in own]
         if kind == AEROPLANE:
             start, end = parts[0].start, parts[-1].end
-            yield TimelineEntry(VEHICLE, start, end, track.length(start, end), observed=0.0, mode=AEROPLANE)
+            far = track.length(start, end)
+            yield TimelineEntry(VEHICLE, start, end, far, observed=_observed(parts), mode=AEROPLANE)
             continue
         if len(parts) == 1 and parts[0].kind == kind:
             yield parts[0]

@@ -408,14 +408,17 @@ def checked_tiles(url: str | None) -> str | None:
     return url
 
 
-def security_headers(tiles: str | None) -> dict[str, str]:
-    """Headers of the page: scripts, styles and connections of this server alone; images of the tile server too."""
+def security_headers(tiles: str | None, form: str = "'none'", style: str = "") -> dict[str, str]:
+    """Headers of a page: scripts, styles and connections of this server alone; images of the tile server too.
+
+    form: where its forms lead; style: more sources of styles.
+    """
     elsewhere = " {0.scheme}://{0.netloc}".format(urlsplit(tiles)) if tiles else ""
     policy = [
-        *("default-src 'none'", "script-src 'self'", "style-src 'self'", "worker-src 'self'"),
+        *("default-src 'none'", "script-src 'self'", f"style-src 'self'{style}", "worker-src 'self'"),
         f"img-src 'self' data: blob:{elsewhere}",
         f"connect-src 'self'{elsewhere}",
-        *("base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"),
+        *("base-uri 'none'", f"form-action {form}", "frame-ancestors 'none'"),
     ]
     return {
         "Content-Security-Policy": "; ".join(policy),

@@ -1,7 +1,8 @@
 """A lifelog in the browser of its owner: days, a calendar and the places, with forms that correct them.
 
-For this machine alone, with a token in the address that is printed. Pages have no scripts and load nothing. A
-correction does what ``pdr-graph lifelog correct`` does.
+For this machine alone, with a token in the address that is printed. A day has a map (``web/diary.js``), other pages
+have no scripts; nothing is loaded but from this server, and tiles from a server of the user's choice. A correction does
+what ``pdr-graph lifelog correct`` does.
 
 A correction must come from a form of these pages: the browser states this origin (so pages must send a referrer to
 their own server, else browsers write ``Origin: null``), and the form has a key derived from the token.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import json
 import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, timedelta
@@ -24,7 +26,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
-from starlette.routing import Route
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from pdr_graph.apps.lifelog import report, revision
 from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
@@ -38,6 +41,7 @@ from pdr_graph.apps.lifelog.overview import (
     overview,
     place_texts,
     row_texts,
+    short_text,
     time_text,
     totals_text,
     usual_texts,
@@ -46,47 +50,31 @@ from pdr_graph.apps.lifelog.overview import (
 from pdr_graph.apps.lifelog.picture import COLOURS
 from pdr_graph.apps.lifelog.picture import picture as drawn_picture
 from pdr_graph.apps.lifelog.places import FEWEST_HOURS, WEEKDAYS, local_date
+from pdr_graph.apps.lifelog.reconstruct import building_of
 from pdr_graph.apps.lifelog.show import Choice, show
+from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.lifelog.timeline import STAY, duration_text
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.apps.serve.access import OWNER, Access, cookie_name
-from pdr_graph.apps.serve.application import Guard
+from pdr_graph.apps.serve.application import WEB, Guard, security_headers, settings
+from pdr_graph.apps.serve.publishing import plan_layers
 from pdr_graph.errors import InputError, count, one_line
 
 NUMBER = re.compile(r"[0-9]{1,9}")  # of an entry or a correction
 KEY = "key"  # field of every form
 MOST_VISITS = 200  # on the page of a place
 LONGEST_FORM = 1 << 14  # [bytes]
+MAP_TOLERANCE = 2.0  # [m] to which the tracks of a map are simplified
 DAYS_AROUND = 40  # days before and after one, among which the next recorded one is looked for
 HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data: 'self'; "
+    "Content-Security-Policy": "default-src 'none'; style-src 'self' 'unsafe-inline'; img-src data: 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
     "Referrer-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
 STYLE = report.PAGE_STYLE.replace("h1 { position: absolute; left: -9999px; }", "h1 { font-size: 1.4rem; }")
-STYLE += """
-:root { color-scheme: light dark; --ink: #26241f; --paper: #fff; --soft: #6b655b; --line: #e4e0d8; --card: #f7f6f3;
-  --link: #1f4fa3; }
-body { color: var(--ink); background: var(--paper); } a { color: var(--link); text-decoration: none; }
-a:hover, a:focus { text-decoration: underline; } h1 { margin: 0.8rem 0 0.4rem; }
-nav { margin: 0.6rem 0; color: var(--soft); } nav.top { border-bottom: 1px solid var(--line); padding-bottom: 0.5rem; }
-th, td { border-color: var(--line); } th { color: var(--soft); } tbody tr:hover { background: var(--card); }
-form { margin: 0.6rem 0; padding: 0.6rem 0.8rem; background: var(--card); border-radius: 6px; max-width: 40rem; }
-input, select, button { font: inherit; padding: 0.25rem 0.5rem; border: 1px solid var(--line); border-radius: 4px;
-  color: inherit; background: var(--paper); } button { cursor: pointer; } pre { white-space: pre-wrap; }
-.fault { color: #c8453c; } .soft { color: var(--soft); } .number { text-align: right; }
-.wide td { white-space: nowrap; } .wide td:nth-child(6) { white-space: normal; min-width: 9rem; }
-table.month { table-layout: fixed; width: 100%; } table.month td { height: 5rem; padding: 0.3rem 0.4rem;
-  border: 1px solid var(--line); overflow: hidden; } table.month svg { height: 0.7rem; margin: 0.3rem 0 0.1rem; }
-.scale { display: inline-block; height: 0.6rem; background: #7b4fa3; border-radius: 2px; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e2da; --paper: #1b1a18; --soft: #a59d90; --line: #3b3833;
-  --card: #262421; --link: #8fb4f0; } img { filter: invert(0.9) hue-rotate(180deg); } }
-@media (max-width: 640px) { body { margin: 0.5rem auto; padding: 0 0.6rem; } table.month td { height: 3.2rem;
-  font-size: 0.75rem; padding: 0.15rem; } table.month .soft { display: none; } }
-"""
 Fields = Mapping[str, str]
 
 
@@ -107,14 +95,16 @@ class DiaryServer:
             except OSError as error:
                 return _html(_page("not possible", f'<p class="fault">{escape(one_line(str(error)))}</p>'), 500)
         if isinstance(content, bytes):
-            return Response(content, media_type="image/svg+xml", headers=HEADERS)
+            kind = "image/svg+xml" if content.startswith(b"<") else "application/json"
+            return Response(content, media_type=kind, headers=HEADERS)
         key = f'<input type="hidden" name="{KEY}" value="{self.key}"></form>'
         return _html(content.replace("</form>", key))
 
 
-def application(store: Path, token: str) -> Starlette:
-    """The ASGI application of a lifelog. token: which every request must have."""
+def application(store: Path, token: str, tiles: str | None = None) -> Starlette:
+    """The ASGI application of a lifelog. token: which every request must have; tiles: address of a tile server."""
     server = DiaryServer(store, token)
+    scripts = {**HEADERS, **security_headers(tiles, "'self'", " 'unsafe-inline'"), "Referrer-Policy": "same-origin"}
 
     def shown(function: Callable[..., bytes | str]) -> Callable[[Request], Awaitable[Response]]:
         async def answer(request: Request) -> Response:
@@ -128,7 +118,12 @@ def application(store: Path, token: str) -> Starlette:
             name, token = cookie_name(request.headers), request.query_params["token"]
             response.set_cookie(name, token, httponly=True, samesite="strict")
             return response
-        return await server.run(day_page, request.query_params)
+        response = await server.run(day_page, request.query_params)
+        response.headers.update(scripts)
+        return response
+
+    def map_of(path: Path, query: Fields) -> bytes:
+        return day_map(path, query, tiles)
 
     async def correct(request: Request) -> Response:
         body = b""
@@ -142,10 +137,15 @@ def application(store: Path, token: str) -> Starlette:
         return await server.run(corrected_page, fields)
 
     routes = [Route("/", day), Route("/picture.svg", shown(day_picture)), Route("/entry", shown(entry_page))]
+    routes += [Route("/map.json", shown(map_of)), Mount("/web", StaticFiles(directory=WEB))]
     routes += [Route("/calendar", shown(calendar_page)), Route("/places", shown(places_page))]
     routes += [Route("/place", shown(place_page)), Route("/corrections", shown(list_page))]
     routes += [Route("/correct", correct, methods=["POST"])]
     return Starlette(False, routes, [Middleware(Guard, Access({OWNER: token}))])
+
+
+SCRIPTS = """<link rel="stylesheet" href="web/maplibre-gl/maplibre-gl.css">
+<script src="web/maplibre-gl/maplibre-gl-csp.js"></script><script type="module" src="web/diary.js"></script>"""
 
 
 def _html(text: str, status: int = 200) -> Response:
@@ -154,7 +154,7 @@ def _html(text: str, status: int = 200) -> Response:
 
 def _page(title: str, body: str, person: str = "") -> str:
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
+    head += f'<title>{escape(title)}</title><style>{STYLE}</style><link rel="stylesheet" href="web/diary.css">'
     query = urlencode({"person": person} if person else {})
     links = [("./", "last day"), ("calendar", "calendar"), ("places", "places"), ("corrections", "corrections")]
     nav = f'<nav class="top">{" · ".join(_link(path, query, text) for path, text in links)}</nav>'
@@ -170,15 +170,45 @@ def day_page(store: Path, query: Fields) -> str:
     links = [_link("./", _query(own.person, on), text) for on, text in beside]
     links += [_link("calendar", urlencode({"person": own.person, "month": own.date[:7]}), own.date[:7])]
     links += _others("./", own.person, people)
-    picture = f'<img alt="" style="width:100%" src="picture.svg?{escape(_query(own.person, own.date))}">'
+    address = escape(_query(own.person, own.date))
+    map_ = f'<div id="map" role="region" aria-label="Map of the day" data-from="map.json?{address}"></div>'
+    map_ += f'<section id="forms" aria-live="polite" hidden></section>{SCRIPTS}'
+    picture = f'<img alt="" loading="lazy" style="width:100%" src="picture.svg?{address}">'
+    sums = f'{_strip(own)}<p class="soft">{escape(totals_text(own.totals))}</p>'
+    picture = f"<details><summary>as a picture</summary>{picture}</details>"
     rows = ""
     for n, entry in enumerate(own.entries):
         cells = "".join(f"<td>{escape(text)}</td>" for text in row_texts(entry))
         correct = _link("entry", f"{_query(own.person, own.date)}&n={n}", "correct")
         correct += f" · {_place_link(own.person, entry.place_number, 'place')}" if entry.place_number >= 0 else ""
         rows += f"<tr>{cells}<td>{correct}</td></tr>"
-    table = f'<div class="wide"><table><tbody>{rows}</tbody></table></div>'
-    return _page(f"{one_line(own.person)} {own.date}", f"<nav>{' · '.join(links)}</nav>{picture}{table}", own.person)
+    table = f'<div class="wide"><table class="day"><tbody>{rows}</tbody></table></div>'
+    return _page(
+        f"{one_line(own.person)} {own.date}", f"<nav>{' · '.join(links)}</nav>{sums}{map_}{table}{picture}", own.person
+    )
+
+
+def day_map(store: Path, query: Fields, tiles: str | None) -> bytes:
+    """What the map of a day shows, as JSON: its legs, its stays by the number of their rows, and its plans."""
+    with Store(store, reads=True) as log:
+        person, on = revision.person_of(log, query.get("person")), query.get("date", "")
+        days = {day.date: day for day in diary(log, person, on, on, MAP_TOLERANCE).days}
+    if on not in days:
+        raise InputError("date", "", on, "a recorded day")
+    track, legs, stays = Track.of(days[on].outings), [], []
+    for n, entry in enumerate(days[on].entries):
+        line = track.lonlat[track.between(entry.start, entry.end)].round(6).tolist()
+        if entry.kind in (WALKING, VEHICLE) and len(line) > 1:
+            own = {"n": n, "colour": COLOURS[entry.kind], "floor": ""}
+            legs.append({"type": "Feature", "geometry": {"type": "LineString", "coordinates": line}, "properties": own})
+        elif np.isfinite(entry.latitude):
+            at, time = [round(entry.longitude, 6), round(entry.latitude, 6)], "–".join(row_texts(entry)[:2])
+            place = entry.place_number if entry.place_number >= 0 else f"row {n}"
+            stays.append({"n": n, "at": at, "label": short_text(entry.label), "time": time, "place": place})
+    plans = [plan_layers(building_of(plan)) for plan in dict.fromkeys(o.plan for o in days[on].outings if o.plan)]
+    plan = {"type": "FeatureCollection", "features": [one for own in plans for one in own["features"]]}
+    shown = {"query": _query(person, on), "legs": legs, "stays": stays, "plan": plan}
+    return json.dumps(shown | settings(tiles, guarded=True)).encode()
 
 
 def _others(path: str, person: str, people: Sequence[str]) -> list[str]:
@@ -326,7 +356,7 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
             raise InputError(store, "", "no day", "lifelog build, and more than one position a day")
         middle, most = wanted.first.toordinal(), date.max.toordinal()
         first, last = (date.fromordinal(min(max(middle + n, 1), most)).isoformat() for n in (-DAYS_AROUND, DAYS_AROUND))
-        days = {day.date: day for day in diary(log, person, first, last).days}
+        days = {day.date: day for day in diary(log, person, first, last, outings=False).days}
     if on not in days:
         raise InputError("date", "", on, "a recorded day")
     return days[on], sorted(days), people
