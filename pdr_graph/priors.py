@@ -158,9 +158,7 @@ class BoutPriors(Table):
     slow_start: float = number(0.6, "correlation", "least mean regularity of the first slow steps, to start")
     go_on: float = number(0.1, "correlation", "the same to go on")
     vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing")
-    vigorous_start: float = number(
-        0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
-    )
+    vigorous_start: float = number(0.5, "correlation", "least correlation to start with such a size", still=(0.5, 1))
     push_off: float = number(
         0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
@@ -751,6 +749,7 @@ class LearnedPriors(Table):
     )
     agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used")
     wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50")
+    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)")
     wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10")
 
 

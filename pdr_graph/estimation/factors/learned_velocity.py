@@ -191,7 +191,8 @@ class LearnedVelocityFactor(Measurement):
     def _ratio(self, at: Evaluation) -> Complex:
         """Displacement by the network over that by dead reckoning ``(k,)``; NaN where nobody walks."""
         walked, lasting = np.diff(at.chain.track[0]), np.diff(at.chain.time)
-        on_foot = np.abs(walked) > SLOWEST * lasting
+        speed = np.abs(walked) / lasting
+        on_foot = speed > np.median(speed[speed > SLOWEST]) / 2 if (speed > SLOWEST).any() else speed > SLOWEST
         return as_complex(np.where(on_foot[:, None], self.moved, np.nan)) / np.where(on_foot, walked, 1.0)
 
     def _apart(self, at: Evaluation) -> tuple[Array, complex]:
@@ -247,16 +248,17 @@ class LearnedVelocityFactor(Measurement):
     def _wrong_along(self, at: Evaluation, network: list[tuple[int, int]], steps: list[tuple[int, int]]) -> Proposal:
         """The hypothesis that the network, and the direction of the steps, are wrong along these stretches.
 
-        A wrong network says any velocity of a walker. The direction of the steps turns by any angle somewhere in the
-        intervals at the ends of its stretches.
+        A wrong network says any velocity of a walker, or is turned by any angle along the stretch. The direction of the
+        steps turns by any angle somewhere in the intervals at the ends of its stretches.
         """
         lasting, root = np.diff(at.chain.time)[:, None], at.chain.bridge.root.copy()
-        price, wrong = LEARNED.wrong * len(network) + LEARNED.wrong_steps * len(steps), np.zeros(len(root), dtype=bool)
+        price, wrong, last = LEARNED.wrong_steps * len(steps), np.zeros(len(root), dtype=bool), int(self._used[-1])
         for a, b in network:
-            wrong[a : b + 1] = np.isfinite(self.moved[a : b + 1, 0])
-        any_move = FIXES.walking_speed / np.sqrt(2) * lasting[wrong]
-        price += float(np.sum(np.log(np.maximum(any_move / self.sigma[wrong], 1.0))))
-        price += float(np.sum((self.moved[wrong] / any_move) ** 2)) / 2
+            here = a + np.flatnonzero(np.isfinite(self.moved[a : b + 1, 0]))
+            any_move = FIXES.walking_speed / np.sqrt(2) * lasting[here]
+            wide = np.log(np.maximum(any_move / self.sigma[here], 1.0)) + (self.moved[here] / any_move) ** 2 / 2
+            price += LEARNED.wrong + min(float(wide.sum()), LEARNED.turned * (1 + (b < last)))
+            wrong[here] = True
         if len(turns := self._turns(at, steps)):
             move = at.chain.delta[turns, :2]
             swing = ANY_HEADING * np.column_stack([move @ QUARTER.T / 2, np.ones(len(turns))])
