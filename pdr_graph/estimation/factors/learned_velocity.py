@@ -3,12 +3,12 @@
 With p the keyframes' places and d the displacement by the network, in its own level frame, the residual of an interval
 from keyframe i to j is
 
-    r = [ g R(φ)ᵀ (p_j − p_i) − d ] / σ,      φ = φ_s + Σ (Δθ(c) − turn)
+    r = [ g / R_s · R(φ)ᵀ (p_j − p_i) − d ] / σ,      φ = φ_s + Σ (Δθ(c) − turn)
 
 The frame is the gyroscope's, turned by an unknown φ_s at the start of each calibration segment s, and drifting with the
-calibration c as the steps' headings do, however the phone is held. g is the gain of the network, unknown too: a turned
-frame or a wrong unit of length does no harm. The errors of d last for seconds, so that its variance is 2 τ σ² Δt, that
-of a long interval. Huber's loss.
+calibration c as the steps' headings do, however the phone is held. g is the gain of the network over uncalibrated
+steps along the first optimum, R_s their scale: a turned frame or another scale does no harm. The errors of d last for
+seconds, so that its variance is 2 τ σ² Δt, that of a long interval. Huber's loss.
 
 The first optimum is without the network, so that it cannot make fixes outliers; a network that contradicts the steps
 most of the time, or by its speed, is not used then either. Where both contradict each other along a stretch, each of
@@ -67,7 +67,7 @@ class LearnedVelocityFactor(Measurement):
     """Displacements by a network, see above.
 
     moved: ``(k, 2)`` of each interval [m], NaN where the network has none; sigma: ``(k, 2)`` [m]; frame: ``(s,)`` of
-    each calibration segment; angle: ``(s,)`` φ_s along the optimum without it [rad], None in the first pass.
+    each calibration segment; angle: ``(s,)`` φ_s along the optimum without it [rad], None in the first pass; gain: g.
     wrong: ``(k,)`` intervals in which the network is assumed to be wrong.
     """
 
@@ -77,6 +77,7 @@ class LearnedVelocityFactor(Measurement):
     sigma: Array
     frame: Index
     angle: Array | None = None
+    gain: float = 1.0
     wrong: Mask | bool = False
 
     name: ClassVar[str] = "network"
@@ -115,19 +116,19 @@ class LearnedVelocityFactor(Measurement):
         return replace(self, moved=place, sigma=np.sqrt(moved[:, 2:4] + INSTANT), frame=frame)
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """Angle of the frame [rad] and scale of the network in each calibration segment; the third is not used."""
+        """Angle of the frame [rad] in each calibration segment; the other two numbers are not used."""
         if self.angle is None:
             return ()
-        rows = np.column_stack([self.angle, np.ones(len(self.angle)), np.zeros(len(self.angle))])
+        rows = np.column_stack([self.angle, *np.zeros((2, len(self.angle)))])
         return (Variables(self.symbol, np.arange(len(rows)), rows, np.full(len(rows), np.inf)),)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Factors of the intervals, and of the frame's angle and scale from one segment to the next."""
+        """Factors of the intervals, and of the frame's angle from one segment to the next."""
         if self.angle is None:
             return []
         k, chain, nodes = self._used, at.chain, at.state[self.symbol]
         s = chain.segment[k]
-        gain = nodes[s, 1:2]
+        gain = self.gain / at.state.c[s, :1]
         drift, by_drift = self._drift(at)
         sigma, heading = self.sigma[k], at.state.poses[:, 2]
         back = rotation(-(nodes[s, 0] + drift[k]))
@@ -138,8 +139,9 @@ class LearnedVelocityFactor(Measurement):
             by_i, by_j, by_node, by_c = np.zeros((4, len(k), 2, 3))
             by_i[:, :, :2] = -back @ rotation(heading[k]) * (gain / sigma)[:, :, None]
             by_j[:, :, :2] = back @ rotation(heading[k + 1]) * (gain / sigma)[:, :, None]
-            by_node[:, :, 0], by_node[:, :, 1] = by_angle, walked / sigma
+            by_node[:, :, 0] = by_angle
             by_c[:] = by_angle[:, :, None] * by_drift[k][:, None]
+            by_c[:, :, 0] -= gain / at.state.c[s, :1] * walked / sigma
             return [by_i, by_j, by_node, by_c]
 
         value = (gain * walked - self.moved[k]) / sigma
@@ -149,14 +151,14 @@ class LearnedVelocityFactor(Measurement):
         return [block, *self._of_nodes(at, nodes)]
 
     def _of_nodes(self, at: Evaluation, nodes: Array) -> Iterator[FactorBlock]:
-        """Priors of the first angle and scale in each frame, and factors from each segment to the next one in it."""
+        """Priors of the first angle in each frame, and factors from each segment to the next one in it."""
         begins = np.append(True, self.frame[1:] != self.frame[:-1])
         first, later = np.flatnonzero(begins), np.flatnonzero(~begins)
-        off, widths = nodes[first] - [0.0, 1.0, 0.0], np.tile([2 * np.pi, LEARNED.gain, 1.0], (len(first), 1))
+        off, widths = nodes[first].copy(), np.tile([2 * np.pi, 1.0, 1.0], (len(first), 1))
         off[:, 0] = wrap_angle(off[:, 0] - np.asarray(self.angle)[first])
         yield FactorBlock.prior_of(f"{self.name}.begin", (self.symbol, first), off, widths, first)
         turned, by_c = self._drift(at, whole=True)
-        sigma, last = np.array([WALKER.change[0], WALKER.change[0], 1.0]), later - 1
+        sigma, last = np.array([WALKER.change[0], 1.0, 1.0]), later - 1
         change = nodes[later] - nodes[last]
         change[:, 0] = wrap_angle(change[:, 0] - turned[last])
         ahead = np.tile(np.diag(1 / sigma), (len(later), 1, 1))
@@ -212,9 +214,13 @@ class LearnedVelocityFactor(Measurement):
         of_segment = np.zeros(len(self.frame), dtype=np.complex128)
         np.add.at(of_segment, at.chain.segment[k], unit)
         angle = np.angle(np.where(np.abs(of_segment) > 0, of_segment, unit.sum()))
+        on_foot = np.isfinite(self._ratio(at)[k])
+        straight = walked[k] * np.exp(-1j * (angle[at.chain.segment[k]] + drift[k]))
+        scale = as_complex(self.moved)[k] * at.state.c[at.chain.segment[k], 0]
+        gain = float(np.abs(_median(scale[on_foot] / straight[on_foot])))
         apart, usual = self._apart(at)
         usable = np.mean(apart < LEARNED.apart) > LEARNED.agree and abs(np.log(abs(usual))) < LEARNED.apart
-        return replace(self, angle=angle, wrong=np.full(len(self.moved), not usable))
+        return replace(self, angle=angle, gain=gain, wrong=np.full(len(self.moved), not usable))
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """The network, or the direction of the steps, is wrong along each stretch where they contradict each other."""
