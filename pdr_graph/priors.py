@@ -742,7 +742,9 @@ class LearnedPriors(Table):
 
     sigma: float = number(0.3, "m/s", "of a velocity of which the network says none, per axis", "RIDI: 0.19 to 0.39")
     least: float = number(0.1, "m/s", "of every velocity, beside what the network says")
-    lasts: float = number(5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7")
+    lasts: float = number(
+        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7"
+    )
     apart: float = number(
         0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted"
     )

@@ -161,6 +161,7 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
     if any(groups.values()):
         groups = {name: scores for name, scores in groups.items() if scores}
         publish("results/integrity.md", "integrity probability", reliability(groups))
+    integrity_network(wanted, walks, first)
     if not wanted:
         recorded(data)
 

@@ -51,7 +51,6 @@ TABLES = {  # in the order of docs/results/index.md
     "strangers": Made(lambda: recordings.strangers(DATA), quick=True),
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True),
-    "integrity-network": Made(integrity.integrity_network, some=True),
     "integrity-live": Made(integrity.integrity_live, some=True),
     "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
