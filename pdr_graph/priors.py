@@ -111,9 +111,7 @@ class CandidatePriors(Table):
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 1))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
-    weakest_share: float = number(
-        0.23, "share", "least amplitude among the steps around it: feet shuffle", still=(1, 1)
-    )
+    weakest_share: float = number(0.23, "share", "least amplitude among the steps around: feet shuffle", still=(1, 1))
     highest_bounce: float = number(
         0.14,
         "m",
@@ -143,9 +141,7 @@ class CandidatePriors(Table):
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
     jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
-    slowest_jar: float = number(
-        0.025, "s", "longest interval between samples that shows how landings jar", still=(0.5, 2)
-    )
+    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows landings jar", still=(0.5, 2))
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", still=(0.5, 2))
     tilt_window: float = number(1.5, "s", "over which that direction is averaged", still=(0.5, 2))
     steadiest_tilt: float = number(
@@ -162,9 +158,7 @@ class BoutPriors(Table):
     slow_start: float = number(0.6, "correlation", "least mean regularity of the first slow steps, to start")
     go_on: float = number(0.1, "correlation", "the same to go on")
     vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing")
-    vigorous_start: float = number(
-        0.5, "correlation", "least correlation to start with such an amplitude", still=(0.5, 1)
-    )
+    vigorous_start: float = number(0.5, "correlation", "least correlation to start with such a size", still=(0.5, 1))
     push_off: float = number(
         0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
@@ -281,14 +275,10 @@ class ForwardPriors(Table):
     reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", still=(0.5, 2))
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
     steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 1))
-    opposed: float = number(
-        0.6, "rad", "angle of gait axis and y axis from which the phone is not read", still=(0.5, 2)
-    )
+    opposed: float = number(0.6, "rad", "of gait axis and y axis from which the phone is not read", still=(0.5, 2))
     early_steps: int = number(8, "steps", "length of a window live", still=(0.5, 2))
     early_coherence: float = number(0.45, "share", "least coherence in such a window", still=(0.5, 2))
-    surely_facing_up: float = number(
-        0.55, "share", "as ``facing_up`` where the gait does not confirm it", still=(0.5, 2)
-    )
+    surely_facing_up: float = number(0.55, "share", "``facing_up`` where the gait does not confirm it", still=(0.5, 2))
     overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis")
     early_sigma: float = number(
         0.4,
@@ -296,9 +286,7 @@ class ForwardPriors(Table):
         "sigma of the gait axis of one early window: errors of 4 to 20° (median)",
         "simulated and real walks",
     )
-    confirmed_sigma: float = number(
-        0.25, "rad", "sigma of the y axis if one such window agrees with it", still=(0.5, 2)
-    )
+    confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees", still=(0.5, 2))
     unconfirmed: float = number(
         0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.5, 2)
     )
@@ -385,9 +373,7 @@ class RestPriors(Table):
     bias_sigma: float = number(
         0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", still=(0.5, 2)
     )
-    bias_forgetting: float = number(
-        1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes", still=(0.5, 2)
-    )
+    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: phones warm up in minutes", still=(0.5, 2))
 
     @property
     def vqf(self) -> dict[str, float]:
@@ -418,12 +404,8 @@ class NorthPriors(Table):
     interval: float = number(1.0, "s", "between observations", still=(0.5, 2))
     drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
     undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
-    alike: float = number(
-        2.5, "s", "for which a walker stays in the same disturbance: about three metres", still=(0.5, 2)
-    )
-    disturbed: float = number(
-        0.35, "rad", "largest error in either test; other observations are not used", still=(0.5, 2)
-    )
+    alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(0.5, 2))
+    disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 2))
     weakest: float = number(
         0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
     )
@@ -756,6 +738,24 @@ class RangePriors(Table):
     fewest: int = number(3, "anchors", "or beacons that determine a position")
 
 
+@dataclass(frozen=True)
+class LearnedPriors(Table):
+    """Velocities by a network of the user's own, and what they and the step direction get wrong."""
+
+    sigma: float = number(0.3, "m/s", "of a velocity of which the network says none, per axis", "RIDI: 0.19 to 0.39")
+    least: float = number(0.1, "m/s", "of every velocity, beside what the network says")
+    lasts: float = number(
+        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7"
+    )
+    apart: float = number(
+        0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted"
+    )
+    agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used")
+    wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50")
+    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)")
+    wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10")
+
+
 # Initialisation and search
 
 
@@ -868,9 +868,7 @@ class PathPriors(Table):
     most_sought: int = number(
         300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan"
     )
-    apart: float = number(
-        4.0, "m", "largest distance between two modes: nearer ones lead the optimiser to the same walk"
-    )
+    apart: float = number(4.0, "m", "largest distance between two modes: nearer ones lead the search to the same walk")
     moments: int = number(60, "keyframes", "at which paths are compared")
     live_moments: int = number(8, "keyframes", "the same for a walk under way")
     live_modes: int = number(5, "modes", "largest number for a walk under way")
@@ -1239,7 +1237,13 @@ REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()
 CLIMB, KIND = ClimbPriors(), KindPriors()
 LOSSES, WALKER, WALLS, REGIONS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors()
 CORRIDOR, TURNS, WAYS, PLANS = CorridorPriors(), TurnPriors(), WayPriors(), PlanPriors()
-FIXES, RECEIVERS, BEACONS, RANGES = FixPriors(), ReceiverPriors(), BeaconPriors(), RangePriors()
+FIXES, RECEIVERS, BEACONS, RANGES, LEARNED = (
+    FixPriors(),
+    ReceiverPriors(),
+    BeaconPriors(),
+    RangePriors(),
+    LearnedPriors(),
+)
 INITIAL, SEARCH = InitialPriors(), SearchPriors()
 PRICES, DOUBTS, PATHS, ANYWHERE = PricePriors(), DoubtPriors(), PathPriors(), AnywherePriors()
 PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()

@@ -103,6 +103,8 @@ class Options:
     """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
     paths: Path | None = None
     """Ways outdoors: an OpenStreetMap extract, lines of GeoJSON or GPX routes."""
+    learned: Path | None = None
+    """ONNX network of one's own that reads inertial samples and says velocities, see `gait.learned`."""
     radio_map: Path | None = None
     """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
     walker: Path | None = None
@@ -303,6 +305,8 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
         walk = replace(walk, measurements=(*walk.measurements, ranges))
     paths = _paths(options, frame, fixes, notes)
+    if options.learned is not None and not (options.method == "graph" and walk.has_acceleration):
+        notes.append(f"{options.learned.name} was left out: only the graph of steps, by smooth, uses a network")
     if options.truth is not None:
         truth = read_trajectory(options.truth, walk, geodetic=frame.georeferenced)
         places.check_truth(options.truth, truth)
@@ -447,9 +451,25 @@ def observe(evidence: Evidence) -> Evidence:
     Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
     """
     if evidence.walk.has_acceleration or not len(evidence.fixes):
-        steps, headings = detected(evidence, gait_signals(evidence.walk))
-        evidence = replace(evidence, steps=steps, headings=headings)
+        gaits = gait_signals(evidence.walk)
+        steps, headings = detected(evidence, gaits)
+        evidence = with_network(replace(evidence, steps=steps, headings=headings), gaits)
     return with_tables(evidence)
+
+
+def with_network(evidence: Evidence, gaits: list[GaitSignals]) -> Evidence:
+    """Add the velocities of a walk by the network of --learned to its measurements, if the graph is to be solved.
+
+    Raises InputError if the network cannot be used.
+    """
+    path = evidence.options.learned
+    if path is None or evidence.options.method != "graph":
+        return evidence
+    from pdr_graph.gait.learned import Network, learned_velocities
+
+    velocities, notes = learned_velocities([gait.attitude for gait in gaits], Network(path))
+    walk = replace(evidence.walk, measurements=(*evidence.walk.measurements, velocities))
+    return replace(evidence, walk=walk, notes=(*evidence.notes, *notes))
 
 
 def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headings]:

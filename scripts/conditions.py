@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
+from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, read_fixes
@@ -23,6 +24,7 @@ from pdr_graph.estimation.floors import floors_along
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.floor.network import Network
 from pdr_graph.frames import frame_of
+from pdr_graph.gait.learned import Velocities
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import interpolate, length_along, rotation, unit, wrap_angle
@@ -239,6 +241,7 @@ BEACONS, BESIDE, POWER = 9, 4.0, 2.0  # of a museum; [m] around the walk; [dB] b
 HELD, USER, PERIOD = 0.5, 1.5, 30.0  # [m] sigma of a known start or end; [m], [s] of the user's fixes
 SCAN, MAP_SIGMA, MAP_LENGTH, MAP_WHITE = 4.0, 3.0, 8.0, 0.5  # [s] radio map; [m] sigma, correlation; share of white
 ANCHORS, RANGE, NLOS, LATE = 4, 0.3, 0.2, 2.0  # anchors; [m] sigma; share without line of sight, [m] these are longer
+NETWORK_EVERY, NETWORK_SIGMA, NETWORK_LASTS, NETWORK_GAIN = 0.1, 0.3, 1.0, 0.1  # [s], [m/s], [s], sigma of its log
 
 # What a source may do wrong
 FAR = 12.0  # [m] at least between two beacons that are swapped, or from a beacon to where it was moved
@@ -362,7 +365,9 @@ def _cut(line, begin, end):
 
 @dataclass(frozen=True)
 class SimulatedWalk:
-    """A walk as the front end saw it, with its truth; body: for radios; plan: None outdoors."""
+    """A walk as the front end saw it, with its truth; body: for radios; plan: None outdoors; frame: drift [rad/s] and
+    angle [rad] of the gyroscope's level frame.
+    """
 
     setting: str
     seed: int
@@ -371,6 +376,7 @@ class SimulatedWalk:
     truth: Trajectory
     body: Body
     plan: FloorPlan | None
+    frame: np.ndarray
 
     def generator(self, name):
         """The random numbers of one source, the same whatever else is used."""
@@ -387,7 +393,9 @@ def simulated_walk(setting, seed):
     steps, factor = detect_steps(gaits), np.exp(WALKER_STRIDE * random.standard_normal())
     steps = replace(steps, length=factor * steps.length, sigma_length=factor * steps.sigma_length)
     headings = magnetic_headings(gaits, simulation.frame, corners[0])
-    return SimulatedWalk(setting, seed, steps, headings, simulation.truth[::EVERY], simulation.body, plan)
+    time, course = gaits[0].attitude.time, gaits[0].direction.heading
+    frame = np.polyfit(time, course - np.interp(time, simulation.body.time, simulation.body.heading), 1)
+    return SimulatedWalk(setting, seed, steps, headings, simulation.truth[::EVERY], simulation.body, plan, frame)
 
 
 def route_of(setting, seed, random, length):
@@ -448,12 +456,13 @@ class Given:
     headings: Headings
     levels: Levels | None = None
     ranges: Ranges | None = None
+    velocities: Velocities | None = None
     floor: FloorPlan | None = None
     profile: Profile | None = None  # that has corrected the steps
 
     def graph(self):
         """The factor graph."""
-        tables = [] if self.ranges is None else [self.ranges]
+        tables = [table for table in (self.ranges, self.velocities) if table is not None]
         given = {"headings": self.headings, "levels": self.levels, "floor": self.floor, "measurements": tables}
         return WalkGraph(self.steps, self.fixes, prior=prior_of(self.profile), **given)
 
@@ -652,6 +661,36 @@ def ranges(given, walk, lie, random):
     return replace(given, ranges=table)
 
 
+def network(given, walk, lie, random):
+    """Velocities by a network, with errors that last for seconds and a gain of its own; or what says something else."""
+    time = np.arange(1.0, walk.truth.time[-1] - 1, NETWORK_EVERY)
+    place = interpolate(time, walk.body.time, walk.body.position)
+    velocity = np.gradient(place[:, 0] + 1j * place[:, 1], time) * np.exp(1j * np.polyval(walk.frame, time))
+    kept = np.exp(-NETWORK_EVERY / NETWORK_LASTS)
+    noise = random.normal(0, NETWORK_SIGMA * np.sqrt(1 - kept**2), (len(time), 2)) @ [1, 1j]
+    velocity *= np.exp(NETWORK_GAIN * random.standard_normal() + 1j * random.uniform(-np.pi, np.pi))
+    velocity = NETWORK_LIES[lie](velocity) + lfilter([1.0], [1.0, -kept], noise) * (lie != "zero")
+    sigma, frame = np.full((len(time), 2), NETWORK_SIGMA), np.zeros(len(time), dtype=np.intp)
+    return replace(given, velocities=Velocities(time, np.column_stack([velocity.real, velocity.imag]), sigma, frame))
+
+
+NETWORK_LIES = {
+    "": lambda velocity: velocity,
+    "turned by 90°": lambda velocity: 1j * velocity,
+    "zero": lambda velocity: 0 * velocity,
+    "half": lambda velocity: velocity / 2,
+    "constant": lambda velocity: np.full_like(velocity, 1.1),
+    "mirrored": lambda velocity: velocity.conj(),
+    "of another walk": lambda velocity: velocity[::-1],
+    "turned for 20 s": lambda velocity: velocity * np.where(in_middle(velocity, 20.0), 1j, 1.0),
+}
+
+
+def in_middle(velocity, lasting):
+    """True for the velocities of some seconds in the middle of a walk."""
+    return np.abs(np.arange(len(velocity)) - len(velocity) / 2) < lasting / 2 / NETWORK_EVERY
+
+
 def compass(given, walk, lie, random):
     """The phone's compass: none, or off."""
     if lie == "none":
@@ -714,6 +753,6 @@ def with_shapes(plan, change):
 
 
 PLAN_LIES = {"5 m shifted": shifted_plan, "a door missing": without_door, "of another floor": another_floor}
-SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, compass, stride, profile, plan)
+SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, network, compass, stride, profile, plan)
 SOURCES = {source.__name__.replace("_", " "): source for source in SOURCES}
 SOURCES |= {"GNSS": gnss, "GNSS and speed": gnss_and_speed}

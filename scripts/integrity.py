@@ -13,6 +13,7 @@ from accuracy_page import regions
 from conditions import (
     INDOORS,
     LOOPS,
+    NETWORK_LIES,
     OUTDOORS,
     WAYPOINT_NOISE,
     events,
@@ -60,6 +61,7 @@ RECEIVER += ("half as far", "of two people")
 USER = ("clock 2 s off", "of two people")
 PLAN = ("5 m shifted", "a door missing", "of another floor")
 NO_COMPASS = "compass: none"
+NETWORK = "network"  # the family with a table of its own
 FAMILIES = {  # the setting and the rows of walks that are compared with each other; each family has its own walks
     "GNSS, beacons": (
         INDOORS,
@@ -122,6 +124,14 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
         LOOPS,
         [Row(("start", "end")), Row((NO_COMPASS, "start", "end")), Row(("compass: 40° off", "start", "end"))],
     ),
+    NETWORK: (
+        INDOORS,
+        [
+            Row(("start", "end")),
+            *rows_of(("start", "end", "network"), tuple(NETWORK_LIES)[1:], ("start", "end")),
+            Row(("user fixes", "network"), ("user fixes",)),
+        ],
+    ),
 }
 LIE = ": "  # in the name of a source that lies
 
@@ -129,7 +139,10 @@ LIE = ": "  # in the name of a source that lies
 def integrity(data, wanted=(), walks=None, first=HELD_BACK):
     """The tables. wanted: words of which a row's name has one; walks: of each family; first: seed of the first walk."""
     rows = [
-        (name, row) for name, (_, some) in FAMILIES.items() for row in some if is_wanted(f"{name}: {row.name}", wanted)
+        (name, row)
+        for name, (_, some) in FAMILIES.items()
+        for row in some
+        if name != NETWORK and is_wanted(f"{name}: {row.name}", wanted)
     ]
     found = scores_by_row(rows, walks, first)
     lines = [
@@ -148,8 +161,17 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
     if any(groups.values()):
         groups = {name: scores for name, scores in groups.items() if scores}
         publish("results/integrity.md", "integrity probability", reliability(groups))
+    integrity_network(wanted, walks, first)
     if not wanted:
         recorded(data)
+
+
+def integrity_network(wanted=(), walks=None, first=HELD_BACK):
+    """The table of walks with a network of the user's own; arguments as of `integrity`."""
+    rows = [(NETWORK, row) for row in FAMILIES[NETWORK][1] if is_wanted(row.name, wanted)]
+    found = scores_by_row(rows, walks, first)
+    lines = [[row.name, *cells(found[name, row.given], row.without and found[name, row.without])] for name, row in rows]
+    publish("results/integrity.md", "integrity network", regions(["given", *HEADER], lines))
 
 
 def scores_by_row(rows, walks, first):

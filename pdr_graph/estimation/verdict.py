@@ -28,7 +28,8 @@ FIXES_COMPARED = 200  # among which the two farthest apart are searched
 
 def verdict(estimate: Estimate) -> Verdict:
     """The verdict on an estimate: the contradictions found when it was solved, and those that its reports show."""
-    found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _stride, _probability, _convergence)
+    found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _network)
+    found = (*found, _stride, _probability, _convergence)
     return Verdict.of((*estimate.contradictions, *(reason for rule in found for reason in rule(estimate))))
 
 
@@ -138,6 +139,14 @@ def _headings(estimate: Estimate) -> Iterator[Contradiction]:
     if median := _too_large(sigmas, len(sigmas), VERDICTS.heading_median, VERDICTS.heading_spread):
         text = f"half of the headings differ by more than {median:.1f} sigma from the walk"
         yield Contradiction("headings", "steps and fixes", median, "sigma", text, "magnets and iron near the phone")
+
+
+def _network(estimate: Estimate) -> Iterator[Contradiction]:
+    """A network that contradicts the steps throughout."""
+    if (reports := estimate.reports.get("network")) and not any(report.weight for report in reports):
+        text = "the network's velocities contradict the steps throughout: they are not used"
+        check = "--learned: its units, axes and order of sensors, and how the network was trained"
+        yield Contradiction("network", "steps", 1.0, "share", text, check)
 
 
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:

@@ -15,8 +15,11 @@ from walks import dead_reckon, fixes_on, in_corridors, wandering_walk
 from pdr_graph.estimation.factors.base import Stage
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
+from pdr_graph.estimation.factors.learned_velocity import LearnedVelocityFactor
 from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.gait.learned import Velocities
+from pdr_graph.geometry import interpolate
 from pdr_graph.priors import MOTION
 from pdr_graph.types import Closures, Headings, Ranges
 
@@ -68,6 +71,20 @@ def ranged_graph():
     return WalkGraph(steps, measurements=[ranges])
 
 
+def beside_a_network():
+    """Velocities of a network that turns away for a while, in the second pass: several segments, and two frames."""
+    steps = wandering_walk(230, 6)
+    track = dead_reckon(steps)
+    time = np.arange(steps.start, steps.end, 0.5)
+    place = interpolate(time, track.time, track.position)
+    velocity = np.gradient(place, time, axis=0) @ np.array([[0.6, 0.8], [-0.8, 0.6]])
+    velocity[40:70] *= -1
+    table = Velocities(time, velocity, np.full_like(velocity, 0.4), (time > 60).astype(np.intp))
+    graph = outliers(WalkGraph(steps, fixes_on(track, every=60), measurements=[table]))
+    assert len(graph.find(LearnedVelocityFactor)._used) > 20
+    return graph
+
+
 GRAPHS = {
     "walls": walled_graph,
     "rough walls": lambda: walled_graph(seed=6).staged(Stage.ROUGH),
@@ -79,6 +96,7 @@ GRAPHS = {
     "closures": lambda: closed(Stage.FINAL),
     "firm closures": lambda: closed(Stage.ROUGH),
     "ranges": ranged_graph,
+    "network": beside_a_network,
     "no fix": lambda: WalkGraph(wandering_walk(12)),
     "no fix on a plan": lambda: WalkGraph(wandering_walk(12), floor=HALL),
 }

@@ -92,6 +92,10 @@ PathsPath = Annotated[
     Path | None,
     typer.Option("--paths", metavar="FILE", help="Ways outdoors: an OpenStreetMap extract, GeoJSON lines, GPX routes."),
 ]
+LearnedPath = Annotated[
+    Path | None,
+    typer.Option("--learned", metavar="ONNX", help="A network of your own: inertial samples to velocities; of smooth."),
+]
 RadioMapPath = Annotated[
     Path | None,
     typer.Option("--radio-map", metavar="FILE", help="Made by radio-map from earlier walks: fixes by Wi-Fi and BLE."),
@@ -224,6 +228,7 @@ class WalkOptions:
     ranges: RangesPath = None
     radio_map: RadioMapPath = None
     paths: PathsPath = None
+    learned: LearnedPath = None
     truth: TruthPath = None
     settings: Settings = None
 

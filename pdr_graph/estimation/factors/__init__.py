@@ -9,11 +9,13 @@ from pdr_graph.estimation.factors.corridors import CorridorFactor, PathFactor, T
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.learned_velocity import LearnedVelocityFactor
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.registry import ON_PLAN, RESERVED, WAYS_OUTDOORS, register
 from pdr_graph.estimation.factors.start import CalibrationFactor, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
+from pdr_graph.gait.learned import Velocities
 from pdr_graph.types import Closures, Fixes, Headings, Levels, Ranges
 
 ON_PLAN |= {"directions": CorridorFactor, "turns": TurnFactor, WAYS_OUTDOORS: PathFactor}
@@ -23,6 +25,7 @@ register(Headings, HeadingFactor)
 register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
+register(Velocities, LearnedVelocityFactor)
 
 # What fixes and headings are in a graph, which starts from them
 Positions: TypeAlias = FixFactor

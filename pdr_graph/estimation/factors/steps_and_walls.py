@@ -20,18 +20,23 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StepFactor(Measurement):
     """The steps, preintegrated between keyframes: x_j = x_i ∘ Δ(c), with c the walker's calibration.
 
     [heading] Sec. 1, [calibration-walk] Eqs. (8), (9), [map-matching] Eqs. (4), (5); see `step_residuals`.
+
+    doubted: ``(k, 3, 3)`` root of the information of each interval where its direction is assumed to be wrong somewhere
+    in it, as `Bridge.root`; None if nowhere.
     """
+
+    doubted: Array | None = None
 
     name: ClassVar[str] = "steps"
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One factor for each interval."""
-        chain, root = at.chain, at.chain.bridge.root
+        chain, root = at.chain, at.chain.bridge.root if self.doubted is None else self.doubted
         value = np.einsum("kij,kj->ki", root, at.step_residual.value)
         i = np.arange(len(value))
         variables = (("x", i), ("x", i + 1), ("c", chain.segment))
@@ -40,8 +45,7 @@ class StepFactor(Measurement):
             whitened = at.step_residual.times(root)
             return [whitened.by_i, whitened.by_j, whitened.by_c]
 
-        number = chain.number[1:]
-        return [FactorBlock.uniform(self.name, value, variables, jacobian, number)]
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, chain.number[1:])]
 
 
 @dataclass(frozen=True, eq=False)
