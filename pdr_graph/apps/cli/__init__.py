@@ -221,7 +221,7 @@ def steps(
     height: Height = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the detected steps, as input of other back ends.
+    """Write the detected steps, or those of the phone's own counter, as input of other back ends.
 
     One row per step: time,length,turn,sigma_length,sigma_turn,confidence.
 
@@ -231,10 +231,10 @@ def steps(
     from pdr_graph.gait.steps import detect_steps
     from pdr_graph.io.loading import load
     from pdr_graph.io.writers import write_steps
-    from pdr_graph.walk import Options
+    from pdr_graph.walk import Options, counted
 
     walk, person = load(recording), Options(walker=walker, height=height).person()
-    detected = detect_steps(walk, person)
+    detected = counted(walk, person) or detect_steps(walk, person)
     file = out or path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
