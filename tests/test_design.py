@@ -51,7 +51,7 @@ LIBRARIES = {
     "estimation": {"gtsam", "numba"},
     "inertial": {"vqf"},
     "floor": {"lxml", "ezdxf", "skimage", "pypdfium2", "yaml", "PIL"},
-    "io": {"lxml", "pyarrow", "isal"},
+    "io": {"lxml", "pyarrow", "isal", "rosbags"},
     "frames": {"pyproj", "pygeomag"},
     "storage": {"sqlite3"},
     "recovery": {"sqlite3"},
@@ -65,7 +65,7 @@ LIBRARIES = {
 BUDGETS: dict[str, tuple[int, int]] = {
     ".": (15, 2940),
     "apps": (3, 149),
-    "apps/cli": (6, 1033),
+    "apps/cli": (6, 1045),  # export
     "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5650),
     "apps/lifelog/past": (8, 1040),
@@ -79,7 +79,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "floor/formats": (16, 1893),
     "gait": (10, 1490),
     "inertial": (6, 530),
-    "io": (19, 1890),  # recorders by the words in their columns, step counters
+    "io": (20, 2030),  # recorders by the words in their columns, step counters, bags of ROS
     "lab": (2, 0),
     "lab/papers": (5, 566),
     "lab/simulation": (9, 1344),

@@ -65,7 +65,7 @@ def test_what_is_imported_is_a_dependency():
         return {word.lower().replace("_", "-") for word in words}  # dask[distributed] brings both
 
     core, extras = named(PROJECT["dependencies"]), PROJECT["optional-dependencies"]
-    users = ("attitude", "fast", "fit", "fleet", "gait", "geo", "paths", "plans", "serve", "serve-mqtt")
+    users = ("attitude", "fast", "fit", "fleet", "gait", "geo", "paths", "plans", "ros", "serve", "serve-mqtt")
     extra = named(line for name in users for line in extras[name])
     distributions = packages_distributions()
     for file in FILES:

@@ -18,6 +18,7 @@ from pdr_graph.io import (
     oxford_steps,
     past_day,
     phyphox,
+    ros_bags,
     sensor_logger,
 )
 from pdr_graph.io.source import Source
@@ -32,6 +33,7 @@ READERS = (
     sensor_logger,
     phyphox,
     named_columns,
+    ros_bags,
     ipin21,
     oxford_steps,
     geolife,
