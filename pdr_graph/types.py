@@ -427,7 +427,6 @@ class Recording(OneLineRepr):
     magnetometer: Signal | None = None
     linear_acceleration: Signal | None = None
     barometer: Signal | None = None
-    step_counter: Signal | None = None
     fixes: Fixes = field(default_factory=Fixes.none)
     bluetooth: Sightings | None = None
     wifi: Sightings | None = None
@@ -435,6 +434,7 @@ class Recording(OneLineRepr):
     truth: Trajectory | None = None
     measurements: tuple[Any, ...] = ()
     notes: tuple[str, ...] = ()
+    step_counter: Signal | None = None
 
     def __post_init__(self) -> None:
         """Raise TypeError unless each sensor is a `Signal`."""

@@ -309,7 +309,10 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
             notes.append(f"x, y of {options.truth.name} are taken as metres from {frame}; lat, lon would be exact")
         walk = replace(walk, truth=truth)
     evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
-    evidence = replace(evidence, paths=paths, steps=counted(walk, walker))
+    steps = counted(walk, walker)
+    if steps is not None and len(fixes) > 1:  # as of a GPX track without steps, nothing is missing: the fixes turn it
+        steps = replace(steps, unknown=())
+    evidence = replace(evidence, paths=paths, steps=steps)
     if (bearing := options.start_heading) is None:
         return evidence
     east = frame.bearing_of_east(evidence.near) if frame.georeferenced else 0.0

@@ -85,13 +85,15 @@ def test_a_counter_alone_is_a_recording_and_its_track_keeps_the_steps(tmp_path, 
     (tmp_path / "fixes.csv").write_text("time,lat,lon,sigma\n" + lines)
     number = int(np.ptp(counter.values))
     for verb, out in (("smooth", "smoothed"), ("replay", "replayed")):
-        run(verb, "walk.csv", "--fixes", "fixes.csv", "--no-report", "--out", out, cwd=tmp_path)
+        assert run(verb, "walk.csv", "--fixes", "fixes.csv", "--no-report", "--out", out, cwd=tmp_path).code == 0
         summary = json.loads((tmp_path / out / "summary.json").read_text())
         assert summary["steps"] == number
         assert 0.8 * 100 < summary["distance"] < 1.2 * 100
     again = load(tmp_path / "smoothed" / "trajectory.gpx")
     assert np.ptp(again.step_counter.values) == number
     assert len(counted_steps(again.step_counter, Walker())) == number
+    blind = run("smooth", "walk.csv", "--no-report", "--out", "blind", cwd=tmp_path)
+    assert (blind.code, "turns: there is no gyroscope" in blind.errors[0]) == (3, True)
     run("steps", "walk.csv", "--out", "steps.csv", cwd=tmp_path)
     assert len((tmp_path / "steps.csv").read_text().splitlines()) == number + 1
 
