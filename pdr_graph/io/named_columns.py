@@ -31,7 +31,7 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, float_of, in_seconds, iso_time, receiver_fixes
 from pdr_graph.types import DAY_LENGTH, STANDARD_GRAVITY, Array, Recording
 
-NAME = "SensorLog, DeviceMotion, Movella and Xsens, step counter"
+NAME = "SensorLog, DeviceMotion, Movella, step counter"  # of which Xsens is a part
 NOT_IN_A_NAME = re.compile(r"\([^()]*\)|[^a-z0-9]")  # units, spaces, dots and underscores
 FIRST_DATE = 2 * 365 * DAY_LENGTH  # [s] a later time is a Unix time: a phone runs for less since it booted
 DOT, MTI = 1e-6, 1e-4  # [s] ticks of SampleTimeFine

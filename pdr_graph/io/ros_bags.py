@@ -23,7 +23,7 @@ from pdr_graph.io.source import MOST_LINES, Source
 from pdr_graph.io.validation import RADIUS_68, build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Recording, Trajectory
 
-NAME = "ROS bag (MCAP, rosbag2)"
+NAME = "ROS 2"
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3"
 NANOSECOND = 1e-9  # [s]
 UNAVAILABLE = -1.0  # first value of the covariance of a quantity that an Imu does not have
