@@ -411,6 +411,7 @@ class Recording(OneLineRepr):
     epoch: Unix time at ``t = 0`` [s], None if the log has no absolute time.
     accelerometer: with gravity [m/s²]; gyroscope [rad/s]; magnetometer [µT]; barometer [hPa].
     linear_acceleration: gravity removed by the recorder [m/s²]; used only without an ``accelerometer``.
+    step_counter: ``(n, 1)`` number of steps by the phone's own counter; used only without any acceleration.
     fixes: position fixes inside the recording.
     bluetooth, wifi: receptions; beacons: the surveyed positions of Bluetooth beacons, None if unknown.
     truth: surveyed positions inside the recording, for scoring and plots only: no estimate reads it.
@@ -433,6 +434,7 @@ class Recording(OneLineRepr):
     truth: Trajectory | None = None
     measurements: tuple[Any, ...] = ()
     notes: tuple[str, ...] = ()
+    step_counter: Signal | None = None
 
     def __post_init__(self) -> None:
         """Raise TypeError unless each sensor is a `Signal`."""
@@ -885,8 +887,7 @@ def concatenate(parts: Sequence[Table]) -> Table:
 
 def by_type(tables: Sequence[Any]) -> tuple[Any, ...]:
     """The tables with all of one type concatenated, in the order in which the types first appear."""
-    kinds = dict.fromkeys(type(table) for table in tables)
-    return tuple(concatenate([table for table in tables if type(table) is kind]) for kind in kinds)
+    return tuple(concatenate([t for t in tables if type(t) is kind]) for kind in dict.fromkeys(map(type, tables)))
 
 
 def last_time(data: Any) -> Array:

@@ -175,7 +175,8 @@ class Evidence(OneLineRepr):
     frame: of the output; fixes: all that are used, in order of time; notes: what was left out or assumed, a line each;
     beacons: None if none was received; radio_map: the fixes include those from it; start_heading: of the first step,
     counter-clockwise from +x [rad].
-    steps: None without an accelerometer, and before they are detected; headings, measurements: tables for the graph;
+    steps: None without an accelerometer or a step counter, and before they are detected; headings, measurements: tables
+    for the graph;
     floors: of every step, None if unknown; others: the same walk begun on other floors, if nothing says on which.
     modes: of transport, as stated; rides: ``(r, 2)`` start and end of each [s], of which the steps are left out;
     doubts: contradictions that are known before the estimate; paths: ways outdoors around the walk, None without.
@@ -314,11 +315,23 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
             notes.append(f"x, y of {options.truth.name} are taken as metres from {frame}; lat, lon would be exact")
         walk = replace(walk, truth=truth)
     evidence = Evidence(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map, options=options)
-    evidence = replace(evidence, paths=paths)
+    steps = counted(walk, walker)
+    if steps is not None and len(fixes) > 1:  # as of a GPX track without steps, nothing is missing: the fixes turn it
+        steps = replace(steps, unknown=())
+    evidence = replace(evidence, paths=paths, steps=steps)
     if (bearing := options.start_heading) is None:
         return evidence
     east = frame.bearing_of_east(evidence.near) if frame.georeferenced else 0.0
     return replace(evidence, start_heading=float(wrap_angle(np.pi / 2 - np.radians(bearing) + east)))
+
+
+def counted(walk: Recording, walker: Walker) -> Steps | None:
+    """The steps of the phone's own counter; None where an acceleration shows the steps themselves."""
+    if walk.step_counter is None or walk.has_acceleration:
+        return None
+    from pdr_graph.gait.step_counter import counted_steps  # few recordings have nothing else
+
+    return counted_steps(walk.step_counter, walker)
 
 
 def _paths(options: Options, frame: Frame, fixes: Fixes, notes: list[str]) -> PathNetwork | None:
@@ -446,11 +459,12 @@ def _in_one_frame(
 
 
 def observe(evidence: Evidence) -> Evidence:
-    """Detect the steps and headings of a recording, its floors and beacon levels; no steps without an accelerometer.
+    """Detect the steps and headings of a recording, its floors and beacon levels; without an accelerometer its steps
+    are those of a step counter, if any.
 
     Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
     """
-    if evidence.walk.has_acceleration or not len(evidence.fixes):
+    if evidence.walk.has_acceleration or not (evidence.steps or len(evidence.fixes)):
         gaits = gait_signals(evidence.walk)
         steps, headings = detected(evidence, gaits)
         evidence = with_network(replace(evidence, steps=steps, headings=headings), gaits)

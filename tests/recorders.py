@@ -210,6 +210,67 @@ def ipin21(s):
     return files | {"GroundTruthEight.csv": columns(ms[:3], *np.full((3, 3), 5e5), delimiter="\t", form="{:.3f}")}
 
 
+def sensor_log(s, version=5):
+    """A log of SensorLog on an iPhone: a row for each sample, in which other sensors have their last one; G, kPa.
+
+    Version 1 has no units in its names and spaces in its times. The counter has counted 100 before, and 2 a second.
+    """
+    times, last = s.time + 5432.1, np.searchsorted(s.fix_time, s.time, side="right") - 1
+    at, known = np.maximum(last, 0), (last >= 0)[:, None]
+    place, speed = s.lonlat[:, ::-1], np.full(len(s.fix_time), SPEED)
+    fixes = np.column_stack([s.fix_time + UNIX, place, s.accuracy, speed, s.bearing])
+    columns = {
+        "accelerometerTimestamp_sinceReboot(s)": times,
+        **{f"accelerometerAcceleration{axis}(G)": -s.acceleration[:, n] / G for n, axis in enumerate("XYZ")},
+        "motionTimestamp_sinceReboot(s)": times,
+        **{f"motionRotationRate{axis}(rad/s)": s.angular_rate[:, n] for n, axis in enumerate("XYZ")},
+        **{f"motionMagneticField{axis}(µT)": s.field[:, n] for n, axis in enumerate("XYZ")},
+        "altimeterTimestamp_sinceReboot(s)": times + 7e8,  # of the year 2001
+        "altimeterPressure(kPa)": s.pressure / 10,
+        **dict(zip(LOCATED, (fixes[at] * known).T, strict=True)),
+    }
+    stamps = [datetime.fromtimestamp(UNIX + t, UTC).isoformat(timespec="microseconds") for t in s.time]
+    counted = [(n, datetime.fromtimestamp(UNIX + n / 2, UTC).isoformat()) for n in (2 * s.time).astype(int).tolist()]
+    if version == 1:
+        stamps = [stamp.replace("T", " ").replace("+00:00", " +0000") for stamp in stamps]
+        columns = {name.split("(")[0]: column for name, column in columns.items()}
+    head = ["loggingTime(txt)", *columns, "pedometerNumberofSteps(N)", "pedometerEndDate(txt)"]
+    rows = zip(stamps, np.column_stack([*columns.values()]).tolist(), counted, strict=True)
+    lines = [",".join([stamp, *map(repr, row), str(100 + n), end]) for stamp, row, (n, end) in rows]
+    return "\n".join([",".join(head), *lines]) + "\n"
+
+
+LOCATED = (
+    *("locationTimestamp_since1970(s)", "locationLatitude(WGS84)", "locationLongitude(WGS84)"),
+    *("locationHorizontalAccuracy(m)", "locationSpeed(m/s)", "locationCourse(°)"),
+)
+
+
+def device_motion(s, sign=1.0):
+    """Events of W3C DeviceMotion as a page writes them: milliseconds, °/s, alpha about x; sign: -1 of Safari."""
+    names = [f"accelerationIncludingGravity{axis}" for axis in "XYZ"]
+    names = ["timeStamp", *names, "rotationRate.alpha", "rotationRate.beta", "rotationRate.gamma"]
+    table = np.column_stack([UNIX * 1e3 + s.time * 1e3, sign * s.acceleration, np.degrees(s.angular_rate)])
+    return ",".join(names) + "\n" + columns(table, delimiter=",", form="{:.17g}")
+
+
+def movella(s, device="DOT", first=2**32 - 5_000_000):
+    """A log of a Movella DOT (µs that wrap, °/s), of an MTi (0.1 ms, rad/s), or of an MTw (packets by number)."""
+    about = {
+        "DOT": "sep=,\nDeviceTag:,1\nOutputRate:,60Hz\n© Movella Technologies B. V. 2005-2025\n\n",
+        "MTi": "// General information:\n//  MT Manager version: 2022.2.0\n",
+        "MTw": "// Start Time: Unknown\n// Update Rate: 50.0Hz\n",
+    }[device]
+    ticks = (first + np.round(s.time * (1e6 if device == "DOT" else 1e4))) % 2**32
+    names = ["PacketCounter", "SampleTimeFine", *(f"{name}_{axis}" for name in ("Acc", "Gyr", "Mag") for axis in "XYZ")]
+    rate = np.degrees(s.angular_rate) if device == "DOT" else s.angular_rate
+    fine = np.full(len(ticks), np.nan) if device == "MTw" else ticks
+    counter = (np.arange(len(ticks)) + 65_000) % 65_536
+    table = np.column_stack([counter, fine, s.acceleration, rate, s.field / 40])
+    cut = "," if device == "DOT" else "\t"
+    return about + cut.join(names) + "\n" + columns(table, delimiter=cut, form="{:.17g}")
+
+
 # Of each reader: a file or folder name, and the function that writes a sample as text or as files
 EXPORTS = {
     "indoor_location": ("walk.txt", indoor_location),
@@ -217,6 +278,9 @@ EXPORTS = {
     "gnss_logger": ("walk.txt", gnss_logger),
     "sensor_logger": ("walk", lambda s: sensor_logger(s, "ios")),
     "phyphox": ("walk.zip", phyphox),
+    "named_columns": ("walk.csv", sensor_log),
+    "device_motion": ("walk.csv", device_motion),
+    "movella": ("walk.csv", movella),
     "ipin21": ("walk", ipin21),
     "oxford_steps": ("walk.csv", oxford_steps),
     "geolife": ("walk.plt", geolife),

@@ -42,7 +42,7 @@ PathNetwork(lines, classes, notes=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=, placed=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
-fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
+fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=, step_counter=)
 Samples(sensor, time, values)
 Scan(radio, heard)
 Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, user_fixes=, \

@@ -16,7 +16,7 @@ from pdr_graph.errors import printable
 from pdr_graph.lab.simulation import scenario
 
 COMMANDS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaal",), ("evaluate",)]
-COMMANDS += [("compare",), ("simulate",), ("map", "show"), ("map", "check")]
+COMMANDS += [("compare",), ("export",), ("simulate",), ("map", "show"), ("map", "check")]
 COMMANDS += [("lifelog", command) for command in ("add", "build", "show", "export")]
 CORRECTIONS = ("was-at", "merge", "split", "was", "not-me", "name", "forget", "list", "undo")
 COMMANDS += [("lifelog", "correct", command) for command in CORRECTIONS]

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import bags
 import numpy as np
 import pytest
 import recorders
@@ -24,6 +25,8 @@ def felt():
 
 def exported(recorder, folder, felt):
     """The walk in the files of one recorder, with a space in the name; in a zip where it comes from a phone."""
+    if recorder == "ros_bags":
+        return bags.by_foxglove(folder / "walk 1.mcap", felt)
     name, write_files = recorders.EXPORTS[recorder]
     path, content = folder / name.replace("walk", "walk 1"), write_files(felt)
     if isinstance(content, dict) and recorder in PHONES:

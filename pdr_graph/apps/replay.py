@@ -20,6 +20,7 @@ from pdr_graph.estimation.factors.fixes import duplicates
 from pdr_graph.estimation.results import outside_warnings
 from pdr_graph.estimation.verdict import missing_of
 from pdr_graph.floor.plan_files import plan_fingerprint
+from pdr_graph.gait.step_counter import one_by_one
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.tables import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
@@ -117,7 +118,9 @@ def replay_recording(
     with stage("reading"):
         evidence = read(recording, options)
         outside = _outside(evidence.walk, evidence.other_fixes)
-        events = list(events_of(replace(evidence.walk, fixes=evidence.other_fixes[~outside])))
+        counted = () if evidence.steps is None else one_by_one(evidence.steps)
+        tables = (*evidence.walk.measurements, *counted)
+        events = list(events_of(replace(evidence.walk, fixes=evidence.other_fixes[~outside], measurements=tables)))
     with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("opening"):
             nav = _opened(evidence, len(events), kind)

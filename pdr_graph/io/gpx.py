@@ -24,12 +24,14 @@ from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, float_of, iso_time, plausible_times, receiver_fixes
 from pdr_graph.io.xml_elements import XmlElements
-from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
+from pdr_graph.types import INSTANT, Array, Fixes, Index, OneLineRepr, Recording, Steps, Trajectory, time_span
 
 NAME = "GPX"
 GPX_ROOT = re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?gpx[\s>]")
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
-EXTENSION = "urn:pdr_graph"  # namespace of the accuracy of a point, for which GPX has no element
+EXTENSION = "urn:pdr_graph"  # namespace of the accuracy and the steps of a point, for which GPX has no elements
+STEPS = "steps"
+CREATED_BY = "pdr_graph"
 
 
 def recognizes(source: Source) -> bool:
@@ -38,14 +40,22 @@ def recognizes(source: Source) -> bool:
 
 
 def read(source: Source) -> Recording:
-    """Read a track as a recording of fixes alone."""
+    """Read a track as a recording of fixes alone, or with the steps that this program writes into a track."""
     notes: list[str] = []
-    fixes = read_fixes(source, notes)
-    return build_recording(str(source.path), PurePosixPath(source.single or "").stem, {}, 0.0, fixes, notes=notes)
+    table, name = _table(source, notes), PurePosixPath(source.single or "").stem
+    fixes = receiver_fixes(table[:, :4], notes, NAME)
+    return build_recording(str(source.path), name, {}, 0.0, fixes, notes=notes, counted=table[:, [0, 4]])
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
-    """Read track points as fixes at Unix times [s]. Segments are joined; what is damaged is left out and noted.
+    """Read track points as fixes at Unix times [s]. Raises InputError as `read`."""
+    return receiver_fixes(_table(source, notes)[:, :4], notes, NAME)
+
+
+def _table(source: Source, notes: list[str]) -> Array:
+    """Unix time [s], latitude, longitude [deg], 68 % radius [m] and number of steps of each track point ``(n, 5)``.
+
+    Segments are joined; what is damaged is left out and noted.
 
     Raises InputError if no point has a time, or more than a fifth of them are damaged.
     """
@@ -71,7 +81,7 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
         raise InputError(where, "<trkpt>", f"{found} {times[row][:40]!r}, {table[row, 1]}, {table[row, 2]}", expected)
     if damaged.any():
         notes.append(f"GPX: {count(int(damaged.sum()), 'track point')} without a valid time and place left out")
-    return receiver_fixes(table[~damaged], notes, NAME)
+    return table[~damaged]
 
 
 # 68 % radius [m] per unit of an element; names in lower case without underscores. docs/formats.md says which apps
@@ -81,29 +91,33 @@ HDOP_OF_APPS = {"OsmAnd": 1.0, "Locus": 1.0, "OSMTracker": 4.0}
 HDOP = 5.3  # of any other: a phone's range error of 5 m times HDOP is the rms distance
 CREATOR = re.compile(r"<gpx\b[^>]*?\screator\s*=\s*[\"'](\w+)")
 
-TrackPoint = tuple[str, float, float, float]
+TrackPoint = tuple[str, float, float, float, float]
 
 
 def track_points(elements: XmlElements) -> Iterator[TrackPoint]:
-    """Time as text, "" without one, latitude and longitude [deg] and 68 % radius [m] of each point, NaN if not stated.
+    """Time as text, "" without one, latitude and longitude [deg], 68 % radius [m] and number of steps of each point.
 
-    The radius is that of an accuracy in metres, else estimated from HDOP.
+    NaN if not stated. Steps are those that this program writes: others, as trailsio:steps, do not say from where they
+    count. The radius is that of an accuracy in metres, else estimated from HDOP.
     """
     tags: dict[str, float] = {}
+    steps = ""
     for element in elements:
         if not tags:
             creator = CREATOR.search(elements.head)
             apps = (of for app, of in HDOP_OF_APPS.items() if creator and creator[1].startswith(app))
             tags = ACCURACY | {"hdop": next(apps, HDOP)}
+            steps = STEPS if creator and creator[1] == CREATED_BY else ""
         time, values = "", dict[str, float]()
         for inner in element.iterdescendants():
             name = _local_name(inner.tag)
             if name == "time":
                 time = time or (inner.text or "").strip()
-            elif name in tags:
-                values.setdefault(name, tags[name] * float_of(inner.text))
+            elif name in tags or name == steps:
+                values.setdefault(name, tags.get(name, 1.0) * float_of(inner.text))
         radii = (values[name] for name in tags if not math.isnan(values.get(name, math.nan))) if values else iter(())
-        yield time, float_of(element.get("lat")), float_of(element.get("lon")), next(radii, math.nan)
+        place = float_of(element.get("lat")), float_of(element.get("lon"))
+        yield time, *place, next(radii, math.nan), values.get(STEPS, math.nan)
 
 
 @lru_cache(maxsize=256)
@@ -117,12 +131,13 @@ class Points(OneLineRepr):
     """Positions on earth.
 
     lonlat: ``(n, 2)`` longitude and latitude [deg]; time: ``(n,)`` Unix times [s], None without a clock;
-    accuracy: ``(n,)`` 68 % radius [m], None if unknown.
+    accuracy: ``(n,)`` 68 % radius [m], None if unknown; steps: ``(n,)`` number of steps since the first point.
     """
 
     lonlat: Array
     time: Array | None = None
     accuracy: Array | None = None
+    steps: Index | None = None
 
     def _summary(self) -> list[str]:
         return [count(len(self.lonlat), "point"), *([] if self.time is None else time_span(self))]
@@ -137,18 +152,21 @@ class Track(OneLineRepr):
     kind: str = ""
 
 
-def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
-    """Write a walk as a GPX track, with UTC times if the recording has a clock.
+def write(
+    path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str, steps: Steps | None = None
+) -> None:
+    """Write a walk as a GPX track, with UTC times if the recording has a clock, and the number of steps at each point.
 
     epoch: Unix time of time 0 [s]; None without a clock.
     """
     time = None if epoch is None else epoch + trajectory.time
-    path.write_bytes(document([Track(name, (Points(frame.to_lonlat(trajectory.position), time),))]))
+    number = None if steps is None else np.searchsorted(steps.time[~steps.is_gap], trajectory.time + INSTANT)
+    path.write_bytes(document([Track(name, (Points(frame.to_lonlat(trajectory.position), time, steps=number),))]))
 
 
 def document(tracks: Sequence[Track], places: Sequence[tuple[str, str, Points]] = ()) -> bytes:
     """The content of a GPX 1.1 file. places: name, description and position of each waypoint at its arrival."""
-    gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE, "pdr": EXTENSION})
+    gpx = etree.Element("gpx", {"version": "1.1", "creator": CREATED_BY}, nsmap={None: NAMESPACE, "pdr": EXTENSION})
     for name, description, point in places:
         _add_points(gpx, "wpt", point, name, description)
     for track in tracks:
@@ -172,9 +190,12 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
             etree.SubElement(element, "name").text = printable(name)
         if about:
             etree.SubElement(element, "desc").text = printable(about)
-        if points.accuracy is not None:
+        if points.accuracy is not None or points.steps is not None:
             extensions = etree.SubElement(element, "extensions")
-            etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
+            if points.accuracy is not None:
+                etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
+            if points.steps is not None:
+                etree.SubElement(extensions, f"{{{EXTENSION}}}{STEPS}").text = f"{points.steps[n]}"
 
 
 # UTC times as most apps write them, which numpy parses all at once

@@ -14,9 +14,11 @@ from pdr_graph.io import (
     gpx,
     indoor_location,
     ipin21,
+    named_columns,
     oxford_steps,
     past_day,
     phyphox,
+    ros_bags,
     sensor_logger,
 )
 from pdr_graph.io.source import Source
@@ -30,6 +32,8 @@ READERS = (
     gnss_logger,
     sensor_logger,
     phyphox,
+    named_columns,
+    ros_bags,
     ipin21,
     oxford_steps,
     geolife,

@@ -65,6 +65,7 @@ def read(source: Source) -> Recording:
         bluetooth=_sightings(source, "Bluetooth.csv", "id", "rssi"),
         wifi=_sightings(source, "WiFi.csv", "bssid", "level"),
         notes=notes,
+        counted=_samples(source, "Pedometer.csv", values=("steps",)),
     )
 
 

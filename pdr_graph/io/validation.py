@@ -45,12 +45,14 @@ def build_recording(
     wifi: Sightings | None = None,
     truth: Trajectory | None = None,
     notes: Sequence[str] = (),
+    counted: Array | None = None,
 ) -> Recording:
     """Build the recording from a reader's raw columns, all times on the recorder's own clock.
 
     path: name of the files in messages; source: name of the recording in titles.
     tables: per sensor ``(n, 1 + k)`` times [s] and values, rows of NaN where a value is missing.
     unix_zero: Unix time at which the recorder's clock is zero [s], None if unknown.
+    counted: ``(n, 2)`` times [s] and the number of steps by the phone's own counter; NaN where unknown.
 
     Raises InputError if a sensor's rows are damaged, or their unit is not recognised.
     """
@@ -78,7 +80,8 @@ def build_recording(
     _check_clocks(path, signals, fixes, notes)
 
     starts = [signals[s].time[0] for s in INERTIAL if s in signals] or [s.time[0] for s in signals.values()]
-    starts = starts or [part.time[0] for part in (fixes, truth) if part is not None and len(part)]
+    counter = None if counted is None else _counter(counted)
+    starts = starts or [part.time[0] for part in (counter, fixes, truth) if part is not None and len(part)]
     if not starts:
         raise InputError(path, "", "no sensor rows and no positions", "the rows of a sensor, or positions")
     origin = float(min(starts))
@@ -91,12 +94,21 @@ def build_recording(
         magnetometer=_since(origin, signals.get("magnetometer")),
         linear_acceleration=_since(origin, signals.get("linear_acceleration")),
         barometer=_since(origin, signals.get("barometer")),
+        step_counter=_since(origin, counter),
         fixes=_since(origin, fixes) or Fixes.none(),
         bluetooth=_since(origin, bluetooth),
         wifi=_since(origin, wifi),
         truth=_since(origin, truth),
         notes=tuple(notes),
     )
+
+
+def _counter(rows: Array) -> Signal:
+    """The readings of a step counter in order of time; of several at one time the largest."""
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows = rows[np.lexsort(rows.T[::-1])]
+    rows = rows[np.diff(rows[:, 0], append=np.inf) > 0]
+    return Signal(rows[:, 0].copy(), rows[:, 1:].copy())
 
 
 def fullest(rows: Mapping[str, int]) -> str:

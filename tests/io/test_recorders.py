@@ -8,13 +8,16 @@ from recorders import (
     SPEED,
     UNIX,
     G,
+    device_motion,
     get_sensor_data,
     gnss_logger,
     in_folder,
     in_zip,
+    movella,
     nanoseconds,
     phyphox,
     sample,
+    sensor_log,
     sensor_logger,
     table,
     xyz,
@@ -244,3 +247,41 @@ def test_the_steps_of_a_walk_are_the_same_from_every_recorder(tmp_path, sampled)
 def test_a_folder_of_several_recordings_raises(tmp_path, sampled):
     files = {f"{part}/{name}": text for part in "ab" for name, text in sensor_logger(sampled).items()}
     refused(load, in_folder(tmp_path / "walks", files), "one recording at a time")
+
+
+@pytest.mark.parametrize("version", [1, 5])
+def test_reader_sensor_log(tmp_path, sampled, version):
+    (tmp_path / "walk.csv").write_text(sensor_log(sampled, version), encoding="utf-8")
+    walk = load(tmp_path / "walk.csv")
+    assert_is_the_walk(walk, sampled, UNIX, clock_tolerance=2e-5)
+    assert walk.magnetometer.values[3] == pytest.approx([5, 20, -40])
+    assert walk.barometer.values[0] == pytest.approx(1013.25)
+    assert walk.step_counter.values[[0, -1], 0] == pytest.approx([100, 100 + int(2 * sampled.time[-1])])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["Chrome", "Safari"])
+def test_reader_device_motion(tmp_path, sampled, sign):
+    """Pages of browsers: alpha is about x (w3c/deviceorientation#43), and Safari has the signs of iOS."""
+    (tmp_path / "walk.csv").write_text(device_motion(sampled, sign))
+    walk = load(tmp_path / "walk.csv")
+    assert walk.epoch == pytest.approx(UNIX + sampled.time[0], abs=1e-3)
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-5)
+    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate, abs=1e-5)
+    turned = sum(step for step in detect_steps(walk).turn)
+    assert turned == pytest.approx(np.pi / 2, abs=0.2), "left around the corner, so that the axes are right"
+
+
+@pytest.mark.parametrize("device", ["DOT", "MTi", "MTw"])
+def test_reader_movella(tmp_path, sampled, device):
+    """°/s and wrapping µs of a DOT, rad/s and ticks of an MTi, numbered packets of an MTw."""
+    (tmp_path / "walk.csv").write_text(movella(sampled, device), encoding="utf-8")
+    walk = load(tmp_path / "walk.csv")
+    assert walk.accelerometer.time == pytest.approx(sampled.time - sampled.time[0], abs=1e-4)
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-5)
+    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate, abs=1e-5)
+    assert walk.magnetometer is None, "its unit is the field at the factory"
+
+
+def test_packets_without_times_and_rate_are_refused(tmp_path, sampled):
+    (tmp_path / "walk.csv").write_text(movella(sampled, "MTw").replace("Update Rate: 50.0Hz", ""), encoding="utf-8")
+    refused(load, tmp_path / "walk.csv", "packets by number alone")

@@ -23,7 +23,15 @@ from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.diary import diary
-from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported, parquet_tables
+from pdr_graph.apps.lifelog.export import (
+    as_csv,
+    as_geojson,
+    as_gpx,
+    as_trips,
+    export_days,
+    not_exported,
+    parquet_tables,
+)
 from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
@@ -176,7 +184,19 @@ def test_show_lists_persons_and_dates_and_refuses_a_person_without_days(store):
         show(store, Choice(("Carl",)))
 
 
-@pytest.mark.parametrize(("form", "number"), [("gpx", 2), ("geojson", 2), ("csv", 6)])
+def test_trips_of_kepler_have_the_lines_with_their_times():
+    """docs.kepler.gl: a LineString of longitude, latitude, altitude, Unix time."""
+    lines = [each for each in json.loads(as_geojson([DAY]))["features"] if "times" in each["properties"]]
+    trips = json.loads(as_trips([DAY]))["features"]
+    assert len(trips) == len(lines) > 0
+    for trip, line in zip(trips, lines, strict=True):
+        points = np.array(trip["geometry"]["coordinates"])
+        assert points[:, :2].tolist() == line["geometry"]["coordinates"]
+        assert points[:, 3].tolist() == line["properties"]["times"]
+        assert (np.diff(points[:, 3]) >= 0).all()
+
+
+@pytest.mark.parametrize(("form", "number"), [("gpx", 2), ("geojson", 2), ("kepler", 2), ("csv", 6)])
 def test_export_writes_files_for_their_owner_alone(store, tmp_path, form, number):
     run("export", store, "--out", tmp_path / "out", "--format", form)
     found = names_in(tmp_path / "out")

@@ -214,7 +214,8 @@ def steps(
 ) -> None:
     """Write the detected steps, as input of other back ends.
 
-    One row per step: time,length,turn,sigma_length,sigma_turn,confidence.
+    Without an acceleration they are those of the phone's own counter. One row per step:
+    time,length,turn,sigma_length,sigma_turn,confidence.
 
     \b
     pdr-graph steps walk.zip
@@ -222,10 +223,10 @@ def steps(
     from pdr_graph.gait.steps import detect_steps
     from pdr_graph.io.loading import load
     from pdr_graph.io.writers import write_steps
-    from pdr_graph.walk import Options
+    from pdr_graph.walk import Options, counted
 
     walk, person = load(recording), Options(walker=walker, height=height).person()
-    detected = detect_steps(walk, person)
+    detected = counted(walk, person) or detect_steps(walk, person)
     file = out or path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
@@ -429,6 +430,33 @@ def evaluate(
         raise InputError(truth, "time", found, "the same clock")
     scores = evaluation.evaluate(*tracks, floor, str(pairing))
     echo_result(json.dumps(scores) if json_ else evaluation.table(scores))
+
+
+@app.command()
+def export(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="An output folder of smooth or replay.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="BAG", help="A file .mcap, or a folder of rosbag2; default: RESULT.mcap here."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a walk as a bag of ROS 2 for Foxglove and RViz.
+
+    PoseWithCovarianceStamped, and in a frame with latitudes Foxglove's LocationFix and GeoJSON. Needs the extra ros.
+
+    \b
+    pdr-graph export walk-smoothed
+    """
+    from pdr_graph.io.ros_bags import write
+    from pdr_graph.io.tables import read_trajectory
+
+    bag, drawn = out or path_named_after(result, ".mcap"), result / "trajectory.geojson"
+    if bag.exists() and not bag.is_file():
+        raise InputError(bag, "", "a folder", "a name for a new bag")
+    track = read_trajectory(result / "trajectory.csv")
+    write(bag, track, drawn.read_text(encoding="utf-8") if drawn.is_file() else "")
+    echo(f"{len(track)} poses -> {bag}")
 
 
 @app.command()

@@ -37,6 +37,7 @@ class ExportFormat(StrEnum):
 
     gpx = "gpx"
     geojson = "geojson"
+    kepler = "kepler"
     csv = "csv"
     parquet = "parquet"
 
@@ -301,7 +302,7 @@ def export(
 ) -> None:
     """Export days as GPX, GeoJSON, CSV or GeoParquet.
 
-    --cut leaves out private places. GeoParquet is for trackintel and movingpandas.
+    --cut leaves out private places. GeoParquet is for trackintel and movingpandas; kepler is GeoJSON for kepler.gl.
 
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200

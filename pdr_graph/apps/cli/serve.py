@@ -55,6 +55,10 @@ BrokerUrl = Annotated[
     typer.Option(metavar="URL", help="Broker that phones publish to: mqtt, mqtts, ws or wss://USER@HOST:PORT."),
 ]
 Topic = Annotated[str, typer.Option(metavar="TOPIC", help="Topic of --mqtt.")]
+HomeAssistant = Annotated[
+    str | None,
+    typer.Option(metavar="URL", help="Broker of Home Assistant, to which phones are announced: as --mqtt."),
+]
 Studies = Annotated[
     list[str] | None,
     typer.Option(metavar="STUDY", help="Sensor Logger study whose uploads are reported; any: all; repeatable."),
@@ -75,6 +79,7 @@ def serve(
     phyphox: Phones = None,
     mqtt: BrokerUrl = None,
     mqtt_topic: Topic = "sensor-logger",
+    home_assistant: HomeAssistant = None,
     study: Studies = None,
     walker: WalkerPath = None,
     beacons: BeaconsPath = None,
@@ -110,7 +115,8 @@ def serve(
     reports = StudyReports(out / STUDY, study, map_, serving.say) if study else None
     for url in phyphox or ():
         PhyphoxPhone(url)  # refuses what is no address
-    sources = Sources(tuple(phyphox or ()), broker_of(mqtt, mqtt_topic) if mqtt else None, reports)
+    home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
+    sources = Sources(tuple(phyphox or ()), broker_of(mqtt, mqtt_topic) if mqtt else None, reports, home)
     settings = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(settings, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))

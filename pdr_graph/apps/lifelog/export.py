@@ -204,6 +204,17 @@ def as_geojson(days: Sequence[Day], diaries: Mapping[str, DiaryRows] = MappingPr
     return json.dumps(collection, ensure_ascii=False, allow_nan=False).encode()
 
 
+def as_trips(days: Sequence[Day], diaries: Mapping[str, DiaryRows] = MappingProxyType({})) -> bytes:
+    """The lines of `as_geojson` as trips of kepler.gl: each point is longitude, latitude, 0 and its Unix time [s]."""
+    collection = json.loads(as_geojson(days, diaries))
+    trips = [each for each in collection["features"] if each["geometry"]["type"] == "LineString"]
+    for trip in trips:
+        line, about = trip["geometry"], trip["properties"]
+        times, _ = about.pop("times"), about.pop("covariances", None)
+        line["coordinates"] = [[*place, 0, time] for place, time in zip(line["coordinates"], times, strict=True)]
+    return json.dumps(collection | {"features": trips}, ensure_ascii=False, allow_nan=False).encode()
+
+
 def _features(outing: Outing, about: dict[str, Any], own: DiaryRows) -> Iterator[dict[str, Any]]:
     """Features of the segments and stays; a segment with a single row is a Point.
 
@@ -272,8 +283,9 @@ def as_csv(day: Day) -> bytes:
 
 TABLE_NAMES = ("positionfixes", "triplegs", "staypoints", "locations")  # of PARQUET
 PLACE_TABLES = ("dwell", "flows", "busy")  # of places on plans, of PARQUET without hidden places
-GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
-DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
+GPX, GEOJSON, KEPLER, CSV, PARQUET = "gpx", "geojson", "kepler", "csv", "parquet"
+DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson, KEPLER: as_trips}
+SUFFIX = {form: f".{GEOJSON if form == KEPLER else form}" for form in (GPX, GEOJSON, KEPLER, CSV, PARQUET)}
 SECRET = "secret"  # setting that determines how private areas are moved
 
 
@@ -289,11 +301,11 @@ def export_days(
 ) -> tuple[list[Path], list[str]]:
     """Write days of a lifelog to one file, or to a folder with files per day (CSV) or tables (PARQUET).
 
-    file_format: GPX, GEOJSON, CSV or PARQUET; out: a file if its suffix is the format, else a folder; person: None for
+    file_format: GPX, GEOJSON, KEPLER, CSV or PARQUET; out: a file if it has its SUFFIX, else a folder; person: None for
     all; since, until: first and last date, "" for all; cut, blur: places to keep private, as of `private_places`.
     Returns the files, and notes on what was left out, a line each. Raises InputError if a choice cannot be used.
     """
-    single = out.suffix.lower() == f".{file_format}" and not out.is_dir()
+    single = out.suffix.lower() == SUFFIX[file_format] and not out.is_dir()
     if single and file_format in (CSV, PARQUET):
         raise InputError("--out", "", str(out), f"a folder: {file_format} has several files")
     notes, written = list[str](), list[Path]()
@@ -415,7 +427,7 @@ def _files_by_day(
 
 def _day_files(file_format: str, person: str, date: str) -> list[str]:
     """The file of a day, or its ``trajectory.csv`` and ``timeline.csv``."""
-    endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (f".{file_format}",)
+    endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (SUFFIX[file_format],)
     return [f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]
 
 

@@ -497,7 +497,9 @@ def fleet_tables(shown: Overview, short: bool) -> Iterator[ShownTable]:
     hidden = len(shown.dwells) - most
     note = f"and {count(hidden, 'other place')} in dwell.csv. " if hidden > 0 else ""
     hours = np.sum([dwell.hours for dwell in shown.dwells], axis=0) if shown.dwells else np.zeros(24)
-    busiest = [f"{n:02d}:00 ({time_text(float(hours[n]))})" for n in np.argsort(-hours, kind="stable")[:3] if hours[n] >= 1]
+    busiest = [
+        f"{n:02d}:00 ({time_text(float(hours[n]))})" for n in np.argsort(-hours, kind="stable")[:3] if hours[n] >= 1
+    ]
     note += f"Busiest hours: {', '.join(busiest)}. " if busiest else ""
     note += "Expected values by the probabilities of the stays."
     yield ShownTable("time at places", DWELL_TITLES, dwelt, note)

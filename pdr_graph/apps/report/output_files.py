@@ -107,7 +107,7 @@ def write_tracks(out: Path, result: Result) -> None:
         writers.write_geojson(
             out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
         )
-        gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
+        gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source, result.steps)
 
 
 def _write_picture(path: Path, evidence: Evidence, estimate: Estimate) -> tuple[str, ...]:

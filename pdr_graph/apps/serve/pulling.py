@@ -311,16 +311,23 @@ REFUSAL_PAUSE = 5.0  # [s] until a message that was refused for a while is given
 
 @dataclass(frozen=True)
 class Sources:
-    """phyphox: addresses of phones; broker: of MQTT, None without; study: reports for studies, None without."""
+    """What the server connects to by itself.
+
+    phyphox: addresses of phones; broker: of MQTT, None without; study: reports for studies, None without; home: the
+    broker of Home Assistant, None without.
+    """
 
     phyphox: tuple[str, ...] = ()
     broker: Broker | None = None
     study: StudyReports | None = None
+    home: Broker | None = None
 
 
 @asynccontextmanager
-async def running(sources: Sources, reception: Reception, say: Say) -> AsyncIterator[None]:
-    """Fetch from all sources while the context lasts. All walkers are the owner's."""
+async def running(
+    sources: Sources, reception: Reception, say: Say, more: Sequence[Coroutine[Any, Any, None]] = ()
+) -> AsyncIterator[None]:
+    """Fetch from all sources while the context lasts, and do more. All walkers of sources are the owner's."""
     work: list[Coroutine[Any, Any, None]] = [
         follow(PhyphoxPhone(url, partial(stored, reception)), partial(receive_patiently, reception, say), say)
         for url in sources.phyphox
@@ -329,6 +336,7 @@ async def running(sources: Sources, reception: Reception, say: Say) -> AsyncIter
         work.append(subscribe(sources.broker, partial(receive_once, reception), say))
     if sources.study is not None:
         work.append(sources.study.run())
+    work += more
     tasks = [asyncio.create_task(_reported(each, say)) for each in work]
     try:
         yield
@@ -403,19 +411,19 @@ class Broker:
         return f"{self.host}:{self.port}, topic {self.topic}"
 
 
-def broker_of(url: str, topic: str = TOPIC) -> Broker:
-    """The broker at an address ``mqtt://USER@HOST:PORT`` (or mqtts, ws, wss). Raises InputError."""
+def broker_of(url: str, topic: str = TOPIC, option: str = "--mqtt") -> Broker:
+    """The broker at an address ``mqtt://USER@HOST:PORT`` (or mqtts, ws, wss). Raises InputError, of an option."""
     expected = "mqtt://HOST, mqtts://USER@HOST:PORT, ws://HOST/mqtt or wss://…"
     try:
         parts = urlsplit(url)
         port = parts.port
     except ValueError:
-        raise InputError("--mqtt", "", repr(url), expected) from None
+        raise InputError(option, "", repr(url), expected) from None
     if parts.scheme not in PORTS or not parts.hostname or parts.query or parts.fragment:
-        raise InputError("--mqtt", "", repr(url), expected)
+        raise InputError(option, "", repr(url), expected)
     websocket = parts.scheme.startswith("ws")
     if not websocket and parts.path not in ("", "/"):
-        raise InputError("--mqtt", "", f"the path {parts.path!r}", "none: the topic is --mqtt-topic")
+        raise InputError(option, "", f"the path {parts.path!r}", "none: a topic is --mqtt-topic")
     password = unquote(parts.password) if parts.password else os.environ.get(PASSWORD)
     return Broker(
         host=parts.hostname,
@@ -453,6 +461,24 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) 
 
     say: called with one line when the connection is there, or lost. Raises InputError without aiomqtt.
     """
+
+    async def listen(client: Any) -> None:
+        await client.subscribe(broker.topic)
+        say(f"mqtt: subscribed to {broker.address}")
+        async for message in client.messages:
+            receive(bytes(message.payload))
+
+    await connected(broker, listen, say)
+
+
+async def connected(
+    broker: Broker, work: Callable[[Any], Awaitable[None]], say: Say, last_will: tuple[str, str] | None = None
+) -> None:
+    """Do some work with a client of a broker, for ever; a lost connection is tried again.
+
+    last_will: topic and retained message that the broker publishes if it loses this client. Raises InputError without
+    aiomqtt.
+    """
     try:
         import aiomqtt
     except ImportError:
@@ -468,15 +494,14 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) 
                 tls_context=ssl.create_default_context() if broker.tls else None,
                 transport="websockets" if broker.websocket else "tcp",
                 websocket_path=broker.path if broker.websocket else None,
+                will=aiomqtt.Will(*last_will, retain=True) if last_will else None,
                 max_queued_incoming_messages=WAITING_MESSAGES,
                 queue_type=BoundedQueue,
                 timeout=10.0,  # [s] for the broker to answer
             ) as client:
-                await client.subscribe(broker.topic)
-                say(f"mqtt: subscribed to {broker.address}")
                 wait = FIRST_RECONNECT
-                async for message in client.messages:
-                    receive(bytes(message.payload))
+                await work(client)
+                return
         except (aiomqtt.MqttError, OSError, ValueError) as error:
             say(f"mqtt: {broker.address}: {one_line(str(error))}; again in {wait:.0f} s")
         await asyncio.sleep(wait)

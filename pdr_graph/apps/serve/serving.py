@@ -25,6 +25,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
+from pdr_graph.apps.serve.home_assistant import announce
 from pdr_graph.apps.serve.live_walk import Session, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
@@ -81,7 +82,9 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         reception.load()
         await estimators.start()
         try:
-            async with running(settings.sources, reception, say):
+            home = settings.sources.home
+            more = [] if home is None else [announce(home, hub, building, say)]
+            async with running(settings.sources, reception, say, more):
                 yield
         finally:
             await estimators.stop()

@@ -31,7 +31,7 @@ TCX_DEGREES = "LatitudeDegrees", "LongitudeDegrees"
 def _gpx(stream: BinaryIO, where: str) -> Iterator[Batch]:
     """Track points, with the accuracies that apps state."""
     elements = XmlElements(stream, where, "gpx", "trkpt")
-    points = ((time, (lat, lon), accuracy, TRACKED) for time, lat, lon, accuracy in track_points(elements))
+    points = ((time, (lat, lon), accuracy, TRACKED) for time, lat, lon, accuracy, _ in track_points(elements))
     while part := list(itertools.islice(points, BATCH)):
         yield batch_of(part)
     yield _defects(elements, where)

@@ -1,0 +1,180 @@
+"""Phones as devices of Home Assistant, by MQTT: ``serve --home-assistant mqtt://HOST``.
+
+Each phone is announced by one retained message of device discovery (Home Assistant 2024.11 and later), with sensors for
+its room, the room's probability, the floor and the accuracy, and on a plan with latitudes a device tracker. Sources:
+home-assistant.io, integrations mqtt ("Device discovery payload"), sensor.mqtt and device_tracker.mqtt.
+
+A room is a named area of the plan. Its probability is that of the position's distribution, all routes together, in the
+room, as a share of what lies on the plan: walls are no place to be. The states are retained, so that a dashboard that
+starts later has them, and Home Assistant's history has the room and its probability over time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import pdr_graph
+from pdr_graph.apps.serve.access import OWNER, Access
+from pdr_graph.apps.serve.publishing import PROBABILITY, Hub
+from pdr_graph.apps.serve.pulling import Broker, Say, connected
+from pdr_graph.errors import one_line
+from pdr_graph.floor.building import Building
+from pdr_graph.io.validation import RADIUS_68
+from pdr_graph.types import Array
+
+PREFIX = "pdr_graph"  # of all topics but those of the discovery
+STATUS = f"{PREFIX}/status"  # of the server
+ONLINE, OFFLINE = "online", "offline"
+FINISHED = "finished"  # state of a walk that is over
+LEAST_SHOWN = 0.05  # probability from which a room is among the attributes
+HEARTBEAT = 60.0  # [s] without news after which the connection is still looked at
+
+
+def _spread() -> Array:
+    """Points ``(256, 2)`` of a normal distribution of two standard ones, each as probable as another: a spiral."""
+    n = np.arange(256) + 0.5
+    radius, angle = np.sqrt(-2 * np.log(1 - n / len(n))), n * np.pi * (3 - np.sqrt(5))
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+POINTS = _spread()
+
+
+def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, float]:
+    """The probability of each named area of the floor, the most probable first; "" for areas without a name.
+
+    pose: an event ``pose``. Empty without a plan, before the first position, and where nothing of it is on the plan.
+    """
+    if building is None or pose["sigma"] is None:
+        return {}
+    label = pose["floor"] if pose["floor"] in building.labels else building.labels[0]
+    cells, share = building[label].cells, Counter[str]()
+    for mode in pose["modes"] or [{"probability": 1.0, **pose}]:
+        region = mode["region"]
+        axes = np.array([region["semi_major"], region["semi_minor"]]) / np.sqrt(-2 * np.log(1 - PROBABILITY))
+        cosine, sine = np.cos(region["angle"]), np.sin(region["angle"])
+        points = (POINTS * axes) @ np.array([[cosine, sine], [-sine, cosine]]) + (mode["x"], mode["y"])
+        for cell in cells.at(points).tolist():
+            if cell >= 0:
+                share[cells.cells[cell].name] += mode["probability"] / len(POINTS)
+    return {name: part / share.total() for name, part in share.most_common()}
+
+
+def state_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, Any]:
+    """The state of a phone: null for what is unknown; `accuracy`: 68 % radius [m]; `confidence` [%] of the room."""
+    rooms = rooms_of(pose, building)
+    named = {name: part for name, part in rooms.items() if name}
+    room = next(iter(rooms), "")
+    return {
+        "room": room or None,
+        "confidence": round(100 * rooms[room]) if room else None,
+        "floor": pose["floor"] or None,
+        "accuracy": None if pose["sigma"] is None else round(RADIUS_68 * pose["sigma"], 1),
+        "rooms": {name: round(part, 2) for name, part in named.items() if part >= LEAST_SHOWN},
+    }
+
+
+def discovery_of(phone: str, name: str, tracked: bool) -> dict[str, Any]:
+    """The discovery message of a phone. phone: its identifier in topics; tracked: it has a latitude."""
+    components: dict[str, dict[str, Any]] = {
+        "room": {"icon": "mdi:map-marker", "json_attributes_topic": f"{PREFIX}/{phone}/state"},
+        "confidence": {"unit_of_measurement": "%", "state_class": "measurement", "icon": "mdi:percent"},
+        "floor": {"icon": "mdi:stairs"},
+        "accuracy": {"unit_of_measurement": "m", "device_class": "distance", "state_class": "measurement"},
+    }
+    for key, component in components.items():
+        component |= {"platform": "sensor", "name": key.capitalize(), "unique_id": f"{PREFIX}_{phone}_{key}"}
+        component["value_template"] = f"{{{{ value_json.{key} }}}}"
+    components["room"]["json_attributes_template"] = "{{ value_json.rooms | tojson }}"
+    if tracked:
+        components["position"] = {
+            "platform": "device_tracker",
+            "name": "Position",
+            "unique_id": f"{PREFIX}_{phone}_position",
+            "json_attributes_topic": f"{PREFIX}/{phone}/position",
+            "source_type": "gps",
+        }
+    return {
+        "device": {"identifiers": [f"{PREFIX}_{phone}"], "name": name, "manufacturer": "pdr_graph"},
+        "origin": {"name": "pdr_graph", "sw_version": pdr_graph.__version__},
+        "components": components,
+        "state_topic": f"{PREFIX}/{phone}/state",
+        "availability": [{"topic": STATUS}, {"topic": f"{PREFIX}/{phone}/status"}],
+        "availability_mode": "all",
+    }
+
+
+def phone_of(user: str, name: str) -> str:
+    """The identifier of a phone in topics: letters, digits and underscores of its user's and its own name."""
+    own = name if user == OWNER else f"{user} {name}"
+    return re.sub(r"\W+", "_", own, flags=re.ASCII).strip("_").lower() or "phone"
+
+
+class Announcer:
+    """Publishes the phones of a hub. One that was recorded several times is one device: its newest walk counts."""
+
+    def __init__(self, hub: Hub, building: Building | None):
+        self._hub, self._building = hub, building
+        self._announced = dict[str, bool]()  # phones: with a position on earth
+        self._walks = dict[str, tuple[str, float]]()  # of each phone the walk that is shown, and the time of its pose
+
+    async def run(self, client: Any) -> None:
+        """Publish all phones, and each change of them, until the hub ends."""
+        self._announced.clear()  # a broker that was lost may have forgotten
+        subscriber = self._hub.subscribe(OWNER, lambda user: Access.sees(OWNER, user))
+        try:
+            await client.publish(STATUS, ONLINE, retain=True)
+            while not subscriber.ended:
+                if await subscriber.wait(HEARTBEAT):
+                    for kind, data in subscriber.events():
+                        if kind == "pose":
+                            await self._pose(client, data)
+                        elif kind == "forgotten":
+                            await self._forget(client, data["id"])
+        finally:
+            self._hub.unsubscribe(subscriber)
+            with suppress(Exception):  # a connection that was lost: then the broker has the last will
+                await client.publish(STATUS, OFFLINE, retain=True)
+
+    async def _pose(self, client: Any, pose: Mapping[str, Any]) -> None:
+        walker = self._hub.walkers[pose["id"]]
+        phone, time = phone_of(walker.user, pose["name"]), pose["time"] or 0.0
+        shown, latest = self._walks.get(phone, (pose["id"], -np.inf))
+        if shown != pose["id"] and time <= latest:
+            return
+        self._walks[phone] = pose["id"], time
+        tracked, topic = pose["lon"] is not None, f"{PREFIX}/{phone}"
+        if self._announced.get(phone, not tracked) != tracked:
+            message = msgspec.json.encode(discovery_of(phone, one_line(pose["name"]), tracked))
+            await client.publish(f"homeassistant/device/{PREFIX}_{phone}/config", message, retain=True)
+            self._announced[phone] = tracked
+        await client.publish(f"{topic}/state", msgspec.json.encode(state_of(pose, self._building)), retain=True)
+        if tracked and pose["sigma"] is not None:
+            accuracy = round(RADIUS_68 * pose["sigma"], 1)
+            position = {"latitude": pose["lat"], "longitude": pose["lon"], "gps_accuracy": accuracy}
+            await client.publish(f"{topic}/position", msgspec.json.encode(position), retain=True)
+        await client.publish(f"{topic}/status", OFFLINE if pose["state"] == FINISHED else ONLINE, retain=True)
+
+    async def _forget(self, client: Any, id_: str) -> None:
+        """Remove the device of a walk that was deleted, if it is the one that is shown; empty messages do."""
+        for phone in [phone for phone, (shown, _) in self._walks.items() if shown == id_]:
+            del self._walks[phone]
+            self._announced.pop(phone, None)
+            for topic in (f"homeassistant/device/{PREFIX}_{phone}/config", *_topics(phone)):
+                await client.publish(topic, b"", retain=True)
+
+
+def _topics(phone: str) -> list[str]:
+    return [f"{PREFIX}/{phone}/{part}" for part in ("state", "position", "status")]
+
+
+async def announce(broker: Broker, hub: Hub, building: Building | None, say: Say) -> None:
+    """Publish the phones of a hub to a broker, for ever; a lost connection is made again."""
+    await connected(broker, Announcer(hub, building).run, say, last_will=(STATUS, OFFLINE))

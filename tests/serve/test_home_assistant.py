@@ -1,0 +1,168 @@
+"""Phones as devices of Home Assistant, through Mosquitto."""
+
+import asyncio
+import contextlib
+import json
+import shutil
+import socket
+import subprocess
+
+import numpy as np
+import pytest
+import shapely
+from plans import plan
+from scipy.stats import norm
+from streamed_walks import bodies, outdoors, soon
+
+from pdr_graph.apps.serve.access import OWNER
+from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, announce, phone_of, rooms_of, state_of
+from pdr_graph.apps.serve.publishing import Hub, nowhere, region
+from pdr_graph.apps.serve.pulling import Sources, broker_of
+from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.serving import Settings, build
+from pdr_graph.errors import InputError
+from pdr_graph.floor.building import Building
+
+aiomqtt = pytest.importorskip("aiomqtt")
+MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/opt/homebrew/sbin")
+NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto")
+HOME = Building.of(
+    plan(
+        ("room", "Kitchen", shapely.box(0, 0, 5, 4)),
+        ("room", "Bath", shapely.box(5, 0, 8, 4)),
+        ("corridor", shapely.box(0, 4, 8, 6)),
+    )
+)
+
+
+def pose(x, y, sigma=1.0, **more):
+    """The event of a walker at a place."""
+    at = {"x": x, "y": y, "sigma": sigma, "time": 1.7e9, "region": region(np.diag([sigma**2] * 2))}
+    return {"id": "walk", "name": "Pixel 7", "state": "running", **nowhere(), **at, **more}
+
+
+def test_the_confidence_of_a_room_is_the_probability_of_the_position_in_it():
+    """Against the normal distribution itself: at 1 m from the wall between two rooms, with 1 m per axis."""
+    rooms = rooms_of(pose(4.0, 2.0), HOME)
+    along, across = norm.cdf([0, 5, 8], 4.0, 1.0), norm.cdf([0, 4, 6], 2.0, 1.0)
+    kitchen, bath = np.diff(along) * (across[1] - across[0])
+    corridor = (along[2] - along[0]) * (across[2] - across[1])
+    whole = kitchen + bath + corridor
+    assert rooms == pytest.approx({"Kitchen": kitchen / whole, "Bath": bath / whole, "": corridor / whole}, abs=0.02)
+    assert next(iter(rooms)) == "Kitchen"
+    assert state_of(pose(4.0, 2.0), HOME)["confidence"] == round(100 * rooms["Kitchen"])
+
+
+def test_all_routes_count_and_nothing_is_said_where_nothing_is_known():
+    place = {"region": region(0.01 * np.eye(2))}
+    routes = [{"probability": 0.7, "x": 6.5, "y": 2.0, **place}, {"probability": 0.3, "x": 2.0, "y": 2.0, **place}]
+    assert rooms_of(pose(5.1, 2.0, modes=routes), HOME) == pytest.approx({"Bath": 0.7, "Kitchen": 0.3})
+    for unknown in (rooms_of(pose(2.0, 2.0), None), rooms_of(pose(900.0, 2.0), HOME), rooms_of(nowhere(), HOME)):
+        assert unknown == {}
+    hallway = state_of(pose(2.0, 5.0, 0.1), HOME)
+    assert (hallway["room"], hallway["confidence"], hallway["rooms"]) == (None, None, {})
+    assert hallway["accuracy"] == pytest.approx(0.2)
+
+
+def test_a_phone_keeps_its_topics_from_walk_to_walk_and_users_have_their_own():
+    assert phone_of(OWNER, "Pixel 7") == phone_of(OWNER, "pixel/7") == "pixel_7"
+    assert phone_of("bob", "Pixel 7") == "bob_pixel_7"
+    assert phone_of(OWNER, "+#/") == "phone"
+    with pytest.raises(InputError, match="--home-assistant"):
+        broker_of("http://home", option="--home-assistant")
+
+
+@pytest.fixture
+def port(tmp_path):
+    """The port of a Mosquitto of its own."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        free = probe.getsockname()[1]
+    settings = tmp_path / "mosquitto.conf"
+    settings.write_text(f"listener {free} 127.0.0.1\nallow_anonymous true\n")
+    with subprocess.Popen([MOSQUITTO, "-c", settings], stderr=subprocess.DEVNULL) as process:
+        yield free
+        process.terminate()
+
+
+@contextlib.asynccontextmanager
+async def home_assistant(port):
+    """What Home Assistant has: the last message of each topic."""
+    topics = {}
+
+    async def listen():
+        while True:
+            with contextlib.suppress(aiomqtt.MqttError):  # the broker begins
+                async with aiomqtt.Client("127.0.0.1", port) as client:
+                    await client.subscribe("#")
+                    async for message in client.messages:
+                        topics[str(message.topic)] = bytes(message.payload)
+            await asyncio.sleep(0.05)
+
+    task = asyncio.create_task(listen())
+    try:
+        yield topics
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+def decoded(topics, phone="pixel_7"):
+    """Discovery message and state of a phone."""
+    config = topics[f"homeassistant/device/{PREFIX}_{phone}/config"]
+    return json.loads(config), json.loads(topics[f"{PREFIX}/{phone}/state"])
+
+
+@NEEDS_MOSQUITTO
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_a_phone_is_announced_moves_ends_and_is_forgotten(port):
+    hub = Hub()
+    async with home_assistant(port) as topics:
+        work = asyncio.create_task(announce(broker_of(f"mqtt://127.0.0.1:{port}"), hub, HOME, print))
+        await soon(lambda: topics.get(STATUS) == b"online")
+        hub.pose(OWNER, pose(2.0, 2.0))
+        await soon(lambda: f"{PREFIX}/pixel_7/status" in topics)
+        discovery, state = decoded(topics)
+        assert (state["room"], state["rooms"]["Kitchen"] > 0.9) == ("Kitchen", True)
+        components = discovery["components"]
+        assert {each["platform"] for each in components.values()} == {"sensor"}, "no latitude, no tracker"
+        assert len({each["unique_id"] for each in components.values()}) == len(components)
+        assert all(each["value_template"] == f"{{{{ value_json.{key} }}}}" for key, each in components.items())
+        assert set(components) <= set(state)
+        assert {each["topic"] for each in discovery["availability"]} <= topics.keys()
+        hub.pose(OWNER, pose(6.5, 2.0, 0.5, lon=11.5, lat=48.1, id="next walk", time=1.7e9 + 60))
+        await soon(lambda: f"{PREFIX}/pixel_7/position" in topics and decoded(topics)[1]["room"] == "Bath")
+        tracker = decoded(topics)[0]["components"]["position"]
+        assert tracker["platform"] == "device_tracker"
+        position = json.loads(topics[tracker["json_attributes_topic"]])
+        assert position == {"latitude": 48.1, "longitude": 11.5, "gps_accuracy": 0.8}
+        hub.pose(OWNER, pose(2.0, 2.0, id="walk", time=1.7e9 + 1))  # the walk before, read late
+        hub.pose(OWNER, pose(6.5, 2.0, 0.5, lon=11.5, lat=48.1, id="next walk", time=1.7e9 + 61, state="finished"))
+        await soon(lambda: topics[f"{PREFIX}/pixel_7/status"] == b"offline")
+        assert decoded(topics)[1]["room"] == "Bath"
+        hub.forget("next walk")
+        await soon(lambda: topics[f"homeassistant/device/{PREFIX}_pixel_7/config"] == b"")
+        hub.close()
+        await soon(lambda: topics[STATUS] == b"offline")
+        await work
+
+
+@NEEDS_MOSQUITTO
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_a_server_announces_the_phones_that_post_to_it(tmp_path, port):
+    sources = Sources(home=broker_of(f"mqtt://127.0.0.1:{port}"))
+    app = build(Settings(tmp_path / "serve", workers=0, sources=sources))
+    async with home_assistant(port) as topics:
+        async with app.router.lifespan_context(app):
+            for body in bodies(outdoors())[:6]:
+                app.state.server.reception.receive(SENSOR_LOGGER, OWNER, body)
+            await soon(lambda: any(topic.endswith("/position") for topic in topics))
+            phone = next(topic.split("/")[1] for topic in topics if topic.endswith("/position"))
+            discovery, state = decoded(topics, phone)
+            assert "position" in discovery["components"]
+            assert state["room"] is None, "there is no plan"
+            assert 0 < state["accuracy"] < 20
+        await soon(lambda: topics[STATUS] == b"offline")
