@@ -65,11 +65,11 @@ LIBRARIES = {
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
     ".": (15, 2940),
-    "apps": (3, 153),
+    "apps": (3, 155),
     "apps/bench": (5, 444),
     "apps/cli": (7, 1180),
     "apps/evaal": (4, 531),
-    "apps/lifelog": (28, 5712),
+    "apps/lifelog": (28, 5723),
     "apps/lifelog/past": (8, 1040),
     "apps/report": (8, 1372),
     "apps/serve": (13, 2720),  # Home Assistant
@@ -79,7 +79,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation/live": (10, 1824),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
-    "gait": (10, 1540),
+    "gait": (11, 1566),
     "inertial": (6, 530),
     "io": (20, 2030),  # recorders by the words in their columns, step counters, bags of ROS
     "lab": (2, 0),
