@@ -36,9 +36,9 @@ Journal(path, log, make)
 LONLAT
 Measurement()
 Mode(probability, x, y, heading, covariance)
-Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
+Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, paths=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
-PathNetwork(lines, classes, notes=)
+PathNetwork(lines, classes, notes=, frame=, target=, building=, area=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=, placed=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \

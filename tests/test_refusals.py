@@ -251,7 +251,7 @@ COMMANDS = {
     "evaluate metres.csv degrees.csv": "degrees.csv, line 1",
     "compare metres.csv truth.csv --truth degrees.csv": "degrees.csv, line 1",
     "compare a.tum": "a.tum: found one trajectory, expected two or more, or --truth",
-    "compare a.tum graph": "graph: found a method of smooth, and no file of that name, expected --recording",
+    "compare a.tum graph": "graph: found a method, and no file of that name, expected --recording",
     "compare a.tum a.tum": "the same trajectory twice",
     "compare a.tum later.tum": "later.tum, time: found 7201.000 to 7202.000 (exactly 2 h late: time zone?)",
     "compare a.tum empty": "a folder without trajectory.csv",

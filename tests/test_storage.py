@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.online.interface import Samples, Scan, event_types
 from pdr_graph.storage import ARRAY, FORMAT, decode, encode
-from pdr_graph.types import Array, Fixes, Sightings, Steps, Trajectory
+from pdr_graph.types import SENSORS, Array, Fixes, Sightings, Steps, Trajectory
 
 ANY = st.floats(width=64)  # NaN, infinities and -0.0 too
 TEXT = st.text()
@@ -49,7 +49,7 @@ def events(draw):
     finite, positive = st.floats(-1e300, 1e300), st.floats(1e-300, 1e300)
     match draw(st.sampled_from(["Samples", "Scan", "Fixes"])):
         case "Samples":
-            return Samples(draw(TEXT), column(), column(draw(st.integers(0, 3))))
+            return Samples(draw(st.sampled_from(SENSORS)), column(), column(draw(st.integers(0, 3))))
         case "Scan":
             minor = draw(st.sampled_from([(), draw(texts)]))
             return Scan(draw(TEXT), Sightings(column(), draw(texts), column(), minor))
@@ -98,7 +98,6 @@ def test_trees_come_back_bit_by_bit(tree):
         Samples("gyroscope", np.zeros(2, object), np.zeros((2, 3))),
         Samples("gyroscope", np.zeros(2, np.float32), np.zeros((2, 3))),
         Scan("wifi", Sightings(np.zeros(2), [1, 2], np.zeros(2))),
-        Samples(7, np.zeros(2), np.zeros(2)),
         Anything(np.zeros(2, "U8")),
         Anything(lambda: 0),
         None,
@@ -165,13 +164,15 @@ def array(dtype, *shape, tail=b"", code=ARRAY):
 
 
 def samples(time, values=None):
-    return forged("Samples", {"sensor": "a", "time": time, "values": array("<f8", 0, 3) if values is None else values})
+    return forged(
+        "Samples", {"sensor": "gyroscope", "time": time, "values": array("<f8", 0, 3) if values is None else values}
+    )
 
 
 def test_a_forgery_can_be_right():
     """A control: so that what follows is refused for what is wrong with it."""
     event = decode(samples(array("<f8", 1, tail=bytes(8))), *event_types())
-    assert same(event, Samples("a", np.zeros(1), np.empty((0, 3))))
+    assert same(event, Samples("gyroscope", np.zeros(1), np.empty((0, 3))))
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,8 @@ def test_a_forgery_can_be_right():
         samples([1.0]),
         samples(None),
         samples({"time": 1.0}),
-        forged("Samples", {"sensor": "a"}),
+        forged("Samples", {"sensor": "gyroscope"}),
+        forged("Samples", {"sensor": "a", "time": array("<f8", 0, 3), "values": array("<f8", 0, 3)}),
         forged("Samples", ["sensor"]),
         forged("Scan", {"radio": "wifi", "heard": None}),
         forged("system", {"command": "true"}),
@@ -208,8 +210,8 @@ def test_a_forgery_can_be_right():
         sealed(b"\x92\xa8Anything\x81\xa5value" + b"\xdf\xff\xff\xff\xff\x01" * 900),
         sealed(b"\x92\xa8Anything\x81\xa5value\xc6\xff\xff\xff\xff"),
         sealed(b"\xff\xfe"),
-        encode(Samples("a", np.zeros(1), np.zeros((1, 3)))) + b"\x00",
-        sealed(encode(Samples("a", np.zeros(1), np.zeros((1, 3))))[5:], version=1),
+        encode(Samples("gyroscope", np.zeros(1), np.zeros((1, 3)))) + b"\x00",
+        sealed(encode(Samples("gyroscope", np.zeros(1), np.zeros((1, 3))))[5:], version=1),
         b"",
     ],
 )

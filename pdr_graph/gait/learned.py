@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RATE, SAMPLES, CHANNELS = 200.0, 200, 6  # [Hz] and size of a window, the contract
-EVERY = 20  # samples from one window to the next: 10 Hz
-AT_ONCE = 1024  # windows in one run of the network: 5 MB
+WINDOW_STEP = 20  # samples from one window to the next: 10 Hz
+WINDOWS_AT_ONCE = 1024  # windows in one run of the network: 5 MB
 FASTEST = 10.0  # [m/s] beyond which an output is no velocity of a walker
 
 
@@ -75,7 +75,7 @@ class Network:
         if not 1 <= len(outputs) <= 2 or not all(_fits(each.shape, (2,)) for each in outputs):
             self._refuse([each.shape for each in outputs])
         self._input, first = inputs[0].name, inputs[0].shape[0]
-        self._batch = first if isinstance(first, int) else AT_ONCE
+        self._batch = first if isinstance(first, int) else WINDOWS_AT_ONCE
 
     def __call__(self, windows: NDArray[np.float32]) -> tuple[Array, Array | None]:
         """Velocities ``(n, 2)`` [m/s] in windows ``(n, 6, 200)``, and log σ ``(n, 2)``, None if it states none."""
@@ -83,7 +83,7 @@ class Network:
         for first in range(0, len(windows), self._batch):
             part = windows[first : first + self._batch]
             padded = np.concatenate([part, np.zeros((-len(part) % self._batch, *part.shape[1:]), part.dtype)])
-            full = part if self._batch == AT_ONCE else padded
+            full = part if self._batch == WINDOWS_AT_ONCE else padded
             try:
                 made: Any = self._session.run(None, {self._input: np.ascontiguousarray(full)})
             except Exception as error:
@@ -118,8 +118,8 @@ def windows_of(attitude: Attitude) -> tuple[Array, NDArray[np.float32]]:
     samples = interpolate(time, attitude.time, np.concatenate(world, axis=1))
     if len(time) < SAMPLES:
         return np.empty(0), np.empty((0, CHANNELS, SAMPLES), dtype=np.float32)
-    windows = sliding_window_view(samples.astype(np.float32), SAMPLES, axis=0)[::EVERY]
-    return time[: len(time) - SAMPLES + 1 : EVERY] + SAMPLES / 2 / RATE, windows
+    windows = sliding_window_view(samples.astype(np.float32), SAMPLES, axis=0)[::WINDOW_STEP]
+    return time[: len(time) - SAMPLES + 1 : WINDOW_STEP] + SAMPLES / 2 / RATE, windows
 
 
 def learned_velocities(attitudes: Iterable[Attitude], network: Network) -> tuple[Velocities, tuple[str, ...]]:

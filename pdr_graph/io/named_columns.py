@@ -60,10 +60,10 @@ class Words:
 
 
 SENSORLOG, DEVICE_MOTION, MOVELLA, COUNTER = "SensorLog", "DeviceMotion", "Movella", "counter"
-LOCATION = "location"
+POSITIONS = "location"
 BOOT = "timestampsincereboot"
-RECEIVER = ("latitude", "longitude", "horizontalaccuracy", "speed", "course", "speedaccuracy", "courseaccuracy")
-KINDS = {
+RECEIVER_WORDS = ("latitude", "longitude", "horizontalaccuracy", "speed", "course", "speedaccuracy", "courseaccuracy")
+TABLES_OF = {
     SENSORLOG: Words(
         ("loggingtime",),
         {
@@ -80,7 +80,7 @@ KINDS = {
                 (f"magnetometer{BOOT}", axes("magnetometer")),
             ),
             "barometer": ((f"altimeter{BOOT}", ("altimeterpressure",)),),
-            LOCATION: (("locationtimestampsince1970", tuple(f"location{name}" for name in RECEIVER)),),
+            POSITIONS: (("locationtimestampsince1970", tuple(f"location{name}" for name in RECEIVER_WORDS)),),
         },
         {"accelerometer": -STANDARD_GRAVITY, "barometer": 10.0},
         ("pedometerenddate", "pedometernumberofsteps"),
@@ -91,7 +91,7 @@ KINDS = {
             "accelerometer": (("", axes("accelerationincludinggravity")),),
             "linear_acceleration": (("", axes("acceleration")),),
             "gyroscope": (("", ("rotationratealpha", "rotationratebeta", "rotationrategamma")),),
-            LOCATION: (("", ("latitude", "longitude", "accuracy", "speed", "heading")),),
+            POSITIONS: (("", ("latitude", "longitude", "accuracy", "speed", "heading")),),
         },
         {"gyroscope": DEGREE},
     ),
@@ -123,13 +123,13 @@ def read(source: Source) -> Recording:
     above = ABOVE_HEADER.match(content)
     table = delimited.table(where, content[above.end() :] if above else content)
     kind, notes = _kind(table.header) or "", list[str]()
-    words, columns = KINDS[kind], {_plain(name): k for k, name in enumerate(table.header)}
+    words, columns = TABLES_OF[kind], {_plain(name): k for k, name in enumerate(table.header)}
     logged, unit = _times(table, columns, kind, above[0].decode("utf-8", "replace") if above else "")
     tables = dict[str, Array]()
     for sensor, choices in words.sensors.items():
         for time, values in choices:
-            if {time, *values[: 2 if sensor == LOCATION else None]} - {""} <= columns.keys():
-                rows = _rows(table, [columns.get(name) for name in (time, *values)], logged, sensor == LOCATION)
+            if {time, *values[: 2 if sensor == POSITIONS else None]} - {""} <= columns.keys():
+                rows = _rows(table, [columns.get(name) for name in (time, *values)], logged, sensor == POSITIONS)
                 if len(rows) and sensor not in tables:
                     tables[sensor] = rows * np.append(1.0, np.full(rows.shape[1] - 1, words.factor.get(sensor, 1.0)))
     if unit == DOT and "gyroscope" in tables:
@@ -138,7 +138,7 @@ def read(source: Source) -> Recording:
         sign, system = sign_by_gravity(tables["accelerometer"][:, 3])
         tables["accelerometer"][:, 1:] *= sign
         notes.append(f"accelerometer: the signs of {system} assumed from gravity's sign")
-    located, counted = tables.pop(LOCATION, None), None
+    located, counted = tables.pop(POSITIONS, None), None
     if set(words.counter) <= columns.keys():
         number = table.rows.floats([columns[words.counter[1]]])[:, 0]
         changed = np.flatnonzero(np.diff(number, prepend=np.nan) != 0)
@@ -185,7 +185,7 @@ def _plain(name: str) -> str:
 def _kind(header: Iterable[str]) -> str | None:
     """The first kind whose marks are all in a header; None without one."""
     names = {_plain(name) for name in header}
-    return next((kind for kind, words in KINDS.items() if names.issuperset(words.marks)), None)
+    return next((kind for kind, words in TABLES_OF.items() if names.issuperset(words.marks)), None)
 
 
 def _times(table: Table, columns: Mapping[str, int], kind: str, above: str) -> tuple[Array, float]:

@@ -19,13 +19,13 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
+from pdr_graph.io.sensor_logger import NANOSECOND
 from pdr_graph.io.source import MOST_LINES, Source
 from pdr_graph.io.validation import RADIUS_68, build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Recording, Trajectory
 
 NAME = "ROS 2"
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3"
-NANOSECOND = 1e-9  # [s]
 UNAVAILABLE = -1.0  # first value of the covariance of a quantity that an Imu does not have
 EXTRA = "the extra ros: pip install 'pdr_graph[ros]'"
 
@@ -56,14 +56,14 @@ def read(source: Source) -> Recording:
     tables = dict[str, dict[str, list[tuple[float, ...]]]]()
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            wanted = [connection for connection in bag.connections if connection.msgtype in MESSAGES]
+            wanted = [connection for connection in bag.connections if connection.msgtype in ROWS_OF]
             if (number := sum(connection.msgcount for connection in wanted)) > MOST_LINES:
                 raise InputError(path, "", f"{number} messages", f"at most {MOST_LINES}: a shorter recording")
             present = sorted({connection.msgtype for connection in bag.connections})
             for connection, logged, data in bag.messages(wanted) if wanted else ():
                 message: Any = bag.deserialize(data, connection.msgtype)
                 stamp = message.header.stamp.sec + message.header.stamp.nanosec * NANOSECOND
-                for sensor, values in MESSAGES[connection.msgtype](message):
+                for sensor, values in ROWS_OF[connection.msgtype](message):
                     rows = tables.setdefault(sensor, {}).setdefault(connection.topic, [])
                     rows.append((stamp or logged * NANOSECOND, *values))
     except InputError:
@@ -73,14 +73,14 @@ def read(source: Source) -> Recording:
         raise InputError(path, "", found, "a complete bag, not packed (mcap recover repairs a cut one)") from None
     if not tables:
         found = f"messages {', '.join(present)[:120]}" if present else "no messages"
-        raise InputError(path, "", found, f"one of {', '.join(MESSAGES)}")
+        raise InputError(path, "", found, f"one of {', '.join(ROWS_OF)}")
     chosen = {sensor: _of_one_topic(sensor, topics, notes) for sensor, topics in tables.items()}
-    located = chosen.pop(LOCATION, None)
+    located = chosen.pop(NAV_SAT, None)
     fixes = None if located is None else receiver_fixes(located, notes)
     return build_recording(str(path), path.stem, chosen, 0.0, fixes, notes=notes)
 
 
-LOCATION = "location"
+NAV_SAT = "location"
 Values = Iterator[tuple[str, tuple[float, ...]]]
 
 
@@ -107,10 +107,10 @@ def _position(message: Any) -> Values:
     if message.status.status >= 0:
         covariance, known = message.position_covariance, message.position_covariance_type > 0
         radius = RADIUS_68 * math.sqrt(max((covariance[0] + covariance[4]) / 2, 0.0)) if known else math.nan
-        yield LOCATION, (message.latitude, message.longitude, radius)
+        yield NAV_SAT, (message.latitude, message.longitude, radius)
 
 
-MESSAGES = {
+ROWS_OF = {
     "sensor_msgs/msg/Imu": _imu,
     "sensor_msgs/msg/MagneticField": _magnetic_field,
     "sensor_msgs/msg/NavSatFix": _position,
@@ -139,8 +139,8 @@ uint8 KNOWN=3
 uint8 position_covariance_type
 """
 FOXGLOVE = {"foxglove_msgs/msg/LocationFix": LOCATION_FIX, "foxglove_msgs/msg/GeoJSON": "string geojson\n"}
-POSE, FIX, GEOJSON = "geometry_msgs/msg/PoseWithCovarianceStamped", *FOXGLOVE
-TOPICS = {POSE: "/pdr_graph/pose", FIX: "/pdr_graph/location", GEOJSON: "/pdr_graph/geojson"}
+POSED, FIX, GEOJSON_MESSAGE = "geometry_msgs/msg/PoseWithCovarianceStamped", *FOXGLOVE
+TOPICS = {POSED: "/pdr_graph/pose", FIX: "/pdr_graph/location", GEOJSON_MESSAGE: "/pdr_graph/geojson"}
 MAP = "map"  # the frame of REP 105 that is fixed to the ground
 PLANAR = [0, 1, 5]  # x, y and the rotation about z among x, y, z and the rotations about them
 KNOWN = 3  # the whole covariance, as of LocationFix
@@ -186,13 +186,13 @@ def _messages(track: Trajectory, geojson: str, types: Any) -> Iterator[tuple[int
         at, (x, y) = clock(*divmod(stamp, 10**9)), track.position[n].tolist()
         half = float(np.nan_to_num(track.heading[n])) / 2
         if n == 0 and geojson:
-            yield stamp, GEOJSON, types[GEOJSON](geojson)
+            yield stamp, GEOJSON_MESSAGE, types[GEOJSON_MESSAGE](geojson)
         six = np.zeros((6, 6))
         six[np.ix_(PLANAR, PLANAR)] = covariance[n]
         facing = (
             quaternion(0.0, 0.0, math.sin(half), math.cos(half)) if half == half else quaternion(0.0, 0.0, 0.0, 1.0)
         )
-        yield stamp, POSE, types[POSE](header(at, MAP), certain(pose(point(x, y, 0.0), facing), six.ravel()))
+        yield stamp, POSED, types[POSED](header(at, MAP), certain(pose(point(x, y, 0.0), facing), six.ravel()))
         if geojson:
             flat = np.zeros((3, 3))
             flat[:2, :2] = turn @ covariance[n][:2, :2] @ turn.T

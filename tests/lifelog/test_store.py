@@ -282,7 +282,7 @@ def test_a_build_recovers_all_but_the_days(stored, damage):
     with Store(path) as log:
         log.put_phone("me", "badge")
     execute(path, "PRAGMA writable_schema = ON", damage)
-    with pytest.warns(DataLossWarning, match="2 rows of setting, 1 row of phone; a build makes the days"):
+    with pytest.warns(DataLossWarning, match="3 rows of setting, 1 row of phone; a build makes the days"):
         log = Store(path, thorough=True)
     with log:
         assert not log.days()

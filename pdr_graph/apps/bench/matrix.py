@@ -176,20 +176,20 @@ def _number(value: float) -> float | None:
 
 # Statistics
 
-AT = (50, 75, 95)  # percentiles
-COLUMNS = ("data set", "given", "method", "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 %")
-COLUMNS += ("length", "steps", "seconds")
+SCORED_AT = (50, 75, 95)  # percentiles
+STATISTICS = ("data set", "given", "method", "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 %")
+STATISTICS += ("length", "steps", "seconds")
 
 
 def percentiles_with_interval(groups: Sequence[Array], draws: int = 2000) -> list[str]:
     """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
     random = np.random.default_rng(0)
     samples = [
-        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), AT)
+        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), SCORED_AT)
         for _ in range(draws)
     ]
     low, high = np.percentile(samples, [2.5, 97.5], axis=0)
-    values = np.percentile(np.concatenate(groups), AT)
+    values = np.percentile(np.concatenate(groups), SCORED_AT)
     return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
 
 
@@ -202,7 +202,7 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
 
 
 def statistics(rows: Iterable[Row]) -> list[list[str]]:
-    """The cells of COLUMNS, a line for each group: percentiles of all places, with intervals; means of the rest."""
+    """The cells of STATISTICS, a line for each group: percentiles of all places, with intervals; means of the rest."""
     lines = []
     for names, alike in grouped(rows).items():
         done = [row for row in alike if "failed" not in row]
@@ -211,7 +211,7 @@ def statistics(rows: Iterable[Row]) -> list[list[str]]:
         due = sum(row["places"] for row in done)
         count = sum(map(len, errors))
         cells = [str(len(alike)), str(len(alike) - len(done)), f"{count} of {due}" if count < due else str(count)]
-        cells += percentiles_with_interval(errors) if errors else ["—"] * len(AT)
+        cells += percentiles_with_interval(errors) if errors else ["—"] * len(SCORED_AT)
         cells.append(f"{100 * np.mean(inside):.0f} %" if inside else "—")
         for name in ("length", "steps"):
             off = [100 * (row[name] - 1) for row in done if row[name] is not None]

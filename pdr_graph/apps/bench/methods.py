@@ -26,7 +26,7 @@ from pdr_graph.types import Trajectory
 from pdr_graph.walk import LIVE, Evidence, Options, estimate, observe, read
 
 Method = Callable[[Evidence], Trajectory]
-LONGEST = 600.0  # [s] for a command
+LONGEST_COMMAND = 600.0  # [s] for a command
 
 
 def by_name(method: str, evidence: Evidence) -> Trajectory:
@@ -132,7 +132,7 @@ def by_command(command: str, evidence: Evidence) -> Trajectory:
         out = folder / "out.tum"
         words = [word.format(folder=folder, out=out) for word in shlex.split(command)]
         try:
-            ended = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST, check=False)
+            ended = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST_COMMAND, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(command, "", one_line(str(error)), "a command that runs and ends") from None
         if ended.returncode or not out.exists():

@@ -97,7 +97,7 @@ def stats(
     \b
     pdr-graph bench stats matrix.toml --csv table.csv --out errors.png
     """
-    from pdr_graph.apps.bench.matrix import COLUMNS, Matrix, is_wanted, key_of, plot, statistics
+    from pdr_graph.apps.bench.matrix import STATISTICS, Matrix, is_wanted, key_of, plot, statistics
     from pdr_graph.apps.report.plotting import picture_bytes
     from pdr_graph.whole_files import write_file
 
@@ -107,7 +107,7 @@ def stats(
         raise InputError(table.out, "", "no rows", f"pdr-graph bench run {matrix} first")
     lines = statistics(rows)
     command = f"pdr-graph bench run {matrix} --again --only '{{}} |' --only '| {{}} | {{}}'"
-    head, whole = [*COLUMNS, "command"], [[*line, command.format(*line[:3])] for line in lines]
+    head, whole = [*STATISTICS, "command"], [[*line, command.format(*line[:3])] for line in lines]
     if csv_ is not None:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([head, *whole])
@@ -116,8 +116,8 @@ def stats(
         write_file(out, picture_bytes(plot(rows)))
     if json_:
         echo_result(json.dumps([dict(zip(head, line, strict=True)) for line in whole]))
-    width = [max(map(len, column)) for column in zip(COLUMNS, *lines, strict=True)]
-    echo_lines("\n".join("  ".join(map(str.ljust, line, width)).rstrip() for line in [COLUMNS, *lines]))
+    width = [max(map(len, column)) for column in zip(STATISTICS, *lines, strict=True)]
+    echo_lines("\n".join("  ".join(map(str.ljust, line, width)).rstrip() for line in [STATISTICS, *lines]))
     for row in rows:
         if "failed" in row:
             echo(f"failed: {' | '.join(key_of(row))}: {row['failed']}")

@@ -22,7 +22,7 @@ from pdr_graph.apps.lifelog.day import Day, DayRows, Rows, profile_of, profile_r
 from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_times
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
-from pdr_graph.apps.lifelog.store import PATHS, ZONE, Entry, Store, StoredDay
+from pdr_graph.apps.lifelog.store import WAYS_FILE, ZONE, Entry, Store, StoredDay
 from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, Work, fleet, pack
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.gait.walker import Profile
@@ -195,7 +195,7 @@ def build(
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
         if paths is not None:
-            log.put_setting(PATHS, _checked_ways(paths))
+            log.put_setting(WAYS_FILE, _checked_ways(paths))
         observe_work = partial(observe_all, observe=observe)
         reconstruct_work = partial(reconstruct_days, reconstruct=reconstruct)
 
@@ -245,7 +245,7 @@ def _checked_ways(paths: str) -> str:
 
 def ways_of(log: Store) -> tuple[str, str]:
     """The file of ways outdoors, and its fingerprint, "" without. Raises InputError if it is gone."""
-    if not (file := log.setting(PATHS)):
+    if not (file := log.setting(WAYS_FILE)):
         return "", ""
     if not Path(file).is_file():
         raise InputError(file, "", "no such file", f"the ways that --paths named, or --paths {NO_PATHS}")

@@ -33,7 +33,7 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording, Trajectory
 from pdr_graph.walk import Evidence, Options, estimate, with_tables
 
-NOWHERE = "", ""  # without a file of ways outdoors
+WITHOUT_WAYS = "", ""  # without a file of ways outdoors
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class EstimatedWalk(OneLineRepr):
     graph: WalkGraph
     estimate: Estimate
     missing: tuple[str, ...]
-    ways: tuple[str, str] = NOWHERE
+    ways: tuple[str, str] = WITHOUT_WAYS
 
     @property
     def looks(self) -> Array:
@@ -97,7 +97,7 @@ def estimate_walk(
     before: EstimatedWalk | Outing | None,
     profile: Profile | None,
     frame: Frame | None = None,
-    ways: tuple[str, str] = NOWHERE,
+    ways: tuple[str, str] = WITHOUT_WAYS,
 ) -> EstimatedWalk:
     """Estimate the walk of a session with steps.
 
@@ -181,7 +181,7 @@ def reconstruct(
     date: str,
     observations: Mapping[str, Observation],
     profile: Profile | None,
-    ways: tuple[str, str] = NOWHERE,
+    ways: tuple[str, str] = WITHOUT_WAYS,
 ) -> Day:
     """Reconstruct a day from its observations, by content hash of the recording, and the profile before the day.
 
@@ -197,7 +197,7 @@ def as_outings(outings: Sequence[EstimatedWalk | Outing]) -> tuple[Outing, ...]:
 
 
 def reconstruct_outings(
-    observations: Mapping[str, Observation], profile: Profile | None, ways: tuple[str, str] = NOWHERE
+    observations: Mapping[str, Observation], profile: Profile | None, ways: tuple[str, str] = WITHOUT_WAYS
 ) -> tuple[list[EstimatedWalk | Outing], Profile | None]:
     """Estimate the outings of a day, those with steps as walks; also returns the profile of the walker after the day.
 

@@ -57,10 +57,10 @@ STORE_SCHEMA = (
 KEPT = {"setting": 2, "recording": 3, "correction": 7, "guess": 6, "phone": 2}
 ZONE = "zone"
 TOGETHER = "together"
-PATHS = "paths"
+WAYS_FILE = "paths"
 SOURCES = "imported: "  # and a person: the paths that were imported, JSON
 # Time zone of the days, "" for that of each place; key of the last joint estimate; file of ways outdoors, "" for none
-SETTINGS = {ZONE: "", TOGETHER: "", PATHS: ""}
+SETTINGS = {ZONE: "", TOGETHER: "", WAYS_FILE: ""}
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
 

@@ -31,10 +31,10 @@ from pdr_graph.types import Array
 
 PREFIX = "pdr_graph"  # of all topics but those of the discovery
 STATUS = f"{PREFIX}/status"  # of the server
-ONLINE, OFFLINE = "online", "offline"
+ONLINE, ABSENT = "online", "offline"
 FINISHED = "finished"  # state of a walk that is over
 LEAST_SHOWN = 0.05  # probability from which a room is among the attributes
-HEARTBEAT = 60.0  # [s] without news after which the connection is still looked at
+LONGEST_PAUSE = 60.0  # [s] without news after which the connection is still looked at
 
 
 def _spread() -> Array:
@@ -44,7 +44,7 @@ def _spread() -> Array:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
-POINTS = _spread()
+DEVIATES = _spread()
 
 
 def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, float]:
@@ -60,10 +60,10 @@ def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, fl
         region = mode["region"]
         axes = np.array([region["semi_major"], region["semi_minor"]]) / np.sqrt(-2 * np.log(1 - PROBABILITY))
         cosine, sine = np.cos(region["angle"]), np.sin(region["angle"])
-        points = (POINTS * axes) @ np.array([[cosine, sine], [-sine, cosine]]) + (mode["x"], mode["y"])
+        points = (DEVIATES * axes) @ np.array([[cosine, sine], [-sine, cosine]]) + (mode["x"], mode["y"])
         for cell in cells.at(points).tolist():
             if cell >= 0:
-                share[cells.cells[cell].name] += mode["probability"] / len(POINTS)
+                share[cells.cells[cell].name] += mode["probability"] / len(DEVIATES)
     return {name: part / share.total() for name, part in share.most_common()}
 
 
@@ -132,7 +132,7 @@ class Announcer:
         try:
             await client.publish(STATUS, ONLINE, retain=True)
             while not subscriber.ended:
-                if await subscriber.wait(HEARTBEAT):
+                if await subscriber.wait(LONGEST_PAUSE):
                     for kind, data in subscriber.events():
                         if kind == "pose":
                             await self._pose(client, data)
@@ -141,7 +141,7 @@ class Announcer:
         finally:
             self._hub.unsubscribe(subscriber)
             with suppress(Exception):  # a connection that was lost: then the broker has the last will
-                await client.publish(STATUS, OFFLINE, retain=True)
+                await client.publish(STATUS, ABSENT, retain=True)
 
     async def _pose(self, client: Any, pose: Mapping[str, Any]) -> None:
         walker = self._hub.walkers[pose["id"]]
@@ -160,7 +160,7 @@ class Announcer:
             accuracy = round(RADIUS_68 * pose["sigma"], 1)
             position = {"latitude": pose["lat"], "longitude": pose["lon"], "gps_accuracy": accuracy}
             await client.publish(f"{topic}/position", msgspec.json.encode(position), retain=True)
-        await client.publish(f"{topic}/status", OFFLINE if pose["state"] == FINISHED else ONLINE, retain=True)
+        await client.publish(f"{topic}/status", ABSENT if pose["state"] == FINISHED else ONLINE, retain=True)
 
     async def _forget(self, client: Any, id_: str) -> None:
         """Remove the device of a walk that was deleted, if it is the one that is shown; empty messages do."""
@@ -177,4 +177,4 @@ def _topics(phone: str) -> list[str]:
 
 async def announce(broker: Broker, hub: Hub, building: Building | None, say: Say) -> None:
     """Publish the phones of a hub to a broker, for ever; a lost connection is made again."""
-    await connected(broker, Announcer(hub, building).run, say, last_will=(STATUS, OFFLINE))
+    await connected(broker, Announcer(hub, building).run, say, last_will=(STATUS, ABSENT))

@@ -39,12 +39,12 @@ from pdr_graph.types import INSTANT, Array, Complex, Index, Mask, Steps, take
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-LONGEST = 1.0  # [s] between two velocities that are interpolated
-EVERY = 2.0  # [s] between keyframes: where the direction of the steps may turn
+LONGEST_SILENCE = 1.0  # [s] between two velocities that are interpolated
+KEYFRAMES_EVERY = 2.0  # [s] between keyframes: where the direction of the steps may turn
 SLOWEST = 0.2  # [m/s] of steps that are compared with the network
-MOST_STRETCHES = 3  # in doubt at once, the longest ones: 8 walks are solved
+MOST_DOUBTED = 3  # in doubt at once, the longest ones: 8 walks are solved
 UNUSED = "not used: it contradicts the steps"
-STRETCHES, NETWORK, STEPS = "wrong along stretches", "network", "step direction"
+STRETCHES, NETWORK, STEP_DIRECTION = "wrong along stretches", "network", "step direction"
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class LearnedVelocityFactor(Measurement):
     @classmethod
     def of(cls, velocities: Velocities, steps: Steps, prior: Prior, number: Index | None = None) -> Self:
         """The velocities of one walk; `number` is not used."""
-        times = np.arange(steps.start, steps.end, EVERY)[1:]
+        times = np.arange(steps.start, steps.end, KEYFRAMES_EVERY)[1:]
         if len(steps) and steps.is_gap.any():  # also rides, which no network of walkers knows
             time, row = velocities.time, np.searchsorted(steps.time, velocities.time)
             row = np.minimum(row, len(steps) - 1)
@@ -104,12 +104,13 @@ class LearnedVelocityFactor(Measurement):
         if not len(of):
             nothing = np.full((len(chain.segment), 2), np.nan)
             return replace(self, moved=nothing, sigma=nothing, frame=np.zeros(len(chain.segment_first), dtype=np.intp))
-        gap = (np.diff(time) > LONGEST) | (np.diff(of.frame) != 0)
+        gap = (np.diff(time) > LONGEST_SILENCE) | (np.diff(of.frame) != 0)
         rates = np.hstack([of.velocity, 2 * LEARNED.lasts * (of.sigma**2 + LEARNED.least**2)])
         sums = np.column_stack([np.diff(time)[:, None] * (rates[1:] + rates[:-1]) / 2, gap])
         sums = np.cumsum(np.vstack([np.zeros(5), sums]), axis=0)
         moved = np.diff(interpolate(chain.time, time, sums), axis=0)
-        known = (chain.time[:-1] >= time[0] - LONGEST) & (chain.time[1:] <= time[-1] + LONGEST) & (moved[:, 4] == 0)
+        known = (chain.time[:-1] >= time[0] - LONGEST_SILENCE) & (chain.time[1:] <= time[-1] + LONGEST_SILENCE)
+        known &= moved[:, 4] == 0
         begins = np.searchsorted(time, chain.time[chain.segment_first])
         frame = of.frame[np.minimum(begins, len(time) - 1)]
         place = np.where(known[:, None], moved[:, :2], np.nan)
@@ -227,9 +228,9 @@ class LearnedVelocityFactor(Measurement):
         if self.angle is None or not len(self._used):
             return ()
         stretches, found = self._stretches(at), list[Proposal]()
-        for wrong in product((NETWORK, STEPS), repeat=len(stretches)) if stretches else ():
+        for wrong in product((NETWORK, STEP_DIRECTION), repeat=len(stretches)) if stretches else ():
             which = list(zip(stretches, wrong, strict=True))
-            by = ([stretch for stretch, of in which if of == name] for name in (NETWORK, STEPS))
+            by = ([stretch for stretch, of in which if of == name] for name in (NETWORK, STEP_DIRECTION))
             found.append(self._wrong_along(at, *by))
         return found
 
@@ -238,7 +239,7 @@ class LearnedVelocityFactor(Measurement):
         known, (apart, _) = np.flatnonzero(np.isfinite(self._ratio(at))), self._apart(at)
         begins, ends = runs(apart > LEARNED.apart)
         spans = np.column_stack([known[begins], known[ends - 1]])[ends - begins > 1]
-        longest = np.argsort(spans[:, 0] - spans[:, 1], kind="stable")[:MOST_STRETCHES]
+        longest = np.argsort(spans[:, 0] - spans[:, 1], kind="stable")[:MOST_DOUBTED]
         return [(a, b) for a, b in spans[np.sort(longest)].tolist()]
 
     def _turns(self, at: Evaluation, stretches: list[tuple[int, int]]) -> Index:
@@ -276,7 +277,7 @@ class LearnedVelocityFactor(Measurement):
             root[turns] = wider
         time = at.chain.time
         names = [f"{NETWORK} {time[a]:.0f} to {time[b + 1]:.0f} s" for a, b in network]
-        names += [f"{STEPS} {time[a]:.0f} to {time[b + 1]:.0f} s" for a, b in steps]
+        names += [f"{STEP_DIRECTION} {time[a]:.0f} to {time[b + 1]:.0f} s" for a, b in steps]
         claim = Hypothesis((self.name, STRETCHES), tuple(names), price=price)
         return Proposal(claim, (replace(self, wrong=wrong), *([StepFactor(root)] if steps else [])))
 
