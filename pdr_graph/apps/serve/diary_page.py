@@ -144,7 +144,7 @@ def application(store: Path, token: str, tiles: str | None = None) -> Starlette:
     return Starlette(False, routes, [Middleware(Guard, Access({OWNER: token}))])
 
 
-SCRIPTS = """<link rel="stylesheet" href="web/maplibre-gl/maplibre-gl.css">
+MAP_SCRIPTS = """<link rel="stylesheet" href="web/maplibre-gl/maplibre-gl.css">
 <script src="web/maplibre-gl/maplibre-gl-csp.js"></script><script type="module" src="web/diary.js"></script>"""
 
 
@@ -172,7 +172,7 @@ def day_page(store: Path, query: Fields) -> str:
     links += _others("./", own.person, people)
     address = escape(_query(own.person, own.date))
     map_ = f'<div id="map" role="region" aria-label="Map of the day" data-from="map.json?{address}"></div>'
-    map_ += f'<section id="forms" aria-live="polite" hidden></section>{SCRIPTS}'
+    map_ += f'<section id="forms" aria-live="polite" hidden></section>{MAP_SCRIPTS}'
     picture = f'<img alt="" loading="lazy" style="width:100%" src="picture.svg?{address}">'
     sums = f'{_strip(own)}<p class="soft">{escape(totals_text(own.totals))}</p>'
     picture = f"<details><summary>as a picture</summary>{picture}</details>"
