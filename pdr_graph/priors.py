@@ -1237,13 +1237,8 @@ REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()
 CLIMB, KIND = ClimbPriors(), KindPriors()
 LOSSES, WALKER, WALLS, REGIONS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors()
 CORRIDOR, TURNS, WAYS, PLANS = CorridorPriors(), TurnPriors(), WayPriors(), PlanPriors()
-FIXES, RECEIVERS, BEACONS, RANGES, LEARNED = (
-    FixPriors(),
-    ReceiverPriors(),
-    BeaconPriors(),
-    RangePriors(),
-    LearnedPriors(),
-)
+FIXES, RECEIVERS, BEACONS, RANGES = FixPriors(), ReceiverPriors(), BeaconPriors(), RangePriors()
+LEARNED = LearnedPriors()
 INITIAL, SEARCH = InitialPriors(), SearchPriors()
 PRICES, DOUBTS, PATHS, ANYWHERE = PricePriors(), DoubtPriors(), PathPriors(), AnywherePriors()
 PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()

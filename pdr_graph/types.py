@@ -887,7 +887,8 @@ def concatenate(parts: Sequence[Table]) -> Table:
 
 def by_type(tables: Sequence[Any]) -> tuple[Any, ...]:
     """The tables with all of one type concatenated, in the order in which the types first appear."""
-    return tuple(concatenate([t for t in tables if type(t) is kind]) for kind in dict.fromkeys(map(type, tables)))
+    kinds = dict.fromkeys(type(table) for table in tables)
+    return tuple(concatenate([table for table in tables if type(table) is kind]) for kind in kinds)
 
 
 def last_time(data: Any) -> Array:

@@ -203,6 +203,14 @@ class Evidence(OneLineRepr):
     paths: PathNetwork | None = None
 
     @property
+    def truth(self) -> Trajectory | None:
+        """The truth of the recording in the output frame, for scores alone; None if there is none to be placed."""
+        truth = self.walk.truth
+        if truth is None or (truth.epsg is not None and not self.frame.georeferenced):
+            return None
+        return self.frame.place(truth)
+
+    @property
     def near(self) -> Array:
         """Approximate position ``(2,)`` [m] of the walk, for the World Magnetic Model."""
         if len(self.fixes):

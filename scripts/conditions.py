@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, read_fixes
+from pdr_graph.apps.bench.data_sets import CHOICES
 from pdr_graph.apps.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
@@ -57,9 +58,9 @@ SIGMA = 0.5  # [m] stated of a waypoint that is given
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
 WAYPOINT_NOISE = WAYPOINT_SIGMA
 HELP = {  # which waypoints are given
-    "every second waypoint": lambda n: np.unique(np.append(np.arange(0, n, 2), n - 1)),
-    "first and last": lambda n: np.array([0, n - 1]),
-    "first only": lambda n: np.array([0]),
+    "every second waypoint": CHOICES["every second"],
+    "first and last": CHOICES["first and last"],
+    "first only": CHOICES["first"],
 }
 
 
@@ -205,7 +206,7 @@ def walk_of(recording, floor, path):
 
 def helped_walks(data, given):
     """Each recording that has a waypoint left to be scored at, and its walk."""
-    both = [(recording, helped(walk, HELP[given](len(walk.truth)))) for recording, walk in recordings(data)]
+    both = [(recording, helped(walk, HELP[given](walk.truth))) for recording, walk in recordings(data)]
     return [(recording, walk) for recording, walk in both if len(walk.truth)]
 
 

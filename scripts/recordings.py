@@ -148,7 +148,7 @@ def by_places(case, places):
     """A case by some of the places of its truth instead of its own positions and beacons."""
     for given, choose in HELP.items():
         said = given.replace("waypoint", "landmark") + ", plan" * (case.plan is not None)
-        walk = helped(case.walk, places[choose(len(places))])
+        walk = helped(case.walk, places[choose(case.walk.truth[places])])
         yield replace(case, given=said, walk=walk, beacons=None)
 
 

@@ -16,7 +16,7 @@ from streamed_walks import bodies, outdoors, soon
 
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, announce, phone_of, rooms_of, state_of
-from pdr_graph.apps.serve.publishing import Hub, nowhere, region
+from pdr_graph.apps.serve.publishing import MOST_SUBSCRIBERS, Hub, nowhere, region
 from pdr_graph.apps.serve.pulling import Sources, broker_of
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
 from pdr_graph.apps.serve.serving import Settings, build
@@ -166,3 +166,14 @@ async def test_a_server_announces_the_phones_that_post_to_it(tmp_path, port):
             assert state["room"] is None, "there is no plan"
             assert 0 < state["accuracy"] < 20
         await soon(lambda: topics[STATUS] == b"offline")
+
+
+def test_many_pages_of_the_owner_do_not_end_the_announcements():
+    """Beyond a hundred connections the oldest ends, which the server's own, older than all, must not be."""
+    hub = Hub()
+    own = hub.subscribe(OWNER, connection=False)
+    pages = [hub.subscribe(OWNER) for _ in range(MOST_SUBSCRIBERS + 5)]
+    assert [page.ended for page in pages] == [True] * 5 + [False] * MOST_SUBSCRIBERS
+    assert not own.ended
+    hub.close()
+    assert own.ended

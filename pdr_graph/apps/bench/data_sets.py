@@ -53,8 +53,7 @@ Walks = Iterator[tuple[str, Callable[[], BenchWalk]]]
 def recorded(path: Path, options: Options, noise: float = 0.0) -> BenchWalk:
     """A recording that has its truth, in itself or in the file of the options."""
     evidence = read(path, options)
-    truth = evidence.walk.truth
-    return BenchWalk(evidence, no_truth() if truth is None else evidence.frame.place(truth), noise)
+    return BenchWalk(evidence, evidence.truth or no_truth(), noise)
 
 
 def microsoft(data: Path) -> Walks:

@@ -103,12 +103,13 @@ def estimated(
         raise InputError(wanted[0], "", "a method, and no file of that name", "--recording, which it estimates")
     methods = {name: method_of(name) for name in wanted}
     evidence = observe(read(recording, options))
-    walk, frame = evidence.walk, evidence.frame
-    tracks = {name: method(evidence) for name, method in methods.items()}
-    placed = walk.truth is not None and (walk.truth.epsg is None or frame.georeferenced)
-    truth = frame.place(walk.truth) if walk.truth is not None and placed else None
-    on_clock = {name: replace(track, time=track.time + walk.clock_origin) for name, track in tracks.items()}
-    return on_clock, truth and replace(truth, time=truth.time + walk.clock_origin), frame.describe()
+
+    def on_clock(track: Trajectory) -> Trajectory:
+        return replace(track, time=track.time + evidence.walk.clock_origin)
+
+    tracks = {name: on_clock(method(evidence)) for name, method in methods.items()}
+    truth = None if evidence.truth is None else on_clock(evidence.truth)
+    return tracks, truth, evidence.frame.describe()
 
 
 def _checked(found: object, name: str) -> Trajectory:

@@ -267,11 +267,9 @@ def _reports_by_kind(estimate: Estimate, clock_origin: float) -> dict[str, Any]:
 
 def _truth_beside(evidence: Evidence, estimate: Estimate) -> Trajectory | None:
     """The truth in the output frame; None if it cannot be placed there, or lies elsewhere than the walk."""
-    truth, frame = evidence.walk.truth, evidence.frame
-    located = estimate.placed or estimate.fixes or estimate.routes
-    if truth is None or not located or (truth.epsg is not None and not frame.georeferenced):
+    truth = evidence.truth
+    if truth is None or not (estimate.placed or estimate.fixes or estimate.routes):
         return None
-    truth = frame.place(truth)
     apart = np.abs(truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
     near = np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0
     return truth if near else None

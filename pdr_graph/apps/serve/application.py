@@ -335,8 +335,8 @@ async def _relay(
     connection: HTTPConnection, reading: Coroutine[Any, Any, None], send: Callable[[str, Any], Awaitable[None]]
 ) -> None:
     """Send events, "" for a heartbeat, until ``reading`` from the client ends, it takes none, or the hub ends it."""
-    hub, viewer = _server(connection).hub, connection.scope["user"]
-    subscriber = hub.subscribe(viewer, lambda user: Access.sees(viewer, user))
+    hub = _server(connection).hub
+    subscriber = hub.subscribe(connection.scope["user"])
     gone = asyncio.create_task(reading)
     gone.add_done_callback(lambda _: subscriber.wake())
     try:

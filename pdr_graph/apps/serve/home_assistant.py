@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 import pdr_graph
-from pdr_graph.apps.serve.access import OWNER, Access
+from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.publishing import PROBABILITY, Hub
 from pdr_graph.apps.serve.pulling import Broker, Say, connected
 from pdr_graph.errors import one_line
@@ -128,7 +128,7 @@ class Announcer:
     async def run(self, client: Any) -> None:
         """Publish all phones, and each change of them, until the hub ends."""
         self._announced.clear()  # a broker that was lost may have forgotten
-        subscriber = self._hub.subscribe(OWNER, lambda user: Access.sees(OWNER, user))
+        subscriber = self._hub.subscribe(OWNER, connection=False)
         try:
             await client.publish(STATUS, ONLINE, retain=True)
             while not subscriber.ended:

@@ -43,7 +43,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,6 +51,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.apps.report import page
+from pdr_graph.apps.serve.access import Access
 from pdr_graph.errors import count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
@@ -277,12 +278,12 @@ class Published:
 
 
 class Subscriber:
-    """A connection of a viewer that receives events. sees: whether it may see the walker of a user; ended: if it has
-    to go.
+    """Receives events that a viewer may see. connection: of a client, which may have to go for another; ended: it has
+    to.
     """
 
-    def __init__(self, hub: Hub, viewer: str, sees: Callable[[str], bool]):
-        self._hub, self.viewer, self.sees, self.ended = hub, viewer, sees, False
+    def __init__(self, hub: Hub, viewer: str, connection: bool, ended: bool):
+        self._hub, self.viewer, self.connection, self.ended = hub, viewer, connection, ended
         # ids of walkers with news of each kind, in the order in which these are sent, the oldest first
         self._pending = {kind: dict[str, None]() for kind in ("forgotten", "pose", "path")}
         self._sent = dict[str, tuple[int, int]]()  # revision and number of finalised points
@@ -293,7 +294,7 @@ class Subscriber:
 
     def note(self, id_: str, user: str, kind: str) -> None:
         """Note that there is news of a walker."""
-        if self.sees(user):
+        if Access.sees(self.viewer, user):
             self._pending[kind][id_] = None
             self._changed.set()
 
@@ -370,18 +371,19 @@ class Hub:
         if walker is not None:
             self._note(id_, walker.user, "forgotten")
 
-    def subscribe(self, viewer: str, sees: Callable[[str], bool]) -> Subscriber:
+    def subscribe(self, viewer: str, connection: bool = True) -> Subscriber:
         """A new subscriber, for whom all walkers are news.
 
-        Beyond MOST_SUBSCRIBERS the oldest of the viewer who has the most of them ends.
+        Beyond MOST_SUBSCRIBERS connections the oldest of the viewer who has the most of them ends. connection: False
+        for the server's own, which never ends before the hub does.
         """
-        if len(self._subscribers) >= MOST_SUBSCRIBERS:
-            [(most, _)] = Counter(each.viewer for each in self._subscribers).most_common(1)
-            oldest = next(each for each in self._subscribers if each.viewer == most)
+        clients = [each for each in self._subscribers if each.connection]
+        if connection and len(clients) >= MOST_SUBSCRIBERS:
+            [(most, _)] = Counter(each.viewer for each in clients).most_common(1)
+            oldest = next(each for each in clients if each.viewer == most)
             self.unsubscribe(oldest)
             oldest.end()
-        subscriber = Subscriber(self, viewer, sees)
-        subscriber.ended = self._closed
+        subscriber = Subscriber(self, viewer, connection, ended=self._closed)
         self._subscribers[subscriber] = None
         return subscriber
 
