@@ -168,6 +168,27 @@ async def test_a_server_announces_the_phones_that_post_to_it(tmp_path, port):
         await soon(lambda: topics[STATUS] == b"offline")
 
 
+@pytest.mark.anyio
+async def test_a_server_ends_at_the_moment_of_news():
+    """Cancelled when the wait has its answer but has not gone on, which `asyncio.wait_for` of Python 3.11 swallows."""
+    for steps in range(5):
+        hub = Hub()
+        subscriber = hub.subscribe(OWNER, connection=False)
+
+        async def listen(subscriber=subscriber):
+            while await subscriber.wait(60.0):
+                list(subscriber.events())
+
+        task = asyncio.create_task(listen())
+        await asyncio.sleep(0.01)
+        hub.pose(OWNER, pose(2.0, 2.0))
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        task.cancel()
+        done, _ = await asyncio.wait([task], timeout=5.0)
+        assert done, f"cancelled {steps} turns of the loop after the news"
+
+
 def test_many_pages_of_the_owner_do_not_end_the_announcements():
     """Beyond a hundred connections the oldest ends, which the server's own, older than all, must not be."""
     hub = Hub()

@@ -247,7 +247,8 @@ def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
 
     async def greet() -> None:
-        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
+        async with asyncio.timeout(CONNECT_TIMEOUT + 1):
+            comm = await connect(scheduler, timeout=CONNECT_TIMEOUT)
         await comm.close()
 
     try:  # before a client, which hangs if nothing answers

@@ -310,7 +310,8 @@ class Subscriber:
     async def wait(self, timeout: float) -> bool:
         """Wait for news; False after ``timeout`` [s] without any."""
         try:
-            await asyncio.wait_for(self._changed.wait(), timeout)
+            async with asyncio.timeout(timeout):  # wait_for of Python 3.11 may swallow that the task is cancelled
+                await self._changed.wait()
         except TimeoutError:
             return False
         return True

@@ -85,7 +85,10 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
             home = settings.sources.home
             more = [] if home is None else [announce(home, hub, building, say)]
             async with running(settings.sources, reception, say, more):
-                yield
+                try:
+                    yield
+                finally:
+                    hub.close()  # before the tasks are cancelled, which aiomqtt may swallow in Python 3.11
         finally:
             await estimators.stop()
             reception.close()

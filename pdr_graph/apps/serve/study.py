@@ -158,7 +158,8 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
         *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=pipe
     )
     try:
-        _, said = await asyncio.wait_for(process.communicate(), SMOOTHING_TIMEOUT)
+        async with asyncio.timeout(SMOOTHING_TIMEOUT):
+            _, said = await process.communicate()
     except TimeoutError:
         return refusal(f"the estimate took more than {SMOOTHING_TIMEOUT / 60:.0f} minutes")
     finally:
