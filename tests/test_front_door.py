@@ -96,8 +96,10 @@ def test_a_phone_without_a_gyroscope_finishes_without_turns(tmp_path, felt):
     tables = {name: text for name, text in recorders.phyphox(felt).items() if name != "Gyroscope.csv"}
     code, errors, summary = smoothed(recorders.in_zip(tmp_path / "walk.zip", tables), tmp_path / "out")
     assert code == 3
-    assert errors == [f"pdr-graph: finished without turns: there is no gyroscope (see {tmp_path}/out/summary.json)"]
-    assert summary["missing"] == ["turns: there is no gyroscope"]
+    assert errors == [
+        f"pdr-graph: finished without turns: there is no gyroscope, or it stopped (see {tmp_path}/out/summary.json)"
+    ]
+    assert summary["missing"] == ["turns: there is no gyroscope, or it stopped"]
 
 
 def test_a_walk_whose_accelerometer_ends_early_says_what_is_missing(tmp_path, felt):

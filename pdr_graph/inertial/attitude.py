@@ -96,6 +96,13 @@ def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
     return lasting_runs(still, max(1, round(REST.shortest / period)))
 
 
+def hung(angular_rate: Array, acceleration: Array, period: float) -> Mask:
+    """``(n,)`` True where a gyroscope hung: it repeats one value exactly while the phone moves. See `at_rest`."""
+    same = (angular_rate == np.roll(angular_rate, 1, axis=0)).all(axis=1)
+    moves = _spread(acceleration, max(3, round(REST.window / period))) > REST.acceleration
+    return lasting_runs(same & moves, round(REST.shortest / period) - 1)
+
+
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
     """Bias of the gyroscope ``(n, 3)`` [rad/s]: its mean at rest, linear between rests; 0 without a rest."""
     if not rest.any():
@@ -123,7 +130,7 @@ def _spread(values: Array, samples: int) -> Array:
     return np.sqrt(np.maximum(square - mean**2, 0).sum(axis=1))
 
 
-NO_GYROSCOPE = "turns: there is no gyroscope"
+NO_GYROSCOPE = "turns: there is no gyroscope, or it stopped"
 NO_GRAVITY = "the vertical: the recorder removed gravity; the axis of the largest motion is used instead"
 
 
@@ -134,7 +141,7 @@ class Attitude(OneLineRepr, row="sample"):
     time: ``(n,)`` [s], ``period`` apart.
     R_world_device: n rotations; world z is up, its x axis points anywhere level (no magnetometer is used).
     acceleration: ``(n, 3)`` device axes, with gravity [m/s²].
-    angular_rate: ``(n, 3)`` device axes, bias removed [rad/s]; NaN where the gyroscope did not run.
+    angular_rate: ``(n, 3)`` device axes, bias removed [rad/s]; NaN where the gyroscope did not run or hung.
     unknown: quantities that the sensors do not measure, or only under an assumption; one line each.
     """
 
@@ -175,8 +182,9 @@ def attitude_of(recording: Recording) -> Attitude:
     acceleration = interpolate(time, accelerometer.time, accelerometer.values)
 
     angular_rate = gyroscope.sampled(time)
-    measured = np.isfinite(angular_rate)
-    rate = np.where(measured, angular_rate, 0.0)
+    rate = np.nan_to_num(angular_rate)
+    measured = np.isfinite(angular_rate) & ~hung(rate, acceleration, period)[:, None]
+    rate = np.where(measured, rate, 0.0)
     rest = at_rest(rate, acceleration, period) & measured[:, 0]
     rate = np.where(measured, rate - bias_from_rests(rate, rest, period), 0.0)
     options = {"motionBiasEstEnabled": bool(measured.any()), "restBiasEstEnabled": bool(measured.any())}
@@ -216,17 +224,17 @@ class AttitudeStream:
         vertical follows the accelerometer, and the bias stays.
         """
         measured = np.isfinite(angular_rate)
-        ran = bool(measured.all())
-        if ran:  # learn the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s
+        if measured.all():  # learn the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s
             recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
             self.recent = recent = recent[-self._samples :]
             rate, bias = recent[:, :3], recent[:, :3].mean(axis=0)
+            measured &= not hung(rate, recent[:, 3:], self._period)[-1]
             known = len(recent) == self._samples and at_rest(rate, recent[:, 3:], self._period).all()
             if known and np.linalg.norm(bias - self.rest_bias) > np.radians(1.0):
                 self.rest_bias = bias
                 self._vqf.setBiasEstimate(np.zeros(3))
-        else:
-            angular_rate = np.where(measured, angular_rate, self.bias)
+        ran = bool(measured.all())
+        angular_rate = np.where(measured, angular_rate, self.bias)
         self._vqf.setMotionBiasEstEnabled(ran)
         self._vqf.setRestBiasEstEnabled(ran)
         rate = np.ascontiguousarray(angular_rate - self.rest_bias)

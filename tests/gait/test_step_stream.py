@@ -56,6 +56,19 @@ def live(packets, walker=None, gait=None):
     return chunks + ([rest] if rest is not None else []), tails, gait
 
 
+def test_a_gyroscope_that_hangs_counts_as_none():
+    """Within two seconds; by the value that it repeats, the walk would turn by a quarter every 16 s."""
+    recording = walk()
+    gyroscope = recording.gyroscope
+    rate = np.where(gyroscope.time[:, None] > 6, 0.1, gyroscope.values)
+    chunks, _, _ = live(sent(replace(recording, gyroscope=Signal(gyroscope.time, rate))))
+    steps = reduce(append_steps, chunks)
+    late = steps.time > 8
+    assert (steps.sigma_turn[late] >= MOTION.unmeasured_turn).all()
+    assert abs(steps.turn[late].sum()) < 0.3
+    assert steps.unknown == ("turns: there is no gyroscope, or it stopped",)
+
+
 @pytest.mark.parametrize("at_once", [False, True])
 def test_the_walk_begins_with_its_first_second_of_samples(at_once):
     """A chunk without steps is certain then, and everything since is provisional up to the latest half second."""

@@ -100,7 +100,7 @@ def test_without_a_gyroscope_turns_are_unknown_and_steps_the_same(walk):
     assert deaf.length[straight] == pytest.approx(complete.length[straight], rel=0.015), "none is known to be in a bend"
     assert not deaf.turn.any()
     assert (deaf.sigma_turn > 10 * complete.sigma_turn).all()
-    assert deaf.unknown == ("turns: there is no gyroscope",)
+    assert deaf.unknown == ("turns: there is no gyroscope, or it stopped",)
 
 
 @pytest.mark.parametrize(("begin", "end"), [(-1.0, 14.0), (14.0, 99.0), (10.0, 18.0)], ids=["late", "early", "pauses"])
@@ -114,7 +114,30 @@ def test_where_the_gyroscope_does_not_run_turns_are_unknown_and_steps_the_same(w
     assert found.turn[blind] == pytest.approx(0.0, abs=0.1)
     measured = ~blind & (np.abs(found.time - begin) > 2) & (np.abs(found.time - end) > 2)
     assert found.turn[measured].sum() == pytest.approx(steps.turn[measured].sum(), abs=0.1)
-    assert found.unknown == ("turns: there is no gyroscope",)
+    assert found.unknown == ("turns: there is no gyroscope, or it stopped",)
+
+
+@pytest.mark.parametrize("value", [0.1, 0.0])
+@pytest.mark.parametrize("begin", [-1.0, 14.0], ids=["throughout", "from 14 s on"])
+def test_a_gyroscope_that_hangs_counts_as_none(walk, begin, value):
+    """It repeats one value while the phone moves; by it, the walk would turn by 6° a second."""
+    hangs = walk.time >= begin
+    rate = np.where(hangs[:, None], value, walk.angular_rate)
+    found = detect_steps(recorded(walk, gyroscope=Signal(walk.time, rate)))
+    without = detect_steps(recorded(walk, gyroscope=Signal(walk.time[~hangs], rate[~hangs]) if begin > 0 else None))
+    assert found.unknown == without.unknown == ("turns: there is no gyroscope, or it stopped",)
+    assert found.time == pytest.approx(without.time, abs=0.03)
+    assert np.abs(found.turn - without.turn).sum() < 0.25, "at rest, before the walk, it may be right"
+    assert found.sigma_turn == pytest.approx(without.sigma_turn, rel=0.1)
+
+
+def test_a_phone_that_lies_still_has_a_gyroscope(walk):
+    """Some leave out the noise: zeros at rest are measured, and the walk goes on in the direction before."""
+    lying = np.tile(walk.acceleration[0], (1000, 1)) + np.random.default_rng(0).normal(0, 0.02, (1000, 3))
+    time = np.concatenate([walk.time, walk.time[-1] + 0.01 * np.arange(1, 1001)])
+    rate = np.concatenate([walk.angular_rate, np.zeros((1000, 3))])
+    rest = {"accelerometer": Signal(time, np.concatenate([walk.acceleration, lying])), "gyroscope": Signal(time, rate)}
+    assert detect_steps(recorded(walk, **rest)).unknown == ()
 
 
 def test_removed_gravity_is_restored_along_the_axis_of_the_largest_motion(walk):

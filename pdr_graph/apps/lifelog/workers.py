@@ -247,8 +247,7 @@ def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
 
     async def greet() -> None:
-        async with asyncio.timeout(CONNECT_TIMEOUT + 1):
-            comm = await connect(scheduler, timeout=CONNECT_TIMEOUT)
+        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
         await comm.close()
 
     try:  # before a client, which hangs if nothing answers
