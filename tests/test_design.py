@@ -79,13 +79,13 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "estimation/live": (10, 1824),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
-    "gait": (11, 1566),
+    "gait": (11, 1569),
     "inertial": (6, 530),
     "io": (20, 2030),  # recorders by the words in their columns, step counters, bags of ROS
     "lab": (2, 0),
     "lab/papers": (5, 566),
     "lab/simulation": (9, 1344),
-    "online": (7, 936),
+    "online": (7, 938),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {

@@ -51,6 +51,11 @@ class StepStream:
         return max(sensor.offset for sensor in self._sensors.values())
 
     @property
+    def newest(self) -> float:
+        """Time of the newest sample; minus infinity before the first. [s]"""
+        return max(sensor.newest for sensor in self._sensors.values())
+
+    @property
     def health(self) -> dict[str, Health]:
         """Statistics of each sensor's samples."""
         sensors = {

@@ -20,22 +20,7 @@ from pdr_graph.types import Array, Index, Mask, OneLineRepr, Recording, Signal
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
 
 
-def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[Array]]:
-    """The named sensors interpolated on a uniform grid: times ``(n,)`` and period [s], samples ``(n, 3)`` of each.
-
-    The accelerometer is the first name.
-
-    Raises InputError if a sensor is missing, the accelerometer's samples do not contain gravity, or the
-    sensors have less than a second in common.
-    """
-    signals = [_required(recording, name) for name in names]
-    _check_gravity(recording, signals[0])
-    start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
-    time, period = _uniform_grid(recording, signals[0], start, end)
-    return time, period, [interpolate(time, signal.time, signal.values) for signal in signals]
-
-
-def _required(recording: Recording, name: str) -> Signal:
+def required(recording: Recording, name: str) -> Signal:
     """The signal of a sensor; raises InputError if it has fewer than two samples."""
     signal = recording.signals.get(name)
     if signal is None or len(signal) < 2:
@@ -43,7 +28,7 @@ def _required(recording: Recording, name: str) -> Signal:
     return signal
 
 
-def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
+def check_gravity(recording: Recording, accelerometer: Signal) -> None:
     """Raise InputError if the median magnitude is far from that of gravity: walking raises it a little, a run more."""
     magnitude = np.linalg.norm(accelerometer.values, axis=1)
     gravity = float(np.median(magnitude))
@@ -52,7 +37,7 @@ def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
         raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", expected)
 
 
-def _uniform_grid(recording: Recording, accelerometer: Signal, start: float, end: float) -> tuple[Array, float]:
+def uniform_grid(recording: Recording, accelerometer: Signal, start: float, end: float) -> tuple[Array, float]:
     """Times ``(n,)`` and period [s] of a grid from ``start`` to ``end`` [s] at the rate of the accelerometer."""
     if end - start < SHORTEST_WALK:
         found = f"{max(end - start, 0):.2f} s in which all of its sensors ran"
@@ -64,13 +49,6 @@ def _uniform_grid(recording: Recording, accelerometer: Signal, start: float, end
         found = f"{end - start:.0f} s, {samples} samples at their median interval"
         raise InputError(recording.source, "accelerometer", found, f"up to {most} samples: milliseconds?")
     return np.linspace(start, end, samples), (end - start) / (samples - 1)
-
-
-def running_mean(values: Array, count: int) -> Array:
-    """Means ``(n - count + 1, k)`` of every ``count`` consecutive rows of ``values (n, k)``."""
-    total = np.cumsum(values - values[0], axis=0)
-    total[count:] -= total[:-count].copy()
-    return values[0] + total[count - 1 :] / count
 
 
 def runs(mask: Mask) -> tuple[Index, Index]:
@@ -171,14 +149,14 @@ def attitude_of(recording: Recording) -> Attitude:
     if recording.accelerometer is None and linear is not None:
         restored = replace(linear, values=GravityRestorer().restored(linear.values))
         recording, unknown = replace(recording, accelerometer=restored), (NO_GRAVITY,)
-    accelerometer = _required(recording, "accelerometer")
-    _check_gravity(recording, accelerometer)
+    accelerometer = required(recording, "accelerometer")
+    check_gravity(recording, accelerometer)
     gyroscope, signal = SensorStream(), recording.gyroscope
     if signal is not None:
         gyroscope = SensorStream(signal.time, signal.values)
     start, end = gyroscope.segment_start(float(accelerometer.time[0])), float(accelerometer.time[-1])
     end = min(end, gyroscope.last) if gyroscope.last > end - REST.longest_bridged else end
-    time, period = _uniform_grid(recording, accelerometer, start, end)
+    time, period = uniform_grid(recording, accelerometer, start, end)
     acceleration = interpolate(time, accelerometer.time, accelerometer.values)
 
     angular_rate = gyroscope.sampled(time)

@@ -32,6 +32,7 @@ from pdr_graph.types import (
 )
 
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
+CLOCK_AHEAD = 2.0, 5  # [s] by which all, and so many, fixes of a source are of the future, until it is corrected
 STEP_LIMITS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps
     "length": (-100.0, 100.0),
     "turn": (-100.0, 100.0),
@@ -40,6 +41,7 @@ STEP_LIMITS: Limits = {  # [m, rad] of steps of another front end; of rows that 
     "sigma_turn": (1e-6, 1e3),
 }
 SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
+MOST_SOURCES = 100  # whose clocks are watched
 MOST = 10  # rows in SPAN of a type of data that does not state it
 MOST_MOMENTS = 4  # of a type of data in SPAN: each moment is a keyframe; ranges to several anchors may have the same
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
@@ -59,6 +61,7 @@ class EventChecks:
         self.unused = Counter[tuple[str, str]]()
         self.units = dict[str, SensorUnit]()
         self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
+        self._leads = dict[str, tuple[int, float]]()  # of each source: number of fixes, least lead of the sensors [s]
 
     def in_unit(self, sensor: str, time: Array, values: Array) -> Array:
         """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit."""
@@ -105,6 +108,26 @@ class EventChecks:
     def on_earth(self, fixes: Fixes) -> Fixes | None:
         """The fixes whose longitude and latitude are possible [deg]; None if there are none."""
         return self._counted("fixes", fixes, np.all(np.abs(fixes.position) <= [180.0, 90.0], axis=1), UNUSABLE)
+
+    def by_sensor_clock(self, fixes: Fixes, now: float) -> Fixes:
+        """The fixes by the clock of the sensors, which is ``now`` [s], minus infinity before their first sample.
+
+        Nobody knows the future: the clock of a source whose fixes are all later than now is ahead by the least of it.
+        """
+        time = fixes.time.copy()
+        for n, source in enumerate(fixes.source if now > -np.inf else ()):
+            seen, lead = self._leads.pop(source, (0, np.inf))
+            self._leads[source] = seen + 1, min(lead, time[n] - now)
+            time[n] -= self._ahead.get(source, 0.0)
+        while len(self._leads) > MOST_SOURCES:
+            del self._leads[next(iter(self._leads))]
+        return replace(fixes, time=time)
+
+    @property
+    def _ahead(self) -> dict[str, float]:
+        """Sources whose clocks are ahead, and by how much. [s]"""
+        least, fewest = CLOCK_AHEAD
+        return {source: lead for source, (seen, lead) in self._leads.items() if lead > least and seen > fewest}
 
     def thinned(self, name: str, data: Any, used: Any | None) -> Any:
         """The rows that are not too many in SPAN seconds; None if all are.
@@ -167,7 +190,9 @@ class EventChecks:
     def issues(self) -> list[str]:
         """A line for each unit that is not the expected one, and for each reason why rows were left out."""
         units = [unit.note for unit in self.units.values() if unit.note]
-        return units + [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
+        clock = "the clock is {:.0f} s ahead of the sensors; corrected"
+        clocks = [f"{source or 'fixes'}: {clock.format(lead)}" for source, lead in self._ahead.items()]
+        return units + clocks + [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
 
     def _counted(self, name: str, data: Any, within: Mask, reason: str) -> Any:
         """The rows within; None without any."""

@@ -62,6 +62,10 @@ def moved(fix):
     return replace(fix, position=fix.position + np.where(fix.time[:, None] > LATER, 21.0, 0.0))
 
 
+def ahead(seconds):
+    return fixes(lambda fix: replace(fix, time=fix.time + seconds))
+
+
 # name: the lie, least share of poses in their region, whether the verdict must not be "ok"
 LIES = {
     "honest": (lambda event: [event], 0.95, False),
@@ -71,6 +75,8 @@ LIES = {
     "bursts of the gyroscope": (samples(bursts), 0.9, False),
     "gyroscope hangs": (samples(lambda time, values: np.where(time[:, None] > LATER, 0.1, values)), 0.9, False),
     "axes of the gyroscope swapped": (samples(lambda _, values: values[:, [1, 0, 2]]), 0.85, False),
+    "clock of the receiver 5 s ahead": (ahead(5.0), 0.85, False),
+    "clock of the receiver 40 s ahead": (ahead(40.0), 0.75, False),
     "gyroscope of the wrong sign": (samples(lambda _, values: -values), 0.0, True),
     "receiver 30 m off from one moment on": (fixes(moved), 0.0, True),
 }

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import InputError
-from pdr_graph.inertial.attitude import Attitude, attitude_of, on_one_grid
+from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.lab.papers import attitude_filters
-from pdr_graph.lab.papers.attitude_filters import strapdown
+from pdr_graph.lab.papers.attitude_filters import on_one_grid, strapdown
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal

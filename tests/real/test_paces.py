@@ -6,7 +6,7 @@ import pytest
 
 from pdr_graph import detect_steps
 from pdr_graph.gait.step_detection import StepDetector, walking_steps
-from pdr_graph.inertial.attitude import on_one_grid
+from pdr_graph.lab.papers.attitude_filters import on_one_grid
 
 PACES = {"strides": gait_data.strides, "ridi": gait_data.ridi}
 

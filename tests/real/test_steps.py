@@ -11,8 +11,8 @@ from pdr_graph.frames import enu
 from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.inertial.attitude import on_one_grid
 from pdr_graph.io.loading import load
+from pdr_graph.lab.papers.attitude_filters import on_one_grid
 
 
 def landings(path):

@@ -17,9 +17,16 @@ import vqf
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError, install
-from pdr_graph.geometry import compose
-from pdr_graph.inertial.attitude import Attitude, on_one_grid, running_mean, runs, upright
+from pdr_graph.geometry import compose, interpolate
+from pdr_graph.inertial.attitude import Attitude, check_gravity, required, runs, uniform_grid, upright
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, OneLineRepr, Recording
+
+
+def running_mean(values: Array, count: int) -> Array:
+    """Means ``(n - count + 1, k)`` of every ``count`` consecutive rows of ``values (n, k)``."""
+    total = np.cumsum(values - values[0], axis=0)
+    total[count:] -= total[:-count].copy()
+    return values[0] + total[count - 1 :] / count
 
 
 @dataclass(frozen=True)
@@ -189,6 +196,21 @@ class Switching:
         corrections = np.concatenate([self._correction.as_quat()[None], absolute.as_quat().reshape(-1, 4)])
         self._correction = Rotation.from_quat(corrections[-1])
         return compose(Rotation.from_quat(corrections[np.cumsum(rest)]), drifting)
+
+
+def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[Array]]:
+    """The named sensors interpolated on a uniform grid: times ``(n,)`` and period [s], samples ``(n, 3)`` of each.
+
+    The accelerometer is the first name.
+
+    Raises InputError if a sensor is missing, the accelerometer's samples do not contain gravity, or the
+    sensors have less than a second in common.
+    """
+    signals = [required(recording, name) for name in names]
+    check_gravity(recording, signals[0])
+    start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
+    time, period = uniform_grid(recording, signals[0], start, end)
+    return time, period, [interpolate(time, signal.time, signal.values) for signal in signals]
 
 
 def run_filter(recording: Recording, make: Callable[[float], AttitudeFilter], magnetometer: bool = False) -> Attitude:

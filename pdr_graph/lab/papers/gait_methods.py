@@ -18,7 +18,8 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from pdr_graph.errors import InputError, install
 from pdr_graph.gait.heading import UNKNOWN, Direction, Forward, at_step_frequency, level_and_vertical, push
 from pdr_graph.gait.step_detection import Landings
-from pdr_graph.inertial.attitude import Attitude, running_mean
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.lab.papers.attitude_filters import running_mean
 from pdr_graph.priors import FORWARD, STEP
 from pdr_graph.types import Array, Index, Mask
 
