@@ -404,6 +404,13 @@ def _beacons(
             return read_beacons(listed, walk, unstated)
         except InputError as error:  # no option named this file
             notes.append(f"beacons were left out: {error}")
+    return beacons_on_plan(building, walk, unstated)
+
+
+def beacons_on_plan(
+    building: Building | None, walk: Recording | None = None, unstated: float = SURVEY_SIGMA
+) -> Beacons | None:
+    """The beacons drawn in a plan, None without any. walk: whose transmitters they are; unstated: their sigma [m]."""
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
     return drawn_beacons(drawn, walk, unstated) if drawn else None
 

@@ -35,6 +35,7 @@ from pdr_graph.walk import (
     Evidence,
     Options,
     Result,
+    beacons_on_plan,
     fixes_alone,
     read,
     read_plan,
@@ -166,8 +167,9 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
         if evidence.start_heading is not None:  # another class of navigator need not have it
             known["start_heading"] = evidence.start_heading
     else:
-        building, beacons = read_plan(options), read_beacons(options.beacons) if options.beacons else None
-        if building is not None and options.beacons is not None and beacons is not None:
+        building = read_plan(options)
+        beacons = read_beacons(options.beacons) if options.beacons else beacons_on_plan(building)
+        if building and options.beacons and beacons:
             check_beacons_on_plan(options.beacons, beacons, building)
         known = {"floor": building, "walker": options.person(), "beacons": beacons}
         known["radio_map"] = read_radio_map(options, building)
