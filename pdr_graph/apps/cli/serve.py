@@ -15,6 +15,7 @@ from pdr_graph.apps.cli.options import (
     MapPath,
     PathsPath,
     RadioMapPath,
+    Settings,
     WalkerPath,
     lag_seconds,
 )
@@ -95,6 +96,7 @@ def serve(
     paths: PathsPath = None,
     floor: FloorLabel = None,
     lag: Lag = "60",
+    settings: Settings = None,
 ) -> None:
     """Show live phones on a map.
 
@@ -115,7 +117,7 @@ def serve(
     from pdr_graph.apps.serve.study import StudyReports
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
-    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag)}
+    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag), "settings": tuple(settings or ())}
     building, placed = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
@@ -128,8 +130,8 @@ def serve(
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
     sources = Sources(tuple(phyphox or ()), pulled, reports, home, receivers)
-    settings = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
-    app = serving.build(settings, building)
+    server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
+    app = serving.build(server, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
 
 
