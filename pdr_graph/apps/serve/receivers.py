@@ -20,6 +20,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.home_assistant import phone_of
 from pdr_graph.apps.serve.pulling import Broker, Say, connected
 from pdr_graph.apps.serve.reception import Reception
@@ -52,7 +53,7 @@ def receivers_of(broker: Broker | None, pairs: Iterable[str], places: Iterable[s
         raise InputError(option, "", "no broker", "--home-assistant mqtt://HOST, to which the receivers publish")
     for pair in pairs:
         phone, _, device = pair.partition("=")
-        if not phone or not device or re.search(r"[+#/]", device) or phone_of("", phone) != f"{phone}":
+        if not phone or not device or re.search(r"[+#/]", device) or phone_of(OWNER, phone) != phone:
             expected = "PHONE=DEVICE: PHONE as in pdr_graph/PHONE/state, DEVICE as in espresense/devices/DEVICE"
             raise InputError(option, "", repr(pair), expected)
         if device in phones:
