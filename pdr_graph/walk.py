@@ -6,8 +6,11 @@ the lifelog, a trial. A recording and the files beside it are checked once, in `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,7 +59,7 @@ from pdr_graph.io.tables import (
     read_trajectory,
 )
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
-from pdr_graph.priors import INITIAL
+from pdr_graph.priors import INITIAL, changed, entries, tables
 from pdr_graph.types import (
     LONLAT,
     START,
@@ -85,6 +88,37 @@ LARGEST_LATENCY = 60.0  # [s]
 SHORTEST_WALKER, TALLEST_WALKER = 0.5, 2.8  # [m] height of a walker
 LIVE = "live"  # the method of a navigator
 LIVE_ONLY = ("lag", "journal")  # options of that method alone
+
+
+@contextmanager
+def settings_changed(given: Iterable[str]) -> Iterator[list[str]]:
+    """Set numbers of `pdr_graph.priors` within a ``with`` block; yields them as ``TABLE.name=value``.
+
+    given: such texts, or TOML files of tables. Raises InputError for numbers that there are not.
+    """
+    known, kept = {str(entry): entry for entry in entries()}, list[str]()
+    with ExitStack() as stack:
+        for text in given:
+            try:
+                content = tomllib.loads(text.strip() if "=" in text else Path(text).read_text(encoding="utf-8"))
+                rows = [(table, *row) for table, of in content.items() for row in of.items()]
+            except (OSError, ValueError, AttributeError) as error:
+                raise InputError("--set", "", f"{text!r} ({error})", "TABLE.name=value, or a TOML file") from None
+            for table, name, value in rows:
+                entry = known.get(full := f"{table.upper()}.{name}")
+                if entry is None:
+                    alike = ", ".join(get_close_matches(full, known, 3, 0.5))
+                    raise InputError("--set", "", repr(full), f"a number of docs/results/settings.md: {alike}")
+                try:
+                    new = type(entry.value)(value)
+                    fits = np.shape(new) == np.shape(entry.value) and np.isfinite(np.asarray(new, dtype=float)).all()
+                except (TypeError, ValueError):
+                    new, fits = None, False
+                if not fits:
+                    raise InputError("--set", full, repr(value), f"a value such as {entry.value!r} [{entry.unit}]")
+                stack.enter_context(changed(tables()[entry.table], **{name: new}))
+                kept.append(f"{full}={value}")
+        yield kept
 
 
 @dataclass(frozen=True)
@@ -404,6 +438,13 @@ def _beacons(
             return read_beacons(listed, walk, unstated)
         except InputError as error:  # no option named this file
             notes.append(f"beacons were left out: {error}")
+    return beacons_on_plan(building, walk, unstated)
+
+
+def beacons_on_plan(
+    building: Building | None, walk: Recording | None = None, unstated: float = SURVEY_SIGMA
+) -> Beacons | None:
+    """The beacons drawn in a plan, None without any. walk: whose transmitters they are; unstated: their sigma [m]."""
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
     return drawn_beacons(drawn, walk, unstated) if drawn else None
 

@@ -46,7 +46,7 @@ LIBRARIES = {
     "serve": {"starlette", "uvicorn", "aiomqtt"},
     "lifelog": {"matplotlib", "lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}
     | {"garmin_fit_sdk"},
-    "report": {"matplotlib", "isal"},
+    "report": {"matplotlib", "isal", "rerun"},
     "online": {"sqlite3"},
     "papers": {"vqf"},
     "estimation": {"gtsam", "numba"},
@@ -65,14 +65,14 @@ LIBRARIES = {
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
     ".": (15, 2940),
-    "apps": (3, 155),
+    "apps": (3, 170),
     "apps/bench": (5, 444),
     "apps/cli": (7, 1180),
     "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5723),
     "apps/lifelog/past": (8, 1040),
-    "apps/report": (8, 1372),
-    "apps/serve": (13, 2720),  # Home Assistant
+    "apps/report": (9, 1450),  # the view for Rerun
+    "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
     "estimation": (18, 3162),
     "estimation/ambiguity": (6, 390),
     "estimation/factors": (15, 2750),

@@ -351,4 +351,4 @@ def test_a_plan_with_its_fixes_is_accepted(place, tmp_path, case):
     options = Options(plan=place / f"{plan}.geojson", fixes=tmp_path / "f.csv", floor=floor)
     assert len(read(place / "walk", options).fixes) > 0
     server = {"plan": options.plan, "floor": floor}
-    assert refused(build, Settings(tmp_path / "server", server), read_inputs(server)) == ""
+    assert refused(build, Settings(tmp_path / "server", server), read_inputs(server)[0]) == ""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pdr_graph.apps.report.output_files import REPORT, write
+from pdr_graph.apps.report.rerun_view import RerunView
 from pdr_graph.errors import InputError, Stages, shows_progress
 from pdr_graph.estimation.factors.fixes import duplicates
 from pdr_graph.estimation.results import outside_warnings
@@ -35,6 +36,7 @@ from pdr_graph.walk import (
     Evidence,
     Options,
     Result,
+    beacons_on_plan,
     fixes_alone,
     read,
     read_plan,
@@ -105,12 +107,18 @@ def _spread(seconds: list[float]) -> dict[str, float] | None:
 
 
 def replay_recording(
-    recording: Path, out: Path, options: Options | None = None, kind: Any = None, report: bool = True
+    recording: Path,
+    out: Path,
+    options: Options | None = None,
+    kind: Any = None,
+    report: bool = True,
+    rerun: Path | None = None,
 ) -> tuple[str, ...]:
     """Push a recording through a navigator; write poses, latency, smoothed trajectory, picture, report and summary.
 
     kind: class of the navigator, by default ``Navigator``; report: False writes everything else, and removes the report
-    of an earlier walk from ``out``. Returns what could not be estimated or written, a line each.
+    of an earlier walk from ``out``; rerun: file ``.rrd`` of Rerun, which its viewer follows.
+    Returns what could not be estimated or written, a line each.
     Raises InputError if an input cannot be used.
     """
     options = replace(options or Options(), method=LIVE)
@@ -134,10 +142,14 @@ def replay_recording(
                 from rich.progress import track
 
                 shown = track(events[done:], "replay", console=Console(stderr=True))
-            causal = walked(nav, shown, latency)
+            view = None if rerun is None else RerunView(rerun, evidence.building, evidence.other_fixes)
+            causal = walked(nav, shown, latency, (lambda pose: None) if view is None else partial(view.show, nav))
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
                 result = _finished(nav, evidence, evidence.other_fixes[outside])
+        if view is not None:
+            view.path(result.estimate.trajectory)
+            view.close()
         write_trajectory(staged / "causal.csv", causal, evidence.walk.clock_origin)
         write_summary(staged / "latency.json", latency.describe())
         resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
@@ -166,8 +178,9 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
         if evidence.start_heading is not None:  # another class of navigator need not have it
             known["start_heading"] = evidence.start_heading
     else:
-        building, beacons = read_plan(options), read_beacons(options.beacons) if options.beacons else None
-        if building is not None and options.beacons is not None and beacons is not None:
+        building = read_plan(options)
+        beacons = read_beacons(options.beacons) if options.beacons else beacons_on_plan(building)
+        if building and options.beacons and beacons:
             check_beacons_on_plan(options.beacons, beacons, building)
         known = {"floor": building, "walker": options.person(), "beacons": beacons}
         known["radio_map"] = read_radio_map(options, building)
@@ -213,10 +226,13 @@ def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict
     return settings | {"lag": options.lag, "floor": options.floor}
 
 
-def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Trajectory:
+def walked(
+    nav: LiveEstimator, events: Iterable[Event], latency: Latency, show: Callable[[Pose], None] = lambda pose: None
+) -> Trajectory:
     """Push all events; returns the causal poses: the first, one at the detection of each step, and the last.
 
-    Between events the estimator reviews, as an app does beside the walk; that is not part of the latency.
+    show: called with each. Between events the estimator reviews, as an app does beside the walk; that is not part of
+    the latency.
     """
     poses, most = list[Pose](), nav.steps
     for event in events:
@@ -230,10 +246,12 @@ def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Tra
             pose = nav.pose
         if pose is not None:
             poses.append(pose)
+            show(pose)
             latency.measure_memory(pose.time)
     last = nav.pose
     if last is not None and poses and last.time > poses[-1].time:
         poses.append(last)
+        show(last)
     return trajectory_of(poses)
 
 

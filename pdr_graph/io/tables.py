@@ -381,7 +381,9 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
     return Beacons(_names(label, recording), position, np.maximum(sigma, 1e-3), words["floor"], label, epsg)
 
 
-def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:
+def drawn_beacons(
+    drawn: Sequence[tuple[Area, str]], recording: Recording | None, unstated: float = SURVEY_SIGMA
+) -> Beacons:
     """The beacons drawn in a plan, named by their id, mac, uuid or name. drawn: areas and the label of their floor."""
     names = ([a.properties.get(key) for key in ("id", "mac", "uuid")] for a, _ in drawn)
     label = tuple(str(next(filter(None, each), a.name)) for each, (a, _) in zip(names, drawn, strict=True))

@@ -3,9 +3,6 @@
 import asyncio
 import contextlib
 import json
-import shutil
-import socket
-import subprocess
 
 import numpy as np
 import pytest
@@ -24,8 +21,6 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 
 aiomqtt = pytest.importorskip("aiomqtt")
-MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/opt/homebrew/sbin")
-NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto")
 HOME = Building.of(
     plan(
         ("room", "Kitchen", shapely.box(0, 0, 5, 4)),
@@ -72,19 +67,6 @@ def test_a_phone_keeps_its_topics_from_walk_to_walk_and_users_have_their_own():
         broker_of("http://home", option="--home-assistant")
 
 
-@pytest.fixture
-def port(tmp_path):
-    """The port of a Mosquitto of its own."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        free = probe.getsockname()[1]
-    settings = tmp_path / "mosquitto.conf"
-    settings.write_text(f"listener {free} 127.0.0.1\nallow_anonymous true\n")
-    with subprocess.Popen([MOSQUITTO, "-c", settings], stderr=subprocess.DEVNULL) as process:
-        yield free
-        process.terminate()
-
-
 @contextlib.asynccontextmanager
 async def home_assistant(port):
     """What Home Assistant has: the last message of each topic."""
@@ -114,7 +96,6 @@ def decoded(topics, phone="pixel_7"):
     return json.loads(config), json.loads(topics[f"{PREFIX}/{phone}/state"])
 
 
-@NEEDS_MOSQUITTO
 @pytest.mark.anyio
 @pytest.mark.timeout(60)
 async def test_a_phone_is_announced_moves_ends_and_is_forgotten(port):
@@ -149,7 +130,6 @@ async def test_a_phone_is_announced_moves_ends_and_is_forgotten(port):
         await work
 
 
-@NEEDS_MOSQUITTO
 @pytest.mark.anyio
 @pytest.mark.timeout(60)
 async def test_a_server_announces_the_phones_that_post_to_it(tmp_path, port):

@@ -71,6 +71,17 @@ def test_the_walk_goes_on_after_kill_9(start, tmp_path):
     assert [pose[name] for name in names] == [expected[name] for name in names]
 
 
+@pytest.mark.thorough
+def test_a_number_that_is_set_holds_in_the_estimating_process(start):
+    """Strides of 1.3 times the usual ones lead elsewhere; equal servers lead to equal poses."""
+    poses = []
+    for name, options in (("usual", ()), ("longer", ("--set", "WALKER.mean=[1.3, 1.0, 0.0]"))):
+        server = start(*options, name=name)
+        assert server.post(*BODIES[:8]) in TAKEN
+        poses.append(server.published(8))
+    assert poses[0]["x"] != poses[1]["x"]
+
+
 def test_poses_and_paths_are_streamed_until_the_server_is_stopped(start):
     server = start()
     with server.connected() as connection, ExitStack() as stack:
@@ -243,6 +254,7 @@ def test_another_host_has_a_token_and_prints_it(start, tmp_path):
         ("--map", "none.geojson"),
         ("--token", "short"),
         ("--lag", "x"),
+        ("--set", "WALKER.strides=1"),
         ("--host", "203.0.113.1"),
         ("--tiles", "nonsense"),
         ("--user", ""),

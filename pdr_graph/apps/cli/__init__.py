@@ -130,6 +130,9 @@ def replay(
         Path | None,
         typer.Option("--journal", metavar="FILE", help="Save the walk in this file, or resume the walk in it."),
     ] = None,
+    rerun: Annotated[
+        Path | None, typer.Option(metavar="RRD", help="Write the replay for Rerun, whose viewer follows the file.")
+    ] = None,
 ) -> None:
     """Estimate a recording as if it were live.
 
@@ -144,7 +147,8 @@ def replay(
 
     folder = output.folder(recording, "-replayed", [*walk.files, *([journal] if journal else [])])
     options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
-    print_summary(folder, replay_recording(recording, folder, options, report=output.report), output.json)
+    issues = replay_recording(recording, folder, options, report=output.report, rerun=rerun)
+    print_summary(folder, issues, output.json)
 
 
 Tracks = Annotated[

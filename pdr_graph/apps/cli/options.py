@@ -6,10 +6,8 @@ A command takes a group of them as one parameter, a dataclass whose fields are t
 from __future__ import annotations
 
 import inspect
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import wraps
 from pathlib import Path
@@ -111,35 +109,12 @@ GnssLatency = Annotated[
 
 
 def _set_numbers(context: typer.Context, given: list[str] | None) -> list[str]:
-    """Set numbers of `pdr_graph.priors` until the command ends: ``TABLE.name=value``, or a TOML file of tables."""
+    """Set numbers of `pdr_graph.priors` until the command ends."""
     if not given:
         return []
-    import numpy as np  # long to import
+    from pdr_graph.walk import settings_changed
 
-    from pdr_graph.priors import changed, entries, tables
-
-    known, kept = {str(entry): entry for entry in entries()}, list[str]()
-    for text in given:
-        try:
-            content = tomllib.loads(text.strip() if "=" in text else Path(text).read_text(encoding="utf-8"))
-            rows = [(table, *row) for table, of in content.items() for row in of.items()]
-        except (OSError, ValueError, AttributeError) as error:
-            raise InputError("--set", "", f"{text!r} ({error})", "TABLE.name=value, or a TOML file") from None
-        for table, name, value in rows:
-            entry = known.get(full := f"{table.upper()}.{name}")
-            if entry is None:
-                alike = ", ".join(get_close_matches(full, known, 3, 0.5))
-                raise InputError("--set", "", repr(full), f"a number of docs/results/settings.md: {alike}")
-            try:
-                new = type(entry.value)(value)
-                fits = np.shape(new) == np.shape(entry.value) and np.isfinite(np.asarray(new, dtype=float)).all()
-            except (TypeError, ValueError):
-                new, fits = None, False
-            if not fits:
-                raise InputError("--set", full, repr(value), f"a value such as {entry.value!r} [{entry.unit}]")
-            context.with_resource(changed(tables()[entry.table], **{name: new}))
-            kept.append(f"{full}={value}")
-    return kept
+    return context.with_resource(settings_changed(given))
 
 
 Settings = Annotated[

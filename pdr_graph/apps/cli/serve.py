@@ -15,6 +15,7 @@ from pdr_graph.apps.cli.options import (
     MapPath,
     PathsPath,
     RadioMapPath,
+    Settings,
     WalkerPath,
     lag_seconds,
 )
@@ -59,6 +60,13 @@ HomeAssistant = Annotated[
     str | None,
     typer.Option(metavar="URL", help="Broker of Home Assistant, to which phones are announced: as --mqtt."),
 ]
+HeardAs = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PHONE=DEVICE",
+        help="A phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it; repeatable.",
+    ),
+]
 Studies = Annotated[
     list[str] | None,
     typer.Option(metavar="STUDY", help="Sensor Logger study whose uploads are reported; any: all; repeatable."),
@@ -80,6 +88,7 @@ def serve(
     mqtt: BrokerUrl = None,
     mqtt_topic: Topic = "sensor-logger",
     home_assistant: HomeAssistant = None,
+    heard_as: HeardAs = None,
     study: Studies = None,
     walker: WalkerPath = None,
     beacons: BeaconsPath = None,
@@ -87,6 +96,7 @@ def serve(
     paths: PathsPath = None,
     floor: FloorLabel = None,
     lag: Lag = "60",
+    settings: Settings = None,
 ) -> None:
     """Show live phones on a map.
 
@@ -103,11 +113,12 @@ def serve(
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
     from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
+    from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
 
     options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
-    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag)}
-    building = serving.read_inputs(options)
+    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag), "settings": tuple(settings or ())}
+    building, placed = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
     secured = host not in LOCAL_HOSTS or token is not None or bool(user) or file.exists()
@@ -116,9 +127,11 @@ def serve(
     for url in phyphox or ():
         PhyphoxPhone(url)  # refuses what is no address
     home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
-    sources = Sources(tuple(phyphox or ()), broker_of(mqtt, mqtt_topic) if mqtt else None, reports, home)
-    settings = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
-    app = serving.build(settings, building)
+    receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
+    pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
+    sources = Sources(tuple(phyphox or ()), pulled, reports, home, receivers)
+    server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
+    app = serving.build(server, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
 
 

@@ -30,7 +30,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.live_walk import LiveWalk, read_session
 from pdr_graph.apps.serve.publishing import PATH_INTERVAL
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.walk import Options
+from pdr_graph.walk import Options, settings_changed
 
 RESTART = 1.0  # [s] until a process that ended is started again, doubled each time up to SLOWEST_RESTART
 SLOWEST_RESTART = 60.0
@@ -338,4 +338,5 @@ def run_process(connection: Connection, root: str, options: Mapping[str, Any], w
     """`run` in a process of its own, which Ctrl-C ends through its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()  # imported modules stay
-    run(connection, root, options, working)
+    with settings_changed(options.get("settings", ())):
+        run(connection, root, options, working)

@@ -37,6 +37,7 @@ from pdr_graph.types import Trajectory
 
 LONGEST_WAIT = 2.0  # [s] for which a message waits for those before it
 MOST_WAITING = 64  # messages that wait for one; then it is given up
+RECEIVERS = -(1 << 62)  # identities of what receivers hear are negative, and grow: none waits for another
 LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
 
@@ -130,7 +131,7 @@ class Queue:
             return np.inf
         first = self._waiting[0][0]
         begins = self._expected < 0 and first <= 1  # apps count from 0 or from 1
-        if not self._ordered or begins or 0 <= first <= self._expected or len(self._waiting) > MOST_WAITING:
+        if not self._ordered or begins or first <= self._expected or len(self._waiting) > MOST_WAITING:
             return -np.inf
         return min(arrival for _, _, arrival, _ in self._waiting) + LONGEST_WAIT
 
@@ -307,9 +308,9 @@ def write_recording(folder: Path) -> Path:
 
 
 def _messages(folder: Path, ordered: bool) -> Iterator[bytes]:
-    """The messages of a log, by their identity or as they came."""
+    """The messages of a log, by their identity or as they came; the phone's before those of receivers."""
     entries = list(read_entries(folder / LOG))
-    for entry in sorted(entries, key=lambda entry: entry.identity) if ordered else entries:
+    for entry in sorted(entries, key=lambda entry: (entry.identity < 0, entry.identity)) if ordered else entries:
         yield read_body(folder / LOG, entry)
 
 

@@ -22,7 +22,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Itera
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote, urlsplit
 
 import msgspec
@@ -39,6 +39,9 @@ from pdr_graph.io.phyphox import ExperimentClock
 from pdr_graph.online.journal import read_body, read_entries
 from pdr_graph.types import Array
 from pdr_graph.web_request import TooLongError, request
+
+if TYPE_CHECKING:
+    from pdr_graph.apps.serve.receivers import Receivers
 
 POLL_INTERVAL = 1.0  # [s] between two polls
 POLL_TIMEOUT, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
@@ -314,13 +317,14 @@ class Sources:
     """What the server connects to by itself.
 
     phyphox: addresses of phones; broker: of MQTT, None without; study: reports for studies, None without; home: the
-    broker of Home Assistant, None without.
+    broker of Home Assistant, None without; receivers: that hear phones, None without.
     """
 
     phyphox: tuple[str, ...] = ()
     broker: Broker | None = None
     study: StudyReports | None = None
     home: Broker | None = None
+    receivers: Receivers | None = None
 
 
 @asynccontextmanager

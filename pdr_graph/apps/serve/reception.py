@@ -7,11 +7,12 @@ on the event loop.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import re
 import shutil
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.live_walk import (
     LOG,
     PUBLISHED,
+    RECEIVERS,
     RECORDINGS,
     SESSION,
     MessageLog,
@@ -35,8 +37,11 @@ from pdr_graph.apps.serve.live_walk import (
 from pdr_graph.apps.serve.publishing import Hub, nowhere
 from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.io.sensor_logger import NANOSECOND
 from pdr_graph.storage import decode_json, encode_json
 
+LATEST = 1 << 62  # [ns] Unix time that a sample may state
+LONGEST_SILENCE = 30.0  # [s] of a phone until what receivers hear of it is left out: `AHEAD` of the navigator
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -65,7 +70,8 @@ class Limits:
 @dataclass
 class State:
     """A session in memory. credit: bytes that it may send now; announced: its process has yet to look into its log;
-    ending: it is being finished for a new one.
+    ending: it is being finished; behind: times from the last sample to the arrival of the last messages
+    [s], the least of which is how far the phone's clock is behind this machine's, but for the fastest delivery.
     """
 
     session: Session
@@ -78,6 +84,7 @@ class State:
     advice: tuple[str, ...] = ()
     shown_advice: set[str] = field(default_factory=set)
     timer: asyncio.TimerHandle | None = None
+    behind: deque[float] = field(default_factory=lambda: deque(maxlen=60))
 
 
 Finishing = Callable[[Session], Awaitable[str]]
@@ -160,13 +167,14 @@ class Reception:
             if (samples := len(message.payload)) > self.limits.samples:
                 raise HTTPException(413, f"found {samples} samples in a message, expected up to {self.limits.samples}")
             key, identity, phone = message.sessionId, message.messageId, message.deviceId
+            sampled = [sample.time for sample in message.payload]
             label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
         else:
             device, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
             key = label = one_line(device or name or "phone")[:64]
-            phone = ""
+            phone, sampled = "", []
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
         state = self._state(protocol, user, key, label, platform, phone)
         self._charge(state, len(body))
@@ -174,6 +182,8 @@ class Reception:
         try:
             if self._log(state.session.id).add(identity, now, body):
                 state.last_received, state.ending = now, False
+                if sampled:
+                    state.behind.append(now - min(max(sampled), LATEST) * NANOSECOND)
                 self._announce(state)
         except OSError as error:
             text = f"the disk of the server: {error.strerror or error}"
@@ -184,6 +194,27 @@ class Reception:
         fresh = [line for line in state.advice if line not in state.shown_advice]
         state.shown_advice.update(fresh)
         return "; ".join(fresh)
+
+    def hear(self, is_of: Callable[[Session], bool], receiver: str, rssi: float) -> None:
+        """Log that a fixed receiver hears the phone of a walk under way, as the phone's own sample of a beacon.
+
+        Without such a walk, or with those of two phones, nothing is logged. It does not keep the walk from its end.
+        rssi [dBm].
+        """
+        now, walks = time.time(), dict[str, State]()
+        for state in sorted(self._states.values(), key=lambda state: state.last_received):
+            under_way = state.behind and not (state.session.finished or state.ending)
+            if under_way and is_of(state.session) and now - state.last_received < LONGEST_SILENCE:
+                walks[state.session.phone] = state
+        if len(walks) != 1:
+            return
+        [state] = walks.values()
+        values = {"id": receiver, "rssi": rssi}
+        sample = {"name": "bluetooth", "time": round((now - min(state.behind)) / NANOSECOND), "values": values}
+        message = {"messageId": 0, "sessionId": state.session.key, "payload": [sample]}
+        with contextlib.suppress(OSError, InputError):  # what is wrong with the disk, the phone is told
+            if self._log(state.session.id).add(RECEIVERS + round(1e6 * now), now, encode_json(message).encode()):
+                self._announce(state)
 
     def _state(self, protocol: str, user: str, key: str, label: str, platform: str, phone: str) -> State:
         """The session of a message, which its first one creates; a finished one is resumed. Raises HTTPException.
@@ -228,7 +259,6 @@ class Reception:
         if time.time() - quietest.last_received < self.limits.silent:
             text = f"found {len(unfinished)} unfinished sessions of this user, expected fewer"
             raise HTTPException(429, text, {"Retry-After": f"{self.limits.silent:.0f}"})
-        quietest.ending = True
         self.finish(quietest.session.id)
 
     def _store(self, state: State, session: Session) -> None:
@@ -320,6 +350,8 @@ class Reception:
 
     def finish(self, id_: str) -> None:
         """End a session: its recording is made, and it is part of the lifelog. A later message resumes it."""
+        if (state := self._states.get(id_)) is not None:
+            state.ending = True
         self._estimators.tell("finish", id_)
 
     async def _finished(self, state: State) -> None:

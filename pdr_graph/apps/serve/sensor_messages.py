@@ -308,7 +308,8 @@ class Intake:
         signals = signals_of(tables, self.signs, self.platform, from_android(message.payload))
         fixes = fixes_of(tables, [])
         self._begin(signals, fixes)
-        events = self._arrived({name: self._usable(name, table) for name, table in signals.items()}, fixes)
+        usable = {name: self._usable(name, table) for name, table in signals.items()}
+        events = self._arrived(usable, fixes) if signals or fixes is not None else []
         if heard is not None and not np.isnan(self.origin):
             events.append(Scan("bluetooth", shifted(heard, self.origin)))
         return events

@@ -29,9 +29,11 @@ from pdr_graph.apps.serve.home_assistant import announce
 from pdr_graph.apps.serve.live_walk import Session, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
+from pdr_graph.apps.serve.receivers import listen
 from pdr_graph.apps.serve.reception import Limits, Reception
 from pdr_graph.errors import InputError, Interrupted
 from pdr_graph.floor.building import Building
+from pdr_graph.types import Beacons
 from pdr_graph.walk import LIVE, Options
 
 SESSIONS, TOKENS = "sessions", "tokens.json"
@@ -56,9 +58,10 @@ class Settings:
     sources: Sources = field(default_factory=Sources)
 
 
-def read_inputs(options: Mapping[str, Any]) -> Building | None:
-    """The plan of live estimates, None without. Raises InputError if a file of the options cannot be used."""
-    return navigator_of(Options(**options, method=LIVE)).keywords["floor"]
+def read_inputs(options: Mapping[str, Any]) -> tuple[Building | None, Beacons | None]:
+    """The plan and the beacons of live estimates. Raises InputError if a file of the options cannot be used."""
+    known = navigator_of(Options(**options, method=LIVE)).keywords
+    return known["floor"], known["beacons"]
 
 
 def build(settings: Settings, building: Building | None = None) -> Starlette:
@@ -82,8 +85,9 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         reception.load()
         await estimators.start()
         try:
-            home = settings.sources.home
+            home, receivers = settings.sources.home, settings.sources.receivers
             more = [] if home is None else [announce(home, hub, building, say)]
+            more += [] if receivers is None else [listen(receivers, reception, say)]
             async with running(settings.sources, reception, say, more):
                 try:
                     yield
