@@ -143,10 +143,11 @@ def replay_recording(
 
 
 def events_within(evidence: Evidence) -> tuple[list[Event], Fixes]:
-    """Events of a walk as `read` returns it, in the order of arrival; and the fixes that are none, from too long before
-    or after the recording.
+    """Events of a walk in the order of arrival; and the fixes that are none, from too long before or after the
+    recording. Steps are events where a counter measured them, not where samples show them.
     """
-    walk, fixes, counted = evidence.walk, evidence.other_fixes, evidence.steps
+    walk, fixes = evidence.walk, evidence.other_fixes
+    counted = None if walk.has_acceleration else evidence.steps
     start = min((float(signal.time[0]) for signal in walk.signals.values()), default=-np.inf)
     end = max((float(signal.time[-1]) for signal in walk.signals.values()), default=np.inf)
     outside = (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)

@@ -18,7 +18,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.priors import WALKER
 from pdr_graph.types import Beacons, Fixes, Recording, Trajectory
-from pdr_graph.walk import Evidence, Options, read
+from pdr_graph.walk import Evidence, Options, observe, read
 
 MATRIX = """data_sets = ["walks"]
 methods = ["graph", "pdr", "own:straight", "copied", "own:broken"]
@@ -126,11 +126,12 @@ def test_a_data_set_of_ones_own_is_a_function(bench):
 
 
 def test_live_is_pushed_what_replay_pushes(arcade_walk):
-    """A fix an hour after the recording is not."""
-    evidence = read(arcade_walk, Options(fixes=arcade_walk / "fixes.csv"))
+    """A fix an hour after the recording is not, nor the steps that its samples show."""
+    evidence = observe(read(arcade_walk, Options(fixes=arcade_walk / "fixes.csv")))
     late = replace(evidence, fixes=Fixes.concatenate([evidence.fixes, evidence.fixes[-1:].shifted(3600.0)]))
     events, outside = events_within(late)
     assert len(outside) == 1
+    assert {type(event).__name__ for event in events} == {"Samples", "Fixes"}
     assert max(event.time[-1] for event in events if isinstance(event, Fixes)) < 3600
     assert_array_equal(live(late).time, live(evidence).time)
 

@@ -72,18 +72,14 @@ class Matrix:
         only: texts that a row's name contains. What failed is tried again.
         """
         have = set() if again else {key_of(row) for row in self.results() if "failed" not in row}
-        names = (
-            ((of, walk, what), read)
-            for of in self.data_sets
-            for walk, read in walks_of(of, self.data, self.path.parent)
-            for what in self.given
-        )
-        todo = ((name, read, [(*name, method) for method in self.methods]) for name, read in names)
-        wanted = (
-            (name, read, [row[-1] for row in rows if row not in have and is_wanted(row, only)])
-            for name, read, rows in todo
-        )
-        return [Missing(name, read, tuple(methods)) for name, read, methods in wanted if methods]
+        missing = list[Missing]()
+        for of in self.data_sets:
+            for walk, read in walks_of(of, self.data, self.path.parent):
+                for what in self.given:
+                    keys = [(of, walk, what, method) for method in self.methods]
+                    methods = tuple(key[-1] for key in keys if key not in have and is_wanted(key, only))
+                    missing += [Missing((of, walk, what), read, methods)] if methods else []
+        return missing
 
     def rows(self, missing: Iterable[Missing]) -> Iterator[Row]:
         """Make the rows that are missing, and add each to the results at once."""
@@ -222,7 +218,7 @@ def statistics(rows: Iterable[Row]) -> list[list[str]]:
         done = [row for row in alike if "failed" not in row]
         errors = [error for row in done if len(error := known(row, "errors"))]
         inside = np.concatenate([np.empty(0), *(known(row, "inside") for row in done)])
-        walls = [row["walls"] for row in done if row["walls"] is not None]
+        walls = [row["walls"] for row in done if row.get("walls") is not None]
         due, count = sum(len(row["errors"]) for row in done), sum(map(len, errors))
         cells = [str(len(alike)), str(len(alike) - len(done)), f"{count} of {due}" if count < due else str(count)]
         cells += percentiles_with_interval(errors) if errors else ["—"] * len(SCORED_AT)
