@@ -11,8 +11,7 @@ from scipy.optimize import least_squares
 from tables import publish, table
 
 from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, smooth
-from pdr_graph.apps.bench.matrix import known
-from pdr_graph.apps.report.evaluation import in_region, pair, stated_covariance
+from pdr_graph.apps.bench.matrix import known, places
 from pdr_graph.gait import walker
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
@@ -213,8 +212,7 @@ def run(manners, hold, seed):
         track = smooth(WalkGraph(steps, Fixes(time, place, np.full(len(time), sigma)))).trajectory
         moments = np.arange(0.5, end - 0.5, 0.5)
         true = interpolate(moments, body.time, body.position)
-        pairs = pair(track, Trajectory(moments, true, np.full(len(moments), np.nan)))
-        inside = in_region(pairs, stated_covariance(track, pairs.time)).mean()
+        inside = np.nanmean(places(track, Trajectory(moments, true, np.full(len(moments), np.nan)), 0.0)[1])
         scores[given] = float(np.hypot(*np.diff(track.position, axis=0).T).sum() / body.lengths.sum()), float(inside)
     return scores
 
