@@ -1,6 +1,6 @@
-"""The walks of the experiments: recordings, what is given of them, simulated walks, and what a source may do wrong.
+"""The walks of the experiments: recordings of the bench, simulated walks, and what a source may do wrong.
 
-A walk is what the front end saw, what was measured beside it, and its truth.
+A walk is a `BenchWalk`: its evidence with the steps, and its truth.
 """
 
 import os
@@ -16,23 +16,18 @@ import shapely
 from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, read_fixes
-from pdr_graph.apps.bench.data_sets import CHOICES
-from pdr_graph.apps.report.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
-from pdr_graph.estimation.calibration import prior_of
+from pdr_graph import FloorPlan, detect_steps, magnetic_headings, smooth
+from pdr_graph.apps.bench.data_sets import BenchWalk, given, walks_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.floors import floors_along
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.floor.network import Network
-from pdr_graph.frames import frame_of
+from pdr_graph.frames import Frame
 from pdr_graph.gait.learned import Velocities
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.gait.walker import Profile
+from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate, length_along, rotation, unit, wrap_angle
-from pdr_graph.inertial.barometer import with_stair_lengths
-from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
-from pdr_graph.io.loading import load
-from pdr_graph.io.tables import SURVEY_SIGMA, read_beacons
+from pdr_graph.io.tables import SURVEY_SIGMA
 from pdr_graph.lab.simulation.body import Body
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -45,8 +40,8 @@ from pdr_graph.lab.simulation.sensors import (
     receptions,
 )
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import NONE, Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory, last_time, take
-from pdr_graph.walk import Options, read
+from pdr_graph.types import NONE, Beacons, Fixes, Headings, Ranges, Recording, Steps, Trajectory, last_time, take
+from pdr_graph.walk import Evidence, Options, observe, read
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPS = ROOT / "maps"
@@ -54,170 +49,32 @@ DATA = Path(os.environ.get("PDR_GRAPH_DATA", ROOT.parent / "shared" / "data"))
 
 # Recordings
 
-SIGMA = 0.5  # [m] stated of a waypoint that is given
-START_SIGMA = 0.3  # [m] stated of IPIN21's known start
-WAYPOINT_NOISE = WAYPOINT_SIGMA
-HELP = {  # which waypoints are given
-    "every second waypoint": CHOICES["every second"],
-    "first and last": CHOICES["first and last"],
-    "first only": CHOICES["first"],
-}
-
-
-@dataclass(frozen=True)
-class Walk:
-    """A walk as the front end saw it, what was measured beside it, and its truth."""
-
-    name: str
-    steps: Steps
-    headings: Headings
-    fixes: Fixes
-    truth: Trajectory
-    floor: FloorPlan | None = None
-    levels: Levels | None = None
-
 
 def percentiles(errors):
     return " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95]))
 
 
-def errors_at(track, truth):
-    """Errors of a track at each place of the truth ``(n,)`` [m]; NaN where it has none."""
-    pairs = pair(track, truth)
-    errors = np.full(len(truth), np.nan)
-    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
-    return errors
-
-
-def gaps(track, truth, noise=0.0):
-    """Of each place of the truth: distance from the estimate [m], whether it lies in the stated 90 % region, and how
-    large that is [m], the radius of a circle of its area. noise: of the truth itself, per axis [m].
-    """
-    pairs = pair(track, truth)
-    covariance = stated_covariance(track, pairs.time) + noise**2 * np.eye(2)
-    size = np.sqrt(REGION_90) * np.linalg.det(covariance) ** 0.25
-    return circular_error(pairs), in_region(pairs, covariance), size
-
-
-def fixes_as_track(fixes):
-    return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
-
-
-def places_as_fixes(truth, which):
-    """The places ``which`` of a truth as fixes."""
-    which = np.unique(np.arange(len(truth))[which])
-    return Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
-
-
-def rest(truth, which):
-    """The others."""
-    left = np.setdiff1d(np.arange(len(truth)), np.arange(len(truth))[which])
-    return Trajectory(truth.time[left], truth.position[left], truth.heading[left], ("",) * len(left))
-
-
-def helped(walk, which):
-    """A walk that is given some places of its truth and nothing else; the others are left to score it."""
-    return replace(walk, fixes=places_as_fixes(walk.truth, which), truth=rest(walk.truth, which), levels=None)
-
-
-def ipin21_walks(data):
-    """The figure of eight with the start alone and with each set of simulated fixes."""
-    folder = data / "ipin21_hcu"
-    walk, floor = load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
-    gaits, truth = gait_signals(walk), floor.frame.place(walk.truth)
-    steps = detect_steps(gaits)
-    paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
-    start = Fixes(truth.time[:1], truth.position[:1], np.array([START_SIGMA]), ("",))
-    sets = [("the start, alone", start), *((path.stem, read_fixes(path, walk, floor.frame)) for path in paths)]
-    for name, fixes in sets:
-        yield Walk(name, steps, magnetic_headings(gaits, floor.frame, fixes.position[0]), fixes, truth, floor)
-
-
-def ipin21_landmarks(data, truth):
-    """The rows of the figure of eight's truth when the walker was at the surveyed places."""
-    folder = data / "ipin21_hcu" / "eight"
-    at = np.loadtxt(folder / "ref.csv")[:, 0] / 1000 - load(folder).clock_origin
-    return np.unique([np.argmin(np.abs(truth.time - t)) for t in at])
-
-
-def ipin2023_walks(data, relisted=lambda listed: listed):
-    """Three walks in a museum with the phone's GNSS, and the beacons that it heard; relisted: changes their list."""
-    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
-        walk = load(path)
-        frame = frame_of(walk.fixes)
-        gaits, fixes = gait_signals(walk), frame.place(walk.fixes)
-        headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
-        floors = floors_along(steps, walk.barometer, "", fixes, None)
-        steps = with_stair_lengths(steps, floors.climbs, floors.kinds)
-        listed = relisted(read_beacons(path.parent / "BLE_Locations.csv", walk))
-        heard = levels_along(walk.bluetooth, frame.place(listed), steps)
-        yield Walk(path.stem, steps, headings, fixes, frame.place(walk.truth), levels=heard)
-
-
-def nju_walk(data):
-    """A campus walk by its GPS, which is its truth as well."""
-    walk = load(data / "nju_phyphox_outdoor")
-    frame = frame_of(walk.fixes)
-    fixes = frame.place(walk.fixes)
-    gaits = gait_signals(walk)
-    steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
-    return Walk("one in 1 s", steps, headings, fixes, fixes_as_track(fixes))
-
-
-def nju_walks(data):
-    """The campus walk with most positions withheld: these are its truth."""
-    whole = nju_walk(data)
-    for every in (10, 30, 60, 120):
-        yield withheld(whole, f"one in {every} s", np.arange(0, len(whole.fixes), every))
-
-
-def withheld(walk, name, which):
-    """A walk with the positions ``which`` of its receiver; the others are its truth."""
-    others = walk.fixes[np.setdiff1d(np.arange(len(walk.fixes)), np.arange(len(walk.fixes))[which])]
-    return replace(walk, name=name, fixes=walk.fixes[which], truth=fixes_as_track(others))
-
-
-def recording_paths(data):
-    """The files of the fifteen."""
-    paths = sorted((data / "ms_indoor20").glob("site*/*/*.txt"))
-    if not paths:
-        raise SystemExit(f"no recordings under {data} (set PDR_GRAPH_DATA)")
-    return paths
+@cache
+def recordings(data, of):
+    """The walks of a data set of the bench by name, as they are read."""
+    return {name: read() for name, read in walks_of(of, data)}
 
 
 @cache
-def recordings(data):
-    """The fifteen: each recording, and the walk with all its waypoints as truth and no fix."""
-    return [walk_of(load(path), plan_of(path.parent), path) for path in recording_paths(data)]
+def walks_given(data, of, what):
+    """The walks of a data set that are given something, by name, with their steps; without those that lack it."""
+    walks = {name: given(walk, what) for name, walk in recordings(data, of).items()}
+    return {name: with_steps(walk) for name, walk in walks.items() if walk is not None}
 
 
-@cache
-def plan_of(folder):
-    return FloorPlan.load(folder)
+def with_steps(walk):
+    """A walk with its steps, headings and what else its samples say."""
+    return replace(walk, evidence=observe(walk.evidence))
 
 
-def walk_of(recording, floor, path):
-    """A recording, and the walk that it is of."""
-    gaits = gait_signals(recording)
-    headings = magnetic_headings(gaits, floor.frame, np.zeros(2))
-    name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
-    return recording, Walk(name, detect_steps(gaits), headings, Fixes.none(), recording.truth, floor)
-
-
-def helped_walks(data, given):
-    """Each recording that has a waypoint left to be scored at, and its walk."""
-    both = [(recording, helped(walk, HELP[given](walk.truth))) for recording, walk in recordings(data)]
-    return [(recording, walk) for recording, walk in both if len(walk.truth)]
-
-
-def microsoft_walks(data):
-    """The walks by what is given of them."""
-    for given in HELP:
-        yield given, [walk for _, walk in helped_walks(data, given)]
-
-
-def graph_of(walk, **more):
-    return WalkGraph(walk.steps, walk.fixes, headings=walk.headings, **more)
+def smoothed(walk):
+    """The estimate of a walk by the graph."""
+    return smooth(walk.evidence.graph())
 
 
 def scattered(fixes, share, random):
@@ -269,26 +126,20 @@ DISTURBANCE = 14.0  # [µT] of the magnetic field by steel
 
 
 def simulated_recording(scenario, plan=None):
-    """Return the recording of a scenario as its recorder writes it, its walk, its frame, and its beacons or None.
+    """Return the walk of a scenario as its recorder writes it.
 
-    The fixes of the walk are those of the receiver and of the user; its truth has a row a second.
+    Its fixes are those of the receiver and of the user; its truth has a row a second.
     """
     made = simulate(scenario)
     with TemporaryDirectory() as folder:
         write(made, Path(folder))
-        inputs = read(Path(folder), Options(plan=plan))
-    recording, beacons = inputs.walk, inputs.beacons
-    shift = scenario.start - recording.clock_origin
+        evidence = read(Path(folder), Options(plan=plan))
+    shift = scenario.start - evidence.walk.clock_origin
     users = [] if made.user_fixes is None else [made.user_fixes.shifted(shift)]
-    fixes = Fixes.concatenate([made.frame.place(recording.fixes), *users])
-    gaits = gait_signals(recording)
-    steps, headings = detect_steps(gaits), magnetic_headings(gaits, made.frame, fixes.position[0])
-    levels = levels_along(recording.bluetooth, beacons, steps) if beacons and recording.bluetooth else None
+    fixes = Fixes.concatenate([made.frame.place(evidence.walk.fixes), *users])
     truth = made.truth[:: round(1 / np.median(np.diff(made.truth.time)))]
     truth = Trajectory(truth.time + shift, truth.position, truth.heading)
-    floor = inputs.building.floors[0] if inputs.building else None
-    name = f"{scenario.name}, seed {scenario.seed}"
-    return recording, Walk(name, steps, headings, fixes, truth, floor, levels), made.frame, beacons
+    return with_steps(BenchWalk(replace(evidence, frame=made.frame, fixes=fixes), truth))
 
 
 @cache
@@ -448,30 +299,10 @@ def with_stands(corners, random):
     return route
 
 
-@dataclass(frozen=True)
-class Given:
-    """What an estimate is given of a walk."""
-
-    steps: Steps
-    fixes: Fixes
-    headings: Headings
-    levels: Levels | None = None
-    ranges: Ranges | None = None
-    velocities: Velocities | None = None
-    floor: FloorPlan | None = None
-    profile: Profile | None = None  # that has corrected the steps
-
-    def graph(self):
-        """The factor graph."""
-        tables = [table for table in (self.ranges, self.velocities) if table is not None]
-        given = {"headings": self.headings, "levels": self.levels, "floor": self.floor, "measurements": tables}
-        return WalkGraph(self.steps, self.fixes, prior=prior_of(self.profile), **given)
-
-
-def events(given):
+def events(evidence):
     """Measurements in their time, and each step as it ends."""
-    tables = [given.fixes, given.headings, *(table for table in (given.levels, given.ranges) if table is not None)]
-    steps, begin = given.steps, -np.inf
+    tables = [evidence.fixes, evidence.headings, *evidence.measurements]
+    steps, begin = evidence.steps, -np.inf
     for n in range(len(steps)):
         columns = {name: v[n : n + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
         start = steps.start if n == 0 else float(steps.time[n - 1])
@@ -484,12 +315,24 @@ def events(given):
 
 
 def measured(walk, sources):
-    """What sources such as "GNSS" or "beacons: swapped pair" give of a walk; the phone's compass unless it is off."""
-    given = Given(walk.steps, Fixes.none(), walk.headings)
+    """The evidence that sources such as "GNSS" or "beacons: swapped pair" give of a walk; the phone's compass unless it
+    is off.
+    """
+    given = seen(walk)
     for source in sources:
         name, _, lie = source.partition(": ")
         given = SOURCES[name](given, walk, lie, walk.generator(name))
     return given
+
+
+def seen(walk):
+    """A walk by its steps and headings alone."""
+    nothing = Recording(walk.setting, 0.0, None), Walker(), None, Frame(), Fixes.none()
+    return Evidence(*nothing, steps=walk.steps, headings=walk.headings)
+
+
+def with_table(given, table):
+    return replace(given, measurements=(*given.measurements, table))
 
 
 def with_fixes(given, fixes):
@@ -498,7 +341,7 @@ def with_fixes(given, fixes):
 
 def gnss(given, walk, lie, random):
     """The phone's receiver, its positions alone."""
-    alone = gnss_and_speed(Given(walk.steps, Fixes.none(), None), walk, lie, random).fixes
+    alone = gnss_and_speed(seen(walk), walk, lie, random).fixes
     return with_fixes(given, replace(alone, speed=NONE, course=NONE))
 
 
@@ -593,7 +436,7 @@ def beacons(given, walk, lie, random):
         heard = replace(heard, rssi=FLATTER * (heard.rssi - heard.rssi.mean()) + heard.rssi.mean() + WEAKER)
     names = tuple(f"b{n}" for n in kept)
     listing = Beacons(names, listed[kept], np.full(len(kept), SURVEY_SIGMA), ("",) * len(kept), names)
-    return replace(given, levels=levels_along(heard, listing, walk.steps))
+    return with_table(given, levels_along(heard, listing, walk.steps))
 
 
 def spread(low, high, count, random):
@@ -659,7 +502,7 @@ def ranges(given, walk, lie, random):
     distance += (random.random(len(time)) < NLOS) * random.exponential(LATE, len(time))
     sigma, names = np.full(len(time), RANGE), tuple(f"a{n}" for n in range(ANCHORS))
     table = Ranges(time + late, which, np.maximum(distance, 0), sigma, names, anchors, np.full(ANCHORS, 0.1))
-    return replace(given, ranges=table)
+    return with_table(given, table)
 
 
 def network(given, walk, lie, random):
@@ -672,7 +515,7 @@ def network(given, walk, lie, random):
     velocity *= np.exp(NETWORK_GAIN * random.standard_normal() + 1j * random.uniform(-np.pi, np.pi))
     velocity = NETWORK_LIES[lie](velocity) + lfilter([1.0], [1.0, -kept], noise) * (lie != "zero")
     sigma, frame = np.full((len(time), 2), NETWORK_SIGMA), np.zeros(len(time), dtype=np.intp)
-    return replace(given, velocities=Velocities(time, np.column_stack([velocity.real, velocity.imag]), sigma, frame))
+    return with_table(given, Velocities(time, np.column_stack([velocity.real, velocity.imag]), sigma, frame))
 
 
 NETWORK_LIES = {
@@ -711,12 +554,12 @@ def profile(given, walk, lie, random):
     """A profile, learnt on a walk with good positions: the walker's, or somebody else's."""
     true = np.hypot(*np.diff(walk.truth.position, axis=0).T).sum() / walk.steps.length.sum()
     learnt = Profile(true * (random.choice(ANOTHERS) if lie else 1.0) - 1, 0.0, 0.0, np.diag(LEARNT) ** 2, 0.0, SPEED)
-    return replace(given, steps=learnt.corrected(walk.steps), profile=learnt)
+    return replace(given, steps=learnt.corrected(walk.steps), walker=Walker(profile=learnt))
 
 
 def plan(given, walk, lie, random):
     """The floor plan."""
-    return replace(given, floor=PLAN_LIES[lie](walk, random) if lie else walk.plan)
+    return replace(given, building=Building.around(PLAN_LIES[lie](walk, random) if lie else walk.plan))
 
 
 def shifted_plan(walk, random):

@@ -2,45 +2,39 @@
 
 import re
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from conditions import percentiles
+from conditions import percentiles, recordings, with_steps
+from recordings import rows_of
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, magnetic_headings, smooth
-from pdr_graph.apps.bench import data_sets
-from pdr_graph.apps.report.evaluation import in_region, pair, stated_covariance
-from pdr_graph.frames import enu
+from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, smooth
+from pdr_graph.apps.bench.matrix import known, places
 from pdr_graph.gait import walker
-from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
-from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import StepFeatures, Walker
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
-from pdr_graph.io.loading import load
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
 from pdr_graph.lab.simulation.carrying import with_grip_change
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.priors import STRIDES
-from pdr_graph.types import LONLAT
+from pdr_graph.walk import Evidence
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import gait_data
+from gait_data import heading_errors, known_places, live_headings
 
 DETECTORS = {
     "[map-matching] peak pairs": peak_pairs,
     "[calibration-walk] candidates": trough_to_peak,
     "**ours**": lambda attitude: walking_steps(attitude.time, attitude.acceleration),
 }
-QUIET = {"IPIN 2023": 60.0, "IPIN21": 4.0}  # [s] from the start
 LONG = 35.0  # [m]
 CHAINS = {"site1/B1": "5ddb8a0", "site1/F1": "5dd9ef", "site2/F1": "5dd36"}
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
@@ -53,8 +47,6 @@ RUNS = {
     "walk, jog, walk": ("normal", "jog", "jog", "jog", "normal"),
     "walk, run, walk": ("normal", "run", "run", "run", "normal"),
 }
-HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
-NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
 LIVE_WALKS = 12  # per hold
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 ASIDE = re.compile("_side|hang_body_test")  # RIDI's walks with steps sideways or backwards
@@ -78,18 +70,11 @@ def steps(data):
 def counts(data):
     """Steps of the Oxford recordings, of an accelerometer alone."""
     rows = []
-    for name, true, recording in oxford(data):
-        attitude = attitude_of(recording)
+    for name, walk in recordings(data, "oxford").items():
+        attitude = attitude_of(walk.evidence.walk)
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
-        rows.append([name, true, *(with_error(n, true) for n in found)])
+        rows.append([name, walk.steps, *(with_error(n, walk.steps) for n in found)])
     publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
-
-
-def oxford(data):
-    """Each count of the Oxford recordings: what it is of, the true one, and the recording."""
-    for name, read in data_sets.oxford(data):
-        walk = read()
-        yield name, int(walk.steps), walk.evidence.walk
 
 
 def with_error(found, true):
@@ -99,25 +84,24 @@ def with_error(found, true):
 
 def quiet(data):
     """Steps found where nobody walked."""
-    paths = {
-        "IPIN 2023": sorted((data / "ipin2023_track3").glob("*Trial*.txt")),
-        "IPIN21": [data / "ipin21_hcu" / "eight"],
-    }
     rows = []
-    for name, files in paths.items():
-        attitudes = [attitude_of(load(path)) for path in files]
-        found = [sum(int((detect(a).time < QUIET[name]).sum()) for a in attitudes) for detect in DETECTORS.values()]
-        rows.append([f"{name}, first {QUIET[name]:.0f} s of {len(files)}", *found])
+    for name, walks, until in (
+        ("IPIN 2023", recordings(data, "ipin2023").values(), 60.0),
+        ("IPIN21", [recordings(data, "ipin21")["landmarks"]], 4.0),
+    ):
+        attitudes = [attitude_of(walk.evidence.walk) for walk in walks]
+        found = [sum(int((detect(a).time < until).sum()) for a in attitudes) for detect in DETECTORS.values()]
+        rows.append([f"{name}, first {until:.0f} s of {len(attitudes)}", *found])
     publish("results/steps.md", "quiet", table(["", *DETECTORS], rows))
 
 
 class Paced:
     """A walk with true steps and length, its walker, and what the model needs of its steps."""
 
-    def __init__(self, walk, walker):
-        self.name, self.walker, self.steps, self.way = walk.name, walker, walk.steps, walk.length
-        self.duration = float(np.ptp(walk.recording.accelerometer.time))
-        self.gait = gait_signals(walk.recording)[0]
+    def __init__(self, name, walk, walker):
+        self.name, self.walker, self.steps, self.way = name, walker, walk.steps, walk.length
+        self.duration = float(np.ptp(walk.evidence.walk.accelerometer.time))
+        self.gait = gait_signals(walk.evidence.walk)[0]
         self.features = StepFeatures(self.gait)
         self.lengths = walker_models()(self.features)[0]
 
@@ -133,8 +117,8 @@ def walker_models():
 
 def true_walks(data):
     """The walks of ``strides`` and ``ridi``."""
-    yield from (Paced(walk, "strides") for walk in gait_data.strides(data))
-    yield from (Paced(walk, f"RIDI, {walk.name.split('_')[0]}") for walk in gait_data.ridi(data))
+    yield from (Paced(name, walk, "strides") for name, walk in recordings(data, "strides").items())
+    yield from (Paced(name, walk, f"RIDI, {name.split('_')[0]}") for name, walk in recordings(data, "ridi").items())
 
 
 def pace(walks):
@@ -160,10 +144,10 @@ def carry_and_pace(data, walks):
         at = "slow" if speed < 0.8 else "normal" if speed < 1.3 else "fast"
         counted = len(walk.gait.landings) / walk.steps - 1, float(walk.lengths.sum()) / walk.way - 1
         errors.setdefault((carry, "recorded", at), []).append(counted)
-    for name, true, recording in oxford(data):
+    for name, walk in recordings(data, "oxford").items():
         if not name.endswith("switch rises"):
-            attitude = attitude_of(recording)
-            counted = len(walking_steps(attitude.time, attitude.acceleration)) / true - 1, np.nan
+            attitude = attitude_of(walk.evidence.walk)
+            counted = len(walking_steps(attitude.time, attitude.acceleration)) / walk.steps - 1, np.nan
             errors.setdefault((name.split(",")[0], "recorded", "normal"), []).append(counted)
     for hold in HOLDS:
         for manner in PACES:
@@ -228,8 +212,7 @@ def run(manners, hold, seed):
         track = smooth(WalkGraph(steps, Fixes(time, place, np.full(len(time), sigma)))).trajectory
         moments = np.arange(0.5, end - 0.5, 0.5)
         true = interpolate(moments, body.time, body.position)
-        pairs = pair(track, Trajectory(moments, true, np.full(len(moments), np.nan)))
-        inside = in_region(pairs, stated_covariance(track, pairs.time)).mean()
+        inside = np.nanmean(places(track, Trajectory(moments, true, np.full(len(moments), np.nan)), 0.0)[1])
         scores[given] = float(np.hypot(*np.diff(track.position, axis=0).T).sum() / body.lengths.sum()), float(inside)
     return scores
 
@@ -240,8 +223,8 @@ def confidence(data, walks):
     The latter have 15 % of the weight; all recordings count the same.
     """
     stated = [(walk.gait.landings.confidence, 1) for walk in walks]
-    for _, _, recording in oxford(data):
-        attitude = attitude_of(recording)
+    for walk in recordings(data, "oxford").values():
+        attitude = attitude_of(walk.evidence.walk)
         stated.append((walking_steps(attitude.time, attitude.acceleration).confidence, 1))
     for hold in HOLDS:
         for manner in PACES:
@@ -268,18 +251,18 @@ def confidence(data, walks):
 
 def carried(data):
     """Positions of the RIDI walks, which are given where they begin and where they are after a quarter of the time."""
-    rows, walks = [], list(gait_data.ridi(data))
+    rows, walks = [], rows_of(data, "ridi", ("first and 25 %",), ("graph",))
     for carry, name in CARRIES.items():
-        scores = [(walk, *gait_data.scored(walk)) for walk in walks if carry in walk.name]
-        for which, group in (
-            (name, [s for s in scores if not ASIDE.search(s[0].name)]),
-            (f"{name}, sideways or backwards", [s for s in scores if ASIDE.search(s[0].name)]),
+        group = [row for row in walks if carry in row["walk"]]
+        for which, of in (
+            (name, [row for row in group if not ASIDE.search(row["walk"])]),
+            (f"{name}, sideways or backwards", [row for row in group if ASIDE.search(row["walk"])]),
         ):
-            if group:
-                errors, inside = (np.concatenate([s[n] for s in group]) for n in (1, 2))
-                least = min(float(s[2].mean()) for s in group)
+            if of:
+                errors, inside = (np.concatenate([known(row, key) for row in of]) for key in ("errors", "inside"))
+                least = min(known(row, "inside").mean() for row in of)
                 cells = [percentiles(errors), f"{np.sqrt(np.mean(errors**2)):.2f}"]
-                rows.append([which, len(group), *cells, f"{100 * inside.mean():.0f} %", f"{100 * least:.0f} %"])
+                rows.append([which, len(of), *cells, f"{100 * inside.mean():.0f} %", f"{100 * least:.0f} %"])
     header = ["carried", "walks", "error [m]", "rms [m]", "in 90 %", "of the worst walk"]
     publish("results/steps.md", "carried", table(header, rows))
 
@@ -321,14 +304,12 @@ def fitted(walks):
 class Measured:
     """A walk whose way between some moments is known: legs of distance [m], share of each step, which steps."""
 
-    def __init__(self, name, walk, truth, every=1):
-        self.name = name
-        self.truth = enu(*truth.position[0][::-1]).place(truth) if truth.epsg == LONLAT else truth
-        self.gait = gait_signals(walk)[0]
+    def __init__(self, name, walk, every=1):
+        self.name, self.gait = name, gait_signals(walk.evidence.walk)[0]
         self.features, landings = StepFeatures(self.gait), self.gait.landings
-        begin, time = landings.time - landings.period, self.truth.time[::every]
-        self.legs = []
-        for a, b, move in zip(time[:-1], time[1:], np.diff(self.truth.position[::every], axis=0), strict=True):
+        known = known_places(walk)[::every]
+        begin, time, self.legs = landings.time - landings.period, known.time, []
+        for a, b, move in zip(time[:-1], time[1:], np.diff(known.position, axis=0), strict=True):
             share = np.clip(np.minimum(landings.time, b) - np.maximum(begin, a), 0, None) / landings.period
             if share.any():
                 self.legs.append((float(np.hypot(*move)), share))
@@ -341,17 +322,12 @@ class Measured:
 
 def measured(data):
     """Microsoft's walks, and those that no constant was chosen on."""
-    walks = []
-    for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
-        walk = load(path)
-        walks.append(Measured(f"{path.parent.parent.name}/{path.parent.name} {path.stem[:8]}", walk, walk.truth))
-    for path in sorted((data / "ipin2023_track3").glob("*Trial[02]*.txt")):  # Trial52 climbs stairs
-        walk = load(path)
-        walks.append(Measured(path.stem.split("Training")[1].split("_")[0], walk, walk.truth))
-    walk = load(data / "ipin21_hcu" / "eight")
-    walks.append(Measured("IPIN21", walk, walk.truth, every=8))
-    walk = load(data / "nju_phyphox_outdoor")
-    walks.append(Measured("NJU", walk, walk.fixes, every=12))
+    walks = [Measured(name, walk) for name, walk in recordings(data, "microsoft").items()]
+    for name, walk in recordings(data, "ipin2023").items():
+        if not name.startswith("Trial52"):  # it climbs stairs
+            walks.append(Measured(name.split("_")[0], walk))
+    walks.append(Measured("IPIN21", recordings(data, "ipin21")["Freq5_err3m"], every=8))
+    walks.append(Measured("NJU", recordings(data, "nju")["campus"]))
     return walks
 
 
@@ -393,44 +369,39 @@ def bounce(walk):
 # Compass
 
 
-def recordings(data):
-    """Groups of hand-held walks, by name."""
-    return {
-        "Microsoft": sorted((data / "ms_indoor20").glob("site*/*/*.txt")),
-        "IPIN 2023": sorted((data / "ipin2023_track3").glob("*Trial*.txt")),
-        "NJU campus": [data / "nju_phyphox_outdoor"],
-    }
+WALKS = {"Microsoft": "microsoft", "IPIN 2023": "ipin2023", "NJU campus": "nju"}  # in the hand
 
 
 def compass(data):
     """The tables."""
-    groups = recordings(data)
     rows = []
-    for name, paths in groups.items():
-        errors, sigmas = np.concatenate([heading_errors(path) for path in paths], axis=1)
+    for name, of in WALKS.items():
+        walks = [with_steps(walk) for walk in recordings(data, of).values()]
+        found = [(heading_errors(walk, walk.evidence.headings), walk.evidence.headings.sigma) for walk in walks]
+        errors, sigmas = np.concatenate(found, axis=1)
         size = np.degrees(np.abs(errors))
         stated = f"{np.degrees(sigmas.min()):.0f}–{np.degrees(sigmas.max()):.0f}"
         cells = [f"{np.median(size):.0f}", f"{size.max():.0f}", stated]
-        rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
+        rows.append([name, len(walks), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
     publish("results/compass.md", "compass", table(header, rows))
-    live_compass(groups)
-    grips(groups["Microsoft"])
+    live_compass(data)
+    grips(data)
 
 
-def grips(paths):
+def grips(data):
     """Directions after the grip has changed: a quarter turn of the hand put into real walks, and simulated pockets."""
     rows, quarter = [], []
-    for path in paths:
-        walk = load(path)
-        attitude = attitude_of(walk)
+    for walk in recordings(data, "microsoft").values():
+        recording = walk.evidence.walk
+        attitude = attitude_of(recording)
         landed = walking_steps(attitude.time, attitude.acceleration)
         if len(landed) < 60:
             continue
         at, plain = float(landed.time[len(landed) // 2]), walking_direction(attitude, landed.usual_step)
         up = attitude.R_world_device[int(np.searchsorted(attitude.time, at))].inv().apply([0.0, 0.0, 1.0])
         for angle in (np.pi / 2, -np.pi / 2):
-            turned = attitude_of(with_grip_change(walk, up, at, angle))
+            turned = attitude_of(with_grip_change(recording, up, at, angle))
             quarter.append(walking_direction(turned, landed.usual_step).heading[-1] - plain.heading[-1])
     rows.append(["a quarter turn of a real hand", *direction_cells(quarter)])
     for name, angle in {"straight on": 0, "aside": 90, "back": 180}.items():
@@ -446,38 +417,11 @@ def direction_cells(errors):
     return [len(size), f"{np.median(size):.0f}", f"{np.percentile(size, 90):.0f}", f"{100 * np.mean(size < 40):.0f} %"]
 
 
-def heading_errors(path):
-    """Errors and sigmas of a walk's headings [rad]."""
-    walk, frame, truth = with_truth(path)
-    gaits = gait_signals(walk)
-    headings = magnetic_headings(gaits, frame, np.zeros(2))
-    return np.array([errors_of(headings.time, headings.heading, detect_steps(gaits), truth), headings.sigma])
-
-
-def with_truth(path):
-    """A recording, the frame of its truth, and the truth in it."""
-    walk = load(path)
-    truth = walk.truth if walk.truth is not None else walk.fixes[::12]
-    frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
-    return walk, frame, frame.place(truth)
-
-
-def errors_of(times, headings, steps, truth):
-    """Errors of headings [rad]: the walked way, turned as they say, against the truth."""
-    heading = np.cumsum(steps.turn)
-    way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
-    for time, said in zip(times, headings, strict=True):
-        near = np.abs(truth.time - time) < NEAR
-        walked_, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
-        turned = np.angle(np.sum(true * walked_.conj()))
-        since_start = np.interp(time, [steps.start, *steps.time], [0.0, *heading])
-        errors.append(wrap_angle(said - since_start - turned))
-    return np.array(errors)
-
-
-def live_compass(groups):
+def live_compass(data):
     """The first headings of the live compass: when, and how honest, on real walks and simulated ones in five holds."""
-    rows = [live_row(name, [live_recorded(path) for path in paths]) for name, paths in groups.items()]
+    rows = [
+        live_row(name, [live_recorded(walk) for walk in recordings(data, of).values()]) for name, of in WALKS.items()
+    ]
     for hold in HOLDS:
         rows.append(live_row(f"simulated, {hold}", [live_simulated(hold, seed) for seed in range(LIVE_WALKS)]))
     header = ["walks", "", "with a heading", "first heading after [s]: median", "90 %", "error [deg]: median"]
@@ -492,32 +436,19 @@ def live_row(name, walks):
     return [name, len(walks), len(first), *when, f"{np.median(error):.0f}", f"{error.max():.0f}", f"{sigma:.0f}"]
 
 
-def live_headings(recording, frame):
-    """The headings as they are reported: moment of the report [s], time [s], heading and sigma [rad]."""
-    compass, found = LiveCompass(), []
-    compass.locate(frame, np.zeros(2), recording.epoch)
-    gait = StepStream(listener=compass.update, preview=compass.preview)
-    for event in events_of(recording):
-        if isinstance(event, Samples):
-            push = compass.push if event.sensor == "magnetometer" else partial(gait.push, event.sensor)
-            push(event.time, event.values)
-            gait.advance()
-            found += [(event.time[-1], one.time, one.heading, one.sigma) for one in compass.advance()]
-    return np.array([row for row in found if np.isfinite(row[3])]).reshape(-1, 4)
-
-
-def live_recorded(path):
+def live_recorded(walk):
     """Of a real walk: seconds since the first step, error and sigma of each heading."""
-    walk, frame, truth = with_truth(path)
-    (moment, time, heading, sigma), steps = live_headings(walk, frame).T, detect_steps(walk)
+    walk = with_steps(walk)
+    steps, (moment, headings) = walk.evidence.steps, live_headings(walk.evidence)
     start = steps.time[0] - steps.duration[0]
-    return np.column_stack([moment - start, errors_of(time, heading, steps, truth), sigma])
+    return np.column_stack([moment - start, heading_errors(walk, headings), headings.sigma])
 
 
 def live_simulated(hold, seed):
     """The same of a simulated walk: 110 m with two corners, after three seconds of standing."""
     route = [[0, 0], {"stand": 3}, {"to": [[40, 0], [40, 30], [0, 30]]}]
     walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": 50}}))
-    moment, time, heading, sigma = live_headings(walk.recording(*SENSORS), walk.frame).T
-    error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
-    return np.column_stack([moment - 3, error, sigma])
+    evidence = Evidence(walk.recording(*SENSORS), Walker(), None, walk.frame, Fixes.none())
+    moment, headings = live_headings(evidence)
+    error = wrap_angle(headings.heading - np.interp(headings.time, walk.body.time, walk.body.heading))
+    return np.column_stack([moment - 3, error, headings.sigma])

@@ -15,24 +15,23 @@ from conditions import (
     LOOPS,
     NETWORK_LIES,
     OUTDOORS,
-    WAYPOINT_NOISE,
     events,
-    graph_of,
-    ipin21_walks,
-    ipin2023_walks,
     measured,
-    microsoft_walks,
-    nju_walks,
+    recordings,
     simulated_walk,
+    smoothed,
+    walks_given,
 )
+from live import HELP, THINNED, eights
 from tables import HELD_BACK, is_wanted, marked, publish, table
 
 from pdr_graph import smooth, verdict
-from pdr_graph.apps.report.evaluation import REGION_90, pair
-from pdr_graph.geometry import interpolate
+from pdr_graph.apps.bench.data_sets import given
+from pdr_graph.apps.report.evaluation import REGION_90, pair, stated_covariance
 from pdr_graph.online.interface import trajectory_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Estimate, Steps
+from pdr_graph.walk import observe
 
 WALKS, FEWER = 40, 15  # of each family; of those in which a walk takes 3 to 30 s:
 LONG = ("GNSS, beacons", "beacons, GNSS", "beacons", "plan")
@@ -260,8 +259,7 @@ def score(estimate, truth, noise=0.0):
     """The score of an estimate. noise: of the truth itself, per axis [m]."""
     track = estimate.trajectory
     pairs = pair(track, truth)
-    covariance = interpolate(pairs.time, track.time, track.covariance[:, :2, :2].reshape(-1, 4)).reshape(-1, 2, 2)
-    covariance = covariance + noise**2 * np.eye(2)
+    covariance = stated_covariance(track, pairs.time) + noise**2 * np.eye(2)
     gap = pairs.estimate - pairs.truth
     variance = np.linalg.eigvalsh(covariance)
     small, large = np.sqrt(np.maximum(variance, 1e-12)).T
@@ -360,35 +358,38 @@ SWAPS = {
 
 def recorded(data):
     """The table; of logs that have GNSS, harm is that of the beacons."""
-    rows = [*malls_by_help(data), *museum(data), *eight(data)]
-    for walk in nju_walks(data):
-        rows.append(["NJU campus", walk.name, *cells([scored(walk)], None)])
+    rows = [*malls(data), *museum(data), *eight(data)]
+    for what in THINNED:
+        rows.append(
+            ["NJU campus", what, *cells([scored(walk) for walk in walks_given(data, "nju", what).values()], None)]
+        )
     publish("results/integrity.md", "integrity recorded", regions(["recordings", "given", *HEADER], rows))
 
 
-def scored(walk, plan=False, noise=0.0):
-    """The score of a walk, with its plan or without."""
-    return score(smooth(graph_of(walk, levels=walk.levels, floor=walk.floor if plan else None)), walk.truth, noise)
+def scored(walk):
+    """The score of a walk."""
+    return score(smoothed(walk), walk.truth, walk.noise)
 
 
-def malls_by_help(data):
+def malls(data):
     """Microsoft's fifteen walks by what is given."""
-    for given, walks in microsoft_walks(data):
-        without = [scored(walk, noise=WAYPOINT_NOISE) for walk in walks]
-        yield ["Microsoft", given, *cells(without, None)]
-        yield ["Microsoft", f"{given}, plan", *cells([scored(walk, True, WAYPOINT_NOISE) for walk in walks], without)]
+    for what, name in HELP.items():
+        without, with_plan = (
+            [scored(walk) for walk in walks_given(data, "microsoft", what + plan).values()] for plan in ("", ", plan")
+        )
+        yield ["Microsoft", name, *cells(without, None)]
+        yield ["Microsoft", f"{name}, plan", *cells(with_plan, without)]
 
 
 def museum(data):
     """IPIN 2023, three logs: GNSS alone, and with each list."""
-    alone = [scored(replace(walk, levels=None)) for walk in ipin2023_walks(data)]
-    lists = {
-        name: [scored(walk) for walk in ipin2023_walks(data, lambda listed, swaps=swaps: swapped(listed, swaps))]
-        for name, swaps in SWAPS.items()
-    }
+    alone = [scored(walk) for walk in walks_given(data, "ipin2023", "recorded, no beacons").values()]
     yield ["IPIN 2023, all", "GNSS", *cells(alone, None)]
-    for given, scores in lists.items():
-        yield ["IPIN 2023, all", f"GNSS, beacons: {given}", *cells(scores, alone)]
+    for name, swaps in SWAPS.items():
+        walks = [given(walk, "recorded") for walk in recordings(data, "ipin2023").values()]
+        lists = [replace(walk.evidence, beacons=swapped(walk.evidence.beacons, swaps)) for walk in walks]
+        walks = [replace(walk, evidence=observe(listed)) for walk, listed in zip(walks, lists, strict=True)]
+        yield ["IPIN 2023, all", f"GNSS, beacons: {name}", *cells([scored(walk) for walk in walks], alone)]
 
 
 def swapped(listed, pairs):
@@ -403,10 +404,12 @@ def swapped(listed, pairs):
 
 def eight(data):
     """IPIN21's figure of eight with each set of simulated fixes."""
-    for walk in ipin21_walks(data):
-        without = [scored(walk)]
-        yield ["IPIN21's eight", walk.name, *cells(without, None)]
-        yield ["IPIN21's eight", f"{walk.name}, plan", *cells([scored(walk, True)], without)]
+    without = []
+    for name, each, what in eights(data):
+        found = [scored(walks_given(data, "ipin21", what)[each])]
+        plan = what.endswith(", plan")
+        yield ["IPIN21's eight", name, *cells(found, without if plan else None)]
+        without = found
 
 
 # The live pose
@@ -468,7 +471,7 @@ def live_scores_of(job):
 
 def followed(given):
     """A walk through a navigator: its pose after each step, and the estimate at its end."""
-    nav, poses = Navigator(given.floor, lag=LAG), []
+    nav, poses = Navigator(given.building, lag=LAG), []
     for event in events(given):
         nav.push(event)
         if isinstance(event, Steps) and (pose := nav.pose) is not None:

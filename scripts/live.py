@@ -9,46 +9,38 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import islice
 
 import numpy as np
 import shapely
 from conditions import (
     DISTURBANCE,
-    HELP,
     INDOORS,
     OUTDOORS,
-    WAYPOINT_NOISE,
-    Given,
-    Walk,
-    errors_at,
     events,
-    gaps,
-    helped_walks,
-    ipin21_walks,
-    ipin2023_walks,
     measured,
-    nju_walks,
     percentiles,
+    recordings,
     route_of,
     simulated_recording,
     simulated_walk,
+    smoothed,
+    with_steps,
 )
 from tables import HELD_BACK, is_wanted, marked, publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, kalman_filter, smooth
+from pdr_graph import WalkGraph, kalman_filter
+from pdr_graph.apps.bench.data_sets import BenchWalk, given
+from pdr_graph.apps.bench.matrix import places
+from pdr_graph.apps.replay import events_within, navigator_of
 from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
-from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import interpolate
-from pdr_graph.io.loading import load
-from pdr_graph.io.tables import read_beacons
 from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
-from pdr_graph.online.interface import Pose, Samples, events_of, trajectory_of
+from pdr_graph.online.interface import Pose, Samples, trajectory_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.types import Beacons, Fixes, Headings, Recording, Steps, Trajectory
+from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
-LAG = 60.0  # [s]
+THINNED = tuple(f"one in {every} s" for every in (10, 30, 60, 120))
 MOST_RATIO, SHARE_OF_ROWS = 1.0, 0.95  # of the filter's mean error, in so many rows
 LEAST_COVERAGE, MOST_OUTSIDE, MOST_JITTER, LONGEST = 0.87, 0.01, 0.2, 0.030  # targets: shares, [m], [s]
 ACCURACY = ["walk", "given", "walks", "places", "current pose [m]", "filter [m]", "pose / filter", "in 90 %"]
@@ -107,17 +99,16 @@ def scores_by_group(rows):
         futures = [[pool.submit(score_case, case) for case in group.cases] for group in rows]
         for group, waiting in zip(rows, futures, strict=True):
             began = time.time()
-            scores = [one.result() for one in waiting]
-            found.append(scores)
+            found.append([score for one in waiting if (score := one.result()) is not None])
             print(f"{group.title}: {len(found[-1])} walks, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
     return found
 
 
 def score_case(make):
-    """The score of one walk."""
+    """The score of one walk; None for one that lacks what is to be given."""
     warnings.simplefilter("ignore")
-    case = make()
-    return score_of(case, followed(case), smooth(case.graph()).trajectory)
+    walk = make()
+    return None if walk is None else score_of(walk, followed(walk), smoothed(walk).trajectory)
 
 
 def accuracy_row(group, score, walks):
@@ -193,50 +184,12 @@ def milliseconds(seconds):
     return marked(text, seconds.max() > LONGEST)
 
 
-# Cases
-
-
-@dataclass(frozen=True)
-class Case:
-    """A walk for the live navigator, and what the batch gets of it.
-
-    name, given: of its row; walk: of the front end of the batch, with fixes and truth; frame: of the poses; plan,
-    beacons: None where none is given; recording: whose samples are pushed, None to push the steps of ``walk``;
-    noise: of the truth, per axis [m].
-    """
-
-    name: str
-    given: str
-    walk: Walk
-    recording: Recording | None
-    frame: Frame | None
-    plan: FloorPlan | None = None
-    beacons: Beacons | None = None
-    noise: float = 0.0
-
-    def events(self):
-        """What is pushed, in the order of arrival."""
-        if self.recording is None:
-            walk = self.walk
-            return events(Given(walk.steps, walk.fixes, walk.headings, walk.levels))
-        return events_of(replace(self.recording, fixes=self.walk.fixes))
-
-    @property
-    def begin(self):
-        """Time of the first sample. [s]"""
-        if self.recording is None:
-            return self.walk.steps.start
-        return min(float(signal.time[0]) for signal in self.recording.signals.values())
-
-    def graph(self):
-        """The factor graph of the batch."""
-        walk = self.walk
-        return WalkGraph(walk.steps, walk.fixes, headings=walk.headings, levels=walk.levels, floor=self.plan)
+# Walks
 
 
 @dataclass(frozen=True)
 class Group:
-    """A row of the table. cases: functions that return a `Case` each."""
+    """A row of the table. cases: functions that return a walk each, or None."""
 
     name: str
     given: str
@@ -248,6 +201,14 @@ class Group:
         return f"{self.name}: {self.given}"
 
 
+HELP = {  # of the bench, and how the tables call it
+    "every second": "every second waypoint",
+    "first and last": "first and last",
+    "first": "first only",
+}
+GNSS = {"recorded, no beacons": "GNSS", "recorded": "GNSS, beacons"}
+
+
 def groups(data, walks, first):
     """All rows. walks: number of simulated ones in each, None for the usual; first: seed of the first."""
     return [*recorded_groups(data), *simulated_groups(walks, first)]
@@ -255,74 +216,48 @@ def groups(data, walks, first):
 
 def recorded_groups(data):
     """Rows of real recordings."""
-    for given in HELP:
-        for plan in (True, False):
-            make = partial(mall, given=given, plan=plan)
-            cases = [partial(_case, make, data, n) for n in range(len(helped_walks(data, given)))]
-            yield Group("Microsoft", with_plan(given, plan), tuple(cases))
-    for make in (eight, museum, campus):
-        names = [(case.name, case.given) for case in make(data)]
-        for n, (name, given) in enumerate(names):
-            yield Group(name, given, (partial(_case, make, data, n),))
+    for what, name in HELP.items():
+        for plan in (", plan", ""):
+            cases = [partial(recorded, data, "microsoft", each, what + plan) for each in recordings(data, "microsoft")]
+            yield Group("Microsoft", name + plan, tuple(cases))
+    for name, each, what in eights(data):
+        yield Group("IPIN21, eight", name, (partial(recorded, data, "ipin21", each, what),))
+    for each in recordings(data, "ipin2023"):
+        for what, name in GNSS.items():
+            yield Group(each, name, (partial(recorded, data, "ipin2023", each, what),))
+    for what in THINNED:
+        yield Group("NJU campus", what, (partial(recorded, data, "nju", "campus", what),))
 
 
-def _case(make, data, number):
-    return next(islice(make(data), number, None))
+def eights(data):
+    """Rows of IPIN21's figure of eight with its track as truth: name of the row, walk, what it is given."""
+    sets = [name for name in recordings(data, "ipin21") if name != "landmarks"]
+    for name, each, what in [("the start, alone", sets[0], "first"), *((each, each, "recorded") for each in sets)]:
+        for plan in ("", ", plan"):
+            yield name + plan, each, what + plan
 
 
-def with_plan(given, plan):
-    return f"{given}, plan" if plan else given
+def recorded(data, of, name, what):
+    """A walk of the bench that is given something; None if it lacks it."""
+    walk = given(recordings(data, of)[name], what)
+    if walk is None:
+        return None
+    return with_course(with_steps(walk)) if of == "ipin21" else with_steps(walk)
 
 
-def museum(data):
-    """IPIN 2023, by the phone's GNSS, without and with beacons."""
-    folder = data / "ipin2023_track3"
-    for walk in ipin2023_walks(data):
-        recording = load(folder / f"{walk.name}.txt")
-        frame = frame_of(recording.fixes)
-        beacons = frame.place(read_beacons(folder / "BLE_Locations.csv", recording))
-        name = walk.name.removeprefix("IPIN2023_T3_Training")
-        yield Case(name, "GNSS", replace(walk, levels=None), recording, frame)
-        yield Case(name, "GNSS, beacons", walk, recording, frame, beacons=beacons)
-
-
-def campus(data):
-    """NJU's, with most positions withheld."""
-    yield from (on_campus(data, walk) for walk in nju_walks(data))
-
-
-def on_campus(data, walk):
-    """Of NJU's walk with some of its positions."""
-    recording = load(data / "nju_phyphox_outdoor")
-    return Case("NJU campus", walk.name, walk, recording, frame_of(recording.fixes))
-
-
-def eight(data):
-    """IPIN21's figure of eight, without and with its plan; its truth is dense enough for directions."""
-    recording = load(data / "ipin21_hcu" / "eight")
-    for walk in ipin21_walks(data):
-        walk = replace(walk, truth=with_course(walk.truth))
-        yield Case("IPIN21, eight", walk.name, walk, recording, walk.floor.frame)
-        yield Case("IPIN21, eight", f"{walk.name}, plan", walk, recording, walk.floor.frame, walk.floor)
-
-
-def mall(data, given, plan):
-    """Microsoft's walks by what is given of their waypoints, with or without the plan."""
-    for recording, walk in helped_walks(data, given):
-        floor = walk.floor if plan else None
-        name = with_plan(given, plan)
-        yield Case("Microsoft", name, walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
-
-
-def with_course(truth):
-    """A dense truth with the direction of the way from 1 s before each place to 1 s after; NaN where it stands."""
+def with_course(walk):
+    """A walk of a dense truth, with the direction of the way from 1 s before each place to 1 s after; NaN where it
+    stands.
+    """
+    truth = walk.truth
     before, after = (
         np.stack([np.interp(truth.time + by, truth.time, v) for v in truth.position.T], 1)
         for by in (-COURSE_TIME, COURSE_TIME)
     )
     way = after - before
     course = np.arctan2(way[:, 1], way[:, 0])
-    return replace(truth, heading=np.where(np.hypot(*way.T) > 2 * COURSE_TIME * LEAST_SPEED, course, np.nan))
+    course[np.hypot(*way.T) <= 2 * COURSE_TIME * LEAST_SPEED] = np.nan
+    return replace(walk, truth=replace(truth, heading=course))
 
 
 def simulated_groups(walks, first):
@@ -340,10 +275,8 @@ def simulated_groups(walks, first):
 def from_steps(name, seed):
     """A simulated walk whose steps, measurements and headings are pushed in their time."""
     setting, sources, _ = FROM_STEPS[name]
-    simulated = simulated_walk(setting, seed)
-    given = measured(simulated, sources)
-    walk = Walk(name, given.steps, given.headings, given.fixes, simulated.truth, given.floor, given.levels)
-    return Case("simulated", name, walk, None, None, given.floor)
+    walk = simulated_walk(setting, seed)
+    return BenchWalk(measured(walk, sources), walk.truth)
 
 
 def from_samples(name, seed):
@@ -360,7 +293,7 @@ def from_samples(name, seed):
         {"to": corners[stop:].tolist()},
     ]
     route = [item for item in route if item != {"to": []}]
-    return simulated("simulated", name, Scenario.of(content | {"route": [*route, {"stand": 3.0}]}), content.get("plan"))
+    return simulated_recording(Scenario.of(content | {"route": [*route, {"stand": 3.0}]}), content.get("plan"))
 
 
 def of_scenario(name):
@@ -368,13 +301,7 @@ def of_scenario(name):
     path = scenario_file(name)
     content = tomllib.loads(path.read_text()) | SCENARIO_FILES[name]
     scenario = Scenario.of(content, path)
-    return simulated("scenario", name, scenario, scenario.plan)
-
-
-def simulated(name, given, scenario, plan):
-    """A scenario as its recorder writes it."""
-    recording, walk, frame, beacons = simulated_recording(scenario, plan)
-    return Case(name, given, walk, recording, frame, walk.floor, beacons)
+    return simulated_recording(scenario, scenario.plan)
 
 
 # Runs
@@ -498,14 +425,15 @@ class Run:
         return kalman_filter(graph).trajectory
 
 
-def followed(case, lag=LAG):
-    """The run of a case; the pose is asked for after each packet of acceleration, or each step."""
-    epoch = None if case.recording is None else case.recording.epoch
-    nav = LoggingNavigator(case.plan, lag=lag, frame=case.frame, beacons=case.beacons, epoch=epoch, executor=None)
-    events, asks, taken = list(case.events()), [], np.zeros(2)
+def followed(walk):
+    """The run of a walk; the pose is asked for after each packet of acceleration, or each step."""
+    evidence = walk.evidence
+    kind = partial(LoggingNavigator, epoch=evidence.walk.epoch, executor=None)
+    nav, asks, taken = navigator_of(evidence.options, evidence, kind)(), [], np.zeros(2)
+    arriving = events_within(evidence)[0] if evidence.walk.signals else list(events(evidence))
     gc.collect()
     gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
-    for event in events:
+    for event in arriving:
         began = clocks()
         nav.push(event)
         taken += clocks() - began
@@ -569,40 +497,37 @@ class WalkScore:
     cpu: np.ndarray
 
 
-def score_of(case, run, batch):
+def score_of(walk, run, batch):
     """The score of a run. batch: the trajectory of the whole walk at once."""
-    cpu, empty = np.array([ask.cpu for ask in run.asks]), np.empty(0)
+    cpu, empty, evidence = np.array([ask.cpu for ask in run.asks]), np.empty(0), walk.evidence
     if not run.shown:
         never = np.inf
         errors = {name: empty for name in ("pose", "filter", "lag", "batch")}
         return WalkScore(errors, empty, never, never, never, empty, empty, empty, cpu)
-    truth, causal = case.walk.truth, run.causal
-    errors, inside = errors_of(case, run, batch)
+    truth, causal = walk.truth, run.causal
+    begin = min((float(signal.time[0]) for signal in evidence.walk.signals.values()), default=evidence.steps.start)
+    errors, inside = errors_of(walk, run, batch)
     return WalkScore(
         errors=errors,
         inside=inside,
-        first=run.shown[0].time - case.begin,
-        near=time_to_near(causal, truth) - case.begin,
-        pointed=time_to_pointed(causal, truth) - case.begin,
+        first=run.shown[0].time - begin,
+        near=time_to_near(causal, truth) - begin,
+        pointed=time_to_pointed(causal, truth) - begin,
         jumps=by_minute(run.shown, jumps(run)),
-        outside=outside(causal.position, case.plan),
+        outside=outside(causal.position, evidence.building),
         jitter=jitter(run.shown, standing(truth)),
         cpu=cpu,
     )
 
 
-def errors_of(case, run, batch):
+def errors_of(walk, run, batch):
     """Errors by estimate where all have one ``(n,)`` [m], and whether the truth is in the pose's 90 % region."""
-    truth, causal = case.walk.truth, run.causal
-    errors = {
-        name: errors_at(track, truth) for name, track in (("pose", causal), ("lag", run.smoothed), ("batch", batch))
-    }
+    truth, tracks = walk.truth, {"pose": run.causal, "lag": run.smoothed, "batch": batch}
+    scores = {name: places(track, truth, walk.noise) for name, track in tracks.items()}
+    errors = {name: score[0] for name, score in scores.items()}
     errors["filter"] = np.hypot(*(run.filtered(truth.time) - truth.position).T)
-    inside = np.zeros(len(truth), dtype=bool)
-    if len(pair(causal, truth).time):
-        inside[~np.isnan(errors["pose"])] = gaps(causal, truth, case.noise)[1]
     known = np.isfinite(list(errors.values())).all(axis=0)
-    return {name: values[known] for name, values in errors.items()}, inside[known]
+    return {name: values[known] for name, values in errors.items()}, scores["pose"][1][known] == 1
 
 
 def time_to_near(causal, truth):
@@ -642,11 +567,11 @@ def by_minute(asks, size):
     return np.array([size[minute == n].max() for n in np.unique(minute)])
 
 
-def outside(place, plan):
+def outside(place, building):
     """Whether each place ``(n, 2)`` is outside the walkable area; empty without a plan."""
-    if plan is None:
+    if building is None:
         return np.empty(0, dtype=bool)
-    area = shapely.buffer(plan.walkable, ON_THE_EDGE)
+    area = shapely.buffer(building.floors[0].walkable, ON_THE_EDGE)
     shapely.prepare(area)
     return ~shapely.contains_xy(area, *place.T)
 

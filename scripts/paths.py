@@ -8,15 +8,15 @@ import numpy as np
 from integrity import covered, marked
 from tables import HELD_BACK, publish, table
 
+from pdr_graph.apps.bench.matrix import places
 from pdr_graph.errors import percent
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.frames import enu
-from pdr_graph.geometry import interpolate
 from pdr_graph.lab.papers.hmm_map_matching import hmm_match
 from pdr_graph.lab.simulation import town_walks
-from pdr_graph.types import Fixes
+from pdr_graph.types import Fixes, Trajectory
 
 WALKS = 12
 TOWN = "krems.osm.gz", (48.41, 15.60), ((-100.0, -100.0), (500.0, 500.0))  # middle of its frame, and a box in it [m]
@@ -27,7 +27,6 @@ ROWS = [(ON, what) for what in ("honest", *LIES, *OUTAGES)] + [(where, "honest")
 BAD = {"10 m off", "jumping", "5 s late", *OUTAGES}  # the receiver errs
 HEADER = ["the walk", "GNSS", "walks", "fixes matched by HMM [m]", "without ways [m]", "with [m]", "ratio"]
 HEADER += ["in 90 % region, without", "with", "said to be off"]
-INSIDE = 4.605  # χ² of 2 degrees of freedom, 90 %
 
 
 def paths(data, wanted=(), walks=None, first=HELD_BACK):
@@ -79,10 +78,6 @@ def scored(data, job):
     for name, inside, ways in (("without", "inside without", None), ("with", "inside", network)):
         estimate = smooth(WalkGraph(walk.steps, fixes, paths=ways))
         track = estimate.trajectory
-        off = interpolate(time[judged], track.time, track.position) - truth
-        flat = interpolate(time[judged], track.time, track.covariance.reshape(len(track), -1))
-        covariance = flat.reshape(-1, 3, 3)[:, :2, :2]
-        score[name] = np.hypot(*off.T)
-        score[inside] = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off) < INSIDE
+        score[name], score[inside] = places(track, Trajectory(time[judged], truth, np.full(len(truth), np.nan)), 0.0)
         score["off"] = any(found.source == "GPS" and found.against == "paths" for found in estimate.contradictions)
     return score

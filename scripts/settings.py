@@ -12,25 +12,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from conditions import (
-    gaps,
-    graph_of,
-    helped,
-    helped_walks,
-    nju_walks,
-    plan_of,
-    recording_paths,
-    scattered,
-    simulated_recording,
-    walk_of,
-)
-from recordings import MICROSOFT_METHODS as METHODS
-from recordings import withheld_errors
+from conditions import recordings, scattered, simulated_recording, walks_given, with_steps
+from live import THINNED
 from tables import publish, published, table
 
-from pdr_graph import priors, smooth
-from pdr_graph.apps.report.evaluation import circular_error, pair
-from pdr_graph.io.loading import load
+from pdr_graph import priors
+from pdr_graph.apps.bench.data_sets import given
+from pdr_graph.apps.bench.matrix import places
+from pdr_graph.apps.bench.methods import OURS
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.priors import changed, entries, tables
 
@@ -41,53 +30,54 @@ KINDS = STEADY, UNUSED, NOT_MEASURED = "same accuracy at half and double", "no e
 
 
 @cache
-def malls(data, given):
-    """Walks of Microsoft with some waypoints given."""
-    return [walk for _, walk in helped_walks(data, given)]
-
-
-@cache
 def outdoors(data):
     """A campus walk with the phone's fixes, and two simulated walks with a receiver's."""
     scenario = Scenario.load("outdoors")
-    return [*nju_walks(data), *(simulated_recording(replace(scenario, seed=seed))[1] for seed in (1, 2))]
+    campus = [walks_given(data, "nju", what)["campus"] for what in THINNED]
+    return [*campus, *(simulated_recording(replace(scenario, seed=seed)) for seed in (1, 2))]
+
+
+def scored(walk, method="graph"):
+    """Errors [m] at the places that were not given, and whether each is inside its 90 % region."""
+    errors, inside = places(OURS[method](walk.evidence), walk.truth, walk.noise)
+    return errors[np.isfinite(errors)], inside[np.isfinite(inside)]
+
+
+def malls(data, what):
+    """Walks of Microsoft that are given something."""
+    return list(walks_given(data, "microsoft", what).values())
 
 
 def by_steps(data):
     """From the sensors' samples: steps are detected again."""
-    for path in recording_paths(data)[::4]:
-        _, walk = walk_of(load(path), plan_of(path.parent), path)
-        yield withheld_errors(helped(walk, np.array([0, len(walk.truth) - 1])), METHODS["graph"])
+    for walk in list(recordings(data, "microsoft").values())[::4]:
+        yield scored(with_steps(given(walk, "first and last")))
 
 
-def on_fixes(data, method=METHODS["graph"]):
+def on_fixes(data, method="graph"):
     """Without a plan."""
-    for given in ("every second waypoint", "first and last"):
-        for walk in malls(data, given):
-            yield withheld_errors(walk, method)
+    for walk in malls(data, "every second") + malls(data, "first and last"):
+        yield scored(walk, method)
 
 
 def on_plans(data):
     """With the plan, between the first and the last waypoint of every eighth walk, and with every second of all."""
-    for walk in malls(data, "first and last")[::8] + malls(data, "every second waypoint")[::3]:
-        yield withheld_errors(walk, METHODS["graph with map"])
+    for walk in malls(data, "first and last, plan")[::8] + malls(data, "every second, plan")[::3]:
+        yield scored(walk)
 
 
 def on_receivers(data):
     """With the fixes of a receiver."""
-    yield from on_own_fixes(outdoors(data))
+    yield from map(scored, outdoors(data))
 
 
 def on_outliers(data):
     """The same, every fifth fix far off."""
     random = np.random.default_rng(0)
-    yield from on_own_fixes([replace(w, fixes=scattered(w.fixes, 0.2, random)[0]) for w in outdoors(data)])
-
-
-def on_own_fixes(walks):
-    for walk in walks:
-        track = smooth(graph_of(walk)).trajectory
-        yield circular_error(pair(track, walk.truth)), gaps(track, walk.truth)[1]
+    for walk in outdoors(data):
+        yield scored(
+            replace(walk, evidence=replace(walk.evidence, fixes=scattered(walk.evidence.fixes, 0.2, random)[0]))
+        )
 
 
 SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
@@ -95,7 +85,7 @@ CASES = {
     by_steps: ("STEP", "CANDIDATE", "BOUT", "STRIDES", "FORWARD", "GRIP", "COMPASS", "REST", "MAGNETOMETER", "NORTH"),
     on_fixes: ("MOTION", "WALKER"),
     on_outliers: ("LOSSES", "INITIAL"),
-    lambda data: on_fixes(data, METHODS["filter (causal)"]): ("KALMAN",),
+    lambda data: on_fixes(data, "filter"): ("KALMAN",),
     on_plans: SLOW,
     on_receivers: ("RECEIVERS",),
 }

@@ -1,62 +1,59 @@
-"""Walks whose steps, lengths or directions are known: ``strides`` (foot sensor), ``ridi`` (camera), simulated ones."""
+"""Errors of headings, simulated walks with known directions, and accelerations of phones whose holder does not walk."""
 
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import StateSpace, lsim
 
-from pdr_graph import WalkGraph, detect_steps, smooth
-from pdr_graph.apps.bench import data_sets
-from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
+from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.heading import walking_direction
-from pdr_graph.geometry import interpolate
+from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Recording, Trajectory
+from pdr_graph.online.interface import Samples, events_of
+from pdr_graph.types import Headings
 
 RATE = 50.0  # [Hz] of made samples
+NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
 
 
-@dataclass(frozen=True)
-class TrueWalk:
-    """A recording with its true number of steps and length [m], by another sensor; track: true path, if known."""
-
-    name: str
-    recording: Recording
-    steps: int
-    length: float
-    track: Trajectory | None = None
+def known_places(walk):
+    """The truth of a walk of the bench, or every twelfth position of its receiver."""
+    return walk.truth if len(walk.truth) else walk.evidence.fixes[::12]
 
 
-def strides(data):
-    """Yield the walks of ``strides``: 0.3 to 1.5 m/s, in the hand."""
-    yield from (true_walk(name, read()) for name, read in data_sets.strides(data))
+def heading_errors(walk, headings):
+    """Errors ``(n,)`` [rad] of the headings of a walk of the bench: the walked path, turned as each says, against the
+    truth.
+    """
+    steps, truth, errors = walk.evidence.steps, known_places(walk), []
+    heading = np.cumsum(steps.turn)
+    path = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2)))
+    for time, stated in zip(headings.time, headings.heading, strict=True):
+        near = np.abs(truth.time - time) < NEAR
+        walked, true = np.diff(np.interp(truth.time[near], steps.time, path)), np.diff(truth.position[near] @ [1, 1j])
+        turned = np.angle(np.sum(true * walked.conj()))
+        since_start = np.interp(time, [steps.start, *steps.time], [0.0, *heading])
+        errors.append(wrap_angle(stated - since_start - turned))
+    return np.array(errors)
 
 
-def ridi(data):
-    """Yield the walks of ``ridi``: pocket, bag, hand, body."""
-    yield from (true_walk(name, read()) for name, read in data_sets.ridi(data))
-
-
-def true_walk(name, walk):
-    return TrueWalk(name, walk.evidence.walk, walk.steps, walk.length, walk.truth)
-
-
-def given_start(walk, share=0.25, sigma=0.2):
-    """Fixes at the start of a walk with a true path, and after a share of its time, which tell the direction."""
-    time = np.array([0.2, share * walk.track.time[-1]])
-    return Fixes(time, interpolate(time, walk.track.time, walk.track.position), np.full(2, sigma))
-
-
-def scored(walk, every=0.5):
-    """Errors ``(n,)`` [m] of a walk with a true path, smoothed with `given_start`, and True where its region has it."""
-    found = smooth(WalkGraph(detect_steps(walk.recording), given_start(walk))).trajectory
-    time = np.arange(every, walk.track.time[-1] - every, every)
-    place = interpolate(time, walk.track.time, walk.track.position)
-    pairs = pair(found, Trajectory(time, place, np.full(len(time), np.nan)))
-    return circular_error(pairs), in_region(pairs, stated_covariance(found, pairs.time))
+def live_headings(evidence):
+    """The headings of the live compass as it reports them, and the moment ``(n,)`` of each report [s]."""
+    compass, found = LiveCompass(), []
+    compass.locate(evidence.frame, evidence.near, evidence.walk.epoch)
+    gait = StepStream(listener=compass.update, preview=compass.preview)
+    for event in events_of(evidence.walk):
+        if isinstance(event, Samples):
+            push = compass.push if event.sensor == "magnetometer" else partial(gait.push, event.sensor)
+            push(event.time, event.values)
+            gait.advance()
+            found += [(event.time[-1], one.time, one.heading, one.sigma) for one in compass.advance()]
+    moment, *columns = np.array([row for row in found if np.isfinite(row[3])]).reshape(-1, 4).T
+    return moment, Headings(*columns)
 
 
 def put_away(angle, seed):

@@ -66,7 +66,7 @@ LIBRARIES = {
 BUDGETS: dict[str, tuple[int, int]] = {
     ".": (15, 2940),
     "apps": (3, 170),
-    "apps/bench": (5, 444),
+    "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
     "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5723),

@@ -30,7 +30,7 @@ from pdr_graph.online.journal import Journal
 from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.priors import FIXES
 from pdr_graph.storage import fingerprint
-from pdr_graph.types import OUTSIDE, Fixes, FixReport, Mask, Recording, Trajectory
+from pdr_graph.types import OUTSIDE, Fixes, FixReport, Trajectory
 from pdr_graph.walk import (
     LIVE,
     Evidence,
@@ -125,10 +125,7 @@ def replay_recording(
     stage, latency = Stages(), Latency()
     with stage("reading"):
         evidence = read(recording, options)
-        outside = _outside(evidence.walk, evidence.other_fixes)
-        counted = () if evidence.steps is None else one_by_one(evidence.steps)
-        tables = (*evidence.walk.measurements, *counted)
-        events = list(events_of(replace(evidence.walk, fixes=evidence.other_fixes[~outside], measurements=tables)))
+        events, outside = events_within(evidence)
     with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("opening"):
             nav = _opened(evidence, len(events), kind)
@@ -146,7 +143,7 @@ def replay_recording(
             causal = walked(nav, shown, latency, (lambda pose: None) if view is None else partial(view.show, nav))
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
-                result = _finished(nav, evidence, evidence.other_fixes[outside])
+                result = _finished(nav, evidence, outside)
         if view is not None:
             view.path(result.estimate.trajectory)
             view.close()
@@ -157,13 +154,17 @@ def replay_recording(
         return write(staged, result, stage, report)
 
 
-def _outside(walk: Recording, fixes: Fixes) -> Mask:
-    """True ``(f,)`` for fixes too long before or after the recording to be used."""
-    if not walk.signals:
-        return np.zeros(len(fixes), dtype=bool)
-    start = min(float(signal.time[0]) for signal in walk.signals.values())
-    end = max(float(signal.time[-1]) for signal in walk.signals.values())
-    return (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)
+def events_within(evidence: Evidence) -> tuple[list[Event], Fixes]:
+    """Events of a walk in the order of arrival; and the fixes that are none, from too long before or after the
+    recording. Steps are events where a counter measured them, not where samples show them.
+    """
+    walk, fixes = evidence.walk, evidence.other_fixes
+    counted = None if walk.has_acceleration else evidence.steps
+    start = min((float(signal.time[0]) for signal in walk.signals.values()), default=-np.inf)
+    end = max((float(signal.time[-1]) for signal in walk.signals.values()), default=np.inf)
+    outside = (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)
+    tables = (*walk.measurements, *(() if counted is None else one_by_one(counted)))
+    return list(events_of(replace(walk, fixes=fixes[~outside], measurements=tables))), fixes[outside]
 
 
 def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any = None) -> partial[Any]:

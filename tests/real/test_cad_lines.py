@@ -7,11 +7,14 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
+from pdr_graph.apps.bench.data_sets import given, walks_of
+from pdr_graph.apps.bench.matrix import places
+from pdr_graph.apps.bench.methods import OURS
 from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.walk import Options
+from pdr_graph.walk import Options, observe
 
 SCALE = 4.3197  # [m] per unit
 START = (8.0, 26.75)  # [m] surveyed; the walk heads along -y and is closed
@@ -59,3 +62,15 @@ def test_the_walk_is_found_on_the_lines_without_any_position(folder, tmp_path):
     assert summary["verdict"]["state"] == "ok"
     assert summary["wall_crossings"] <= 2
     assert [route["probability"] > 0.9 for route in summary["routes"]] == [True]
+
+
+@pytest.mark.thorough
+def test_the_bench_scores_whether_the_walk_closes(data):
+    """Given its start alone: where dead reckoning ends 27 m off, the walk on the lines is back within 1.5 m."""
+    [(_, recorded)] = walks_of("apf", data)
+    errors = {}
+    for what in ("first", "first, plan"):
+        walk = given(recorded(), what)
+        errors[what] = places(OURS["graph"](observe(walk.evidence)), walk.truth, walk.noise)[0]
+    assert errors["first"] == pytest.approx([27], abs=3)
+    assert errors["first, plan"] < 1.5

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import shapely
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
-from pdr_graph.apps.report.evaluation import circular_error, pair
+from pdr_graph import FloorPlan
+from pdr_graph.apps.bench.data_sets import given, walks_of
+from pdr_graph.apps.bench.matrix import places
 from pdr_graph.io.loading import load
-from pdr_graph.types import Fixes, Trajectory
+from pdr_graph.types import Trajectory
+from pdr_graph.walk import estimate, observe
 
 LENGTHS = {  # [m] between waypoints, from the data page
     "site1/B1/5ddb8a03": 75,
@@ -28,10 +30,15 @@ def walks(data):
     return {p: load(p) for p in sorted((data / "ms_indoor20").glob("site*/*/*.txt"))}
 
 
-def given(walk, which) -> Fixes:
-    """Waypoints handed over as fixes, as a user would who tapped them."""
-    truth = walk.truth
-    return Fixes(truth.time[which], truth.position[which], np.full(len(which), 0.5), ("",) * len(which))
+def errors_of(data, what, methods, every=1):
+    """Errors at the waypoints that were not given, of all walks by each method."""
+    errors = {name: [] for name in methods}
+    for _, read in list(walks_of("microsoft", data))[::every]:
+        if (walk := given(read(), what)) is not None:
+            evidence = observe(walk.evidence)
+            for name, method in methods.items():
+                errors[name] += places(method(evidence), walk.truth, walk.noise)[0].tolist()
+    return errors
 
 
 def test_all_are_read_as_described(walks):
@@ -66,36 +73,31 @@ def test_waypoints_lie_where_one_can_walk(walks):
     assert inside / total > 0.97
 
 
-@pytest.mark.parametrize("with_map", [True, pytest.param(False, marks=pytest.mark.thorough)])
-def test_smoothing_beats_straight_lines_between_the_waypoints_given(walks, with_map):
+def straight(evidence):
+    """Straight lines between the waypoints given."""
+    fixes = evidence.fixes
+    return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)))
+
+
+def graph(evidence):
+    """The walk by the graph, which converges."""
+    found = estimate(evidence).estimate
+    assert found.converged
+    return found.trajectory
+
+
+@pytest.mark.parametrize("plan", [", plan", pytest.param("", marks=pytest.mark.thorough)])
+def test_smoothing_beats_straight_lines_between_the_waypoints_given(data, plan):
     """Every second waypoint given: the others, where straight lines miss them by 1.6 m in the median, within 1.2 m."""
-    errors, straight = [], []
-    for path, walk in walks.items():
-        truth = walk.truth
-        which = np.unique(np.append(np.arange(0, len(truth), 2), len(truth) - 1))
-        rest = np.setdiff1d(np.arange(len(truth)), which)
-        asked = Trajectory(truth.time[rest], truth.position[rest], truth.heading[rest], ("",) * len(rest))
-        plan = FloorPlan.load(path.parent) if with_map else None
-        fixes = given(walk, which)
-        estimate = smooth(WalkGraph(detect_steps(walk), fixes, floor=plan))
-        assert estimate.converged
-        errors += circular_error(pair(estimate.trajectory, asked)).tolist()
-        lines = Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
-        straight += circular_error(pair(lines, asked)).tolist()
-    assert np.median(straight) > 1.5
-    assert np.median(errors) < 1.2
-    assert np.percentile(errors, 95) < 2.6
+    errors = errors_of(data, f"every second{plan}", {"graph": graph, "straight": straight})
+    assert np.median(errors["straight"]) > 1.5
+    assert np.median(errors["graph"]) < 1.2
+    assert np.percentile(errors["graph"], 95) < 2.6
 
 
 @pytest.mark.thorough
-def test_one_waypoint_a_compass_and_the_plan_find_the_walk(walks):
+def test_one_waypoint_a_compass_and_the_plan_find_the_walk(data):
     """The first waypoint alone: half of the others within 2.5 m and nearly all in the right aisle; each third walk."""
-    errors = []
-    for path, walk in list(walks.items())[::3]:
-        plan, truth = FloorPlan.load(path.parent), walk.truth
-        headings = magnetic_headings(walk, plan.frame, np.zeros(2))
-        graph = WalkGraph(detect_steps(walk), given(walk, np.array([0])), headings=headings, floor=plan)
-        asked = Trajectory(truth.time[1:], truth.position[1:], truth.heading[1:], ("",) * (len(truth) - 1))
-        errors += circular_error(pair(smooth(graph).trajectory, asked)).tolist()
+    errors = errors_of(data, "first, plan", {"graph": graph}, every=3)["graph"]
     assert np.median(errors) < 2.5
     assert np.percentile(errors, 90) < 7.0

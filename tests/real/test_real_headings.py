@@ -1,80 +1,48 @@
 """Compasses of real walks, of the whole recording and live, against the surveyors' ways. Landmarks only score."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from gait_data import heading_errors, live_headings
 
-from pdr_graph import detect_steps, magnetic_headings
-from pdr_graph.frames import enu
-from pdr_graph.gait.compass import LiveCompass
-from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.geometry import wrap_angle
-from pdr_graph.io.loading import load
-from pdr_graph.online.interface import Samples, events_of
-
-HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
-NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
+from pdr_graph.apps.bench.data_sets import walks_of
+from pdr_graph.walk import observe
 
 
-def batch(walk, frame):
-    headings = magnetic_headings(walk, frame, np.zeros(2))
-    return headings.time, headings.heading, headings.sigma
+def walks(data, of, only=""):
+    """The walks of a data set with their steps and the headings of the whole recording."""
+    walks = [read() for name, read in walks_of(of, data) if only in name]
+    return [replace(walk, evidence=observe(walk.evidence)) for walk in walks]
 
 
-def live(walk, frame):
-    compass = LiveCompass()
-    compass.locate(frame, np.zeros(2), walk.epoch)
-    gait, found = StepStream(listener=compass.update, preview=compass.preview), []
-    for event in events_of(walk):
-        if isinstance(event, Samples) and event.sensor == "magnetometer":
-            compass.push(event.time, event.values)
-        elif isinstance(event, Samples):
-            gait.push(event.sensor, event.time, event.values)
-            gait.advance()
-            found += compass.advance()
-    return np.array([(one.time, one.heading, one.sigma) for one in found]).reshape(-1, 3).T
-
-
-def errors(path, headings, place=None):
-    """By how much the walked way, turned as each heading says, ends in another direction; and the sigmas. [rad]"""
-    walk = load(path)
-    truth = walk.truth if walk.truth is not None else walk.fixes[::12]
-    frame = enu(*(place or truth.position[0][::-1]))
-    truth, steps = frame.place(truth), detect_steps(walk)
-    heading = np.cumsum(steps.turn)
-    way = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2)))
-    times, directions, sigma = headings(walk, frame)
-    found = []
-    for time, direction in zip(times, directions, strict=True):
-        near = np.abs(truth.time - time) < NEAR
-        walked, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
-        since_start = np.interp(time, [steps.start, *steps.time], [0.0, *heading])
-        found.append(wrap_angle(direction - since_start - np.angle(np.sum(true * walked.conj()))))
-    return np.array(found), sigma
+def live_errors(walk):
+    """Errors and sigmas of the live headings of a walk [rad]."""
+    _, headings = live_headings(walk.evidence)
+    return heading_errors(walk, headings), headings.sigma
 
 
 @pytest.mark.thorough
 def test_headings_of_whole_recordings_are_right_or_missing(data):
     """Hand-held walks with truth or GNSS: the walking direction is within three sigmas, 8° in the median."""
-    found = []
-    for pattern in ("ipin2023_track3/*Trial*.txt", "nju_phyphox_outdoor", "ms_indoor20/site*/*/*.txt"):
-        place = HANGZHOU if "ms" in pattern else None
-        found += [np.array(errors(path, batch, place)) for path in sorted(data.glob(pattern))]
-    error, sigma = np.concatenate(found, axis=1)
+    every = [walk for of in ("ipin2023", "nju", "microsoft") for walk in walks(data, of)]
+    error = np.concatenate([heading_errors(walk, walk.evidence.headings) for walk in every])
+    sigma = np.concatenate([walk.evidence.headings.sigma for walk in every])
     assert len(error) > 20
     assert np.all(np.abs(error) < 3 * sigma)
     assert np.degrees(np.median(np.abs(error))) < 9
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("pattern", ["ms_indoor20/site1/*/*.txt", "ms_indoor20/site2/*/*.txt"])
-def test_live_headings_of_a_phone_in_the_hand_are_right_or_missing(data, pattern):
+@pytest.mark.parametrize("site", ["site1", "site2"])
+def test_live_headings_of_a_phone_in_the_hand_are_right_or_missing(data, site):
     """Compasses of these phones err by 17 to 21° (5–95 %) over many more walks: 30° and three sigmas are none's."""
-    walks = 0
-    for path in sorted(data.glob(pattern)):
-        error, sigma = errors(path, live, HANGZHOU)
+    with_heading = 0
+    for walk in walks(data, "microsoft", site):
+        error, sigma = live_errors(walk)
         assert np.all(np.abs(error) < np.minimum(np.radians(30), 3 * sigma))
-        walks += len(error) > 0
-    assert walks >= 2
+        with_heading += len(error) > 0
+    assert with_heading >= 2
 
 
 OTHERS = [pytest.param(trial, marks=pytest.mark.thorough) for trial in ("Trial24", "Trial52")]
@@ -83,8 +51,8 @@ OTHERS = [pytest.param(trial, marks=pytest.mark.thorough) for trial in ("Trial24
 @pytest.mark.parametrize("trial", ["Trial01", *OTHERS])
 def test_live_headings_in_a_museum_are_right_or_unsure(data, trial):
     """Trial52's stairs mislead what gait says is ahead; offline too."""
-    (path,) = data.glob(f"ipin2023_track3/*{trial}*.txt")
-    error, sigma = errors(path, live)
+    (walk,) = walks(data, "ipin2023", trial)
+    error, sigma = live_errors(walk)
     assert len(error) >= 3
     assert np.all(np.abs(error / sigma) < 3)
     assert abs(error[-1]) < np.radians(20)

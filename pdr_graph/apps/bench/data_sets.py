@@ -1,20 +1,25 @@
 """The walks of each data set with what is known of them, and what an estimate is given.
 
-A data set is a function of the folder of all data that yields the name of each walk and how to read it. A path is a
-data set too: of the recordings in it that have a ``truth.csv``, as ``pdr-graph simulate`` writes them.
+A data set is a function of the folder of all data that yields the name of each walk and how to read it: one of
+DATA_SETS, or ``module:function``. A path is a data set too: of the recordings in it that have a ``truth.csv``, as
+``pdr-graph simulate`` writes them.
 """
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, one_line
+from pdr_graph.floor.building import Building
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
@@ -37,7 +42,8 @@ class BenchWalk(OneLineRepr):
     """A recording, and what is known of it for scores alone.
 
     evidence: as ``walk.read`` returns it; truth: in its frame, without rows if the places are not known; noise: of the
-    truth, per axis [m]; steps, length: true number, and length [m], NaN if not known.
+    truth, per axis [m]; steps, length: true number, and length [m], NaN if not known; plan: whose walls a track should
+    not cross, None for that of the evidence.
     """
 
     evidence: Evidence
@@ -45,6 +51,7 @@ class BenchWalk(OneLineRepr):
     noise: float = 0.0
     steps: float = np.nan
     length: float = np.nan
+    plan: Building | None = None
 
 
 Walks = Iterator[tuple[str, Callable[[], BenchWalk]]]
@@ -70,11 +77,34 @@ def ipin2023(data: Path) -> Walks:
 
 
 def ipin21(data: Path) -> Walks:
-    """A figure of eight on a plan with each set of simulated fixes (HCU Hamburg, IPIN 2021)."""
+    """A figure of eight on a plan: its surveyed places, and with simulated fixes its track (HCU Hamburg, IPIN 2021)."""
     folder = data / "ipin21_hcu"
     plan = folder / "map" / "Plan4OG.geojson"
     for path in sorted(folder.rglob("*_err*.csv"), key=lambda path: path.stem.lower()):
         yield path.stem, partial(recorded, folder / "eight", Options(plan=plan, fixes=path))
+    if plan.exists():
+        yield "landmarks", partial(_at_landmarks, folder / "eight", Options(plan=plan))
+
+
+def _at_landmarks(path: Path, options: Options) -> BenchWalk:
+    """The figure of eight with the rows of its truth when the walker was at the surveyed places."""
+    walk = recorded(path, options)
+    at = np.loadtxt(path / "ref.csv")[:, 0] / 1000 - walk.evidence.walk.clock_origin
+    return replace(walk, truth=walk.truth[np.unique([np.argmin(np.abs(walk.truth.time - t)) for t in at])])
+
+
+def apf(data: Path) -> Walks:
+    """A walk of 270 m on bare CAD lines that ends where it began, its one known place (APF-PDR, ISPRS 2025)."""
+    folder, place = data / "apf_pdr", np.array([8.0, 26.75])
+    if folder.exists():
+        yield "closed", partial(_closed, folder / "walk", Options(plan=folder / "cad_lines.csv", scale=4.3197), place)
+
+
+def _closed(path: Path, options: Options, place: Array) -> BenchWalk:
+    """A walk from a place ``(2,)`` [m] back to it."""
+    evidence = read(path, options)
+    (signal, *_) = evidence.walk.signals.values()
+    return BenchWalk(evidence, Trajectory(signal.time[[0, -1]], np.stack([place, place]), np.full(2, np.nan)))
 
 
 def nju(data: Path) -> Walks:
@@ -114,24 +144,42 @@ def oxford(data: Path) -> Walks:
 
 
 DATA_SETS: Mapping[str, Callable[[Path], Walks]] = {
-    each.__name__: each for each in (microsoft, ipin2023, ipin21, nju, ridi, strides, oxford)
+    each.__name__: each for each in (microsoft, ipin2023, ipin21, apf, nju, ridi, strides, oxford)
 }
 
 
 def walks_of(name: str, data: Path, beside: Path = Path()) -> Walks:
-    """The walks of a data set in the folder of all data, or of one's own folder ``beside / name``.
-
-    Raises InputError if there are none.
+    """The walks of a data set in the folder of all data: one of DATA_SETS, ``module:function``, or of one's own folder
+    ``beside / name``. Raises InputError if there are none.
     """
     folder = beside / name
-    walks = list(DATA_SETS[name](data)) if name in DATA_SETS else list(_own(folder)) if folder.is_dir() else None
-    if walks is None:
-        expected = f"one of {', '.join(DATA_SETS)}, or a folder of recordings with their truth.csv"
+    if name in DATA_SETS:
+        place, expected, walks = data, "its recordings", list(DATA_SETS[name](data))
+    elif folder.is_dir():
+        place, expected, walks = folder, "recordings, each a folder with its truth.csv", list(_own(folder))
+    elif ":" in name:
+        place, expected, walks = data, "names and how to read each", list(function_of(name, "data_sets")(data))
+    else:
+        expected = f"one of {', '.join(DATA_SETS)}, module:function, or a folder of recordings with their truth.csv"
         raise InputError("data_sets", "", repr(name), expected)
     if not walks:
-        expected = "recordings, each a folder with its truth.csv" if name not in DATA_SETS else "its recordings"
-        raise InputError(folder if name not in DATA_SETS else data, name, "no walk", f"{expected} (docs/bench.md)")
+        raise InputError(place, name, "no walk", f"{expected} (docs/bench.md)")
     return iter(walks)
+
+
+def function_of(name: str, place: str) -> Callable[..., Any]:
+    """A function of one's own by its name ``module:function``. place: that has the name, for an error message.
+
+    Raises InputError if it cannot be imported.
+    """
+    module, _, function = name.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # behind the others: a copy.py there is not Python's
+    try:
+        return getattr(importlib.import_module(module.removesuffix(".py")), function)
+    except (ImportError, AttributeError) as error:
+        found = f"{name!r} ({one_line(str(error))})"
+        raise InputError(place, "", found, "module:function, importable here") from None
 
 
 def _own(folder: Path) -> Walks:
@@ -229,52 +277,55 @@ CHOICES: Mapping[str, Callable[[Trajectory], list[int]]] = {  # rows of the trut
     "every second": lambda truth: sorted({*range(0, len(truth), 2), len(truth) - 1}),
     "first and 25 %": lambda truth: [0, int(np.searchsorted(truth.time, 0.75 * truth.time[0] + 0.25 * truth.time[-1]))],
 }
-THINNED = re.compile(r"one in (\d+) s")
-GIVEN = ("recorded", "one in N s", *CHOICES, "nothing")
+TIMED = re.compile(r"(one in|first) (\d+) s")
+GIVEN = ("recorded", "one in N s", "first N s", *CHOICES, "nothing")
+ALSO = ("plan", "no beacons")
 
 
 def given(walk: BenchWalk, text: str) -> BenchWalk | None:
     """A walk that is given what a text says, and is scored at the rest; None if it has no such thing.
 
-    text: one of GIVEN, with ", plan" if the plan is given too. Raises InputError for another.
+    text: one of GIVEN, then any of ALSO, with commas between. What is withheld of a receiver's positions is the truth
+    of a walk that has no other. Raises InputError for another text.
     """
-    which, _, plan = text.partition(",")
-    thinned, evidence, truth = THINNED.fullmatch(which), walk.evidence, walk.truth
-    if plan.strip() not in ("", "plan") or not (thinned or which in GIVEN):
-        raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', plan'")
-    fixes = evidence.fixes
-    if not plan:
-        evidence = replace(evidence, building=None, beacons=None if which in CHOICES else evidence.beacons)
-    elif evidence.building is None:
+    which, *also = (part.strip() for part in text.split(","))
+    timed, evidence, truth, plan = TIMED.fullmatch(which), walk.evidence, walk.truth, "plan" in also
+    if not (timed or which in GIVEN) or not set(also) <= set(ALSO):
+        raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', {', or '.join(ALSO)}'")
+    building = evidence.building if plan else None
+    if plan and building is None:
         return None
-    if which in CHOICES:
-        dense = len(truth) > 1 and np.median(np.diff(truth.time)) < DENSE
-        if not len(truth) or (dense and which == "every second"):
-            return None
-        rows = np.unique(CHOICES[which](truth))
-        fixes = Fixes(truth.time[rows], truth.position[rows], np.full(len(rows), GIVEN_SIGMA))
-        truth = truth[np.setdiff1d(np.arange(len(truth)), rows)]
-    elif thinned:
-        rows = _thinned(fixes.time, float(thinned[1]))
-        others = fixes[np.setdiff1d(np.arange(len(fixes)), rows)]
-        if not len(truth):
-            truth = Trajectory(others.time, others.position, np.full(len(others), np.nan))
-        fixes = fixes[rows]
-    elif which == "nothing":  # there are no places, then, to compare
+    fixes, alone = evidence.fixes, not len(truth)
+    surveyed = which in CHOICES and not alone
+    known = truth if surveyed else Trajectory(fixes.time, fixes.position, np.full(len(fixes), np.nan))
+    rows = _rows(which, timed, known)
+    fixes = Fixes(truth.time[rows], truth.position[rows], np.full(len(rows), GIVEN_SIGMA)) if surveyed else fixes[rows]
+    truth = known[np.setdiff1d(np.arange(len(known)), rows)] if surveyed or alone else truth
+    if which == "nothing":  # there are no places, then, to compare
         fixes, truth = Fixes.none(), no_truth()
-    if which != "nothing" and not (len(fixes) and len(truth)):
+    elif not (len(fixes) and len(truth)):
         return None
-    return replace(walk, evidence=replace(evidence, fixes=fixes), truth=_sampled(truth))
+    without = "no beacons" in also or (which in CHOICES and not plan)
+    evidence = replace(evidence, fixes=fixes, building=building, beacons=None if without else evidence.beacons)
+    return replace(walk, evidence=evidence, truth=_sampled(truth), plan=walk.plan or walk.evidence.building)
+
+
+def _rows(which: str, timed: re.Match[str] | None, known: Trajectory) -> Index:
+    """The rows of known places that are given: all, unless a text says less; none where it cannot be."""
+    time = known.time
+    if which in CHOICES:
+        dense = which == "every second" and len(time) > 1 and np.median(np.diff(time)) < DENSE
+        return np.unique(np.array([] if dense or not len(time) else CHOICES[which](known), dtype=np.intp))
+    if timed is None or not len(time):
+        return np.arange(len(time))
+    return np.flatnonzero(time < time[0] + float(timed[2])) if timed[1] == "first" else _thinned(time, float(timed[2]))
 
 
 def _thinned(time: Array, every: float) -> Index:
-    """The rows of sorted times ``(n,)`` of which none is nearer than ``every`` [s] to the one before."""
-    rows, last = list[int](), -np.inf
-    for row, at in enumerate(time.tolist()):
-        if at >= last + every:
-            rows.append(row)
-            last = at
-    return np.array(rows, dtype=np.intp)
+    """The rows of sorted times ``(n,)`` of which one is taken in ``every`` [s], by the median interval."""
+    times = np.unique(time)
+    rows = every / np.median(np.diff(times)) if len(times) > 1 else 1.0
+    return np.arange(0, len(time), max(1, round(rows)))
 
 
 def _sampled(truth: Trajectory) -> Trajectory:

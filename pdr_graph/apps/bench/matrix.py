@@ -6,9 +6,9 @@ import json
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle
+from itertools import cycle, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,8 @@ class Matrix:
         """Read a matrix. data: unless the file names it; both paths are from its folder. Raises InputError."""
         try:
             content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(path, "", one_line(error.strerror or str(error)), "a matrix (docs/bench.md)") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(path, "", one_line(str(error)), "TOML (docs/bench.md)") from None
         lists, texts = ("data_sets", "methods", "given"), ("data", "out")
@@ -64,50 +66,39 @@ class Matrix:
         folder = path.parent / content["data"] if "data" in content else data or path.parent
         return cls(path, **values | {"data": folder, "out": path.parent / content.get("out", "bench")})
 
-    def rows(self, only: Sequence[str] = (), again: bool = False) -> Iterator[Row]:
-        """Make the rows that the results lack, and add each to them at once; again: those that they have, too.
+    def missing(self, only: Sequence[str] = (), again: bool = False) -> list[Missing]:
+        """What the results lack; again: all rows. A walk may lack what is to be given, and has no row, then.
 
         only: texts that a row's name contains. What failed is tried again.
         """
+        have = set() if again else {key_of(row) for row in self.results() if "failed" not in row}
+        missing = list[Missing]()
+        for of in self.data_sets:
+            for walk, read in walks_of(of, self.data, self.path.parent):
+                for what in self.given:
+                    keys = [(of, walk, what, method) for method in self.methods]
+                    methods = tuple(key[-1] for key in keys if key not in have and is_wanted(key, only))
+                    missing += [Missing((of, walk, what), read, methods)] if methods else []
+        return missing
+
+    def rows(self, missing: Iterable[Missing]) -> Iterator[Row]:
+        """Make the rows that are missing, and add each to the results at once."""
         methods = {name: method_of(name, self.commands) for name in self.methods}
-        have = self._have(again)
         self.out.mkdir(parents=True, exist_ok=True)
         with (self.out / RESULTS).open("a", encoding="utf-8") as file:
             if file.tell():
                 file.write("\n")  # the last line may have been cut off
-            for names, walk in self._walks(only, have):
-                for row in _scored(names, walk, {name: methods[name] for name in self._left(names, only, have)}):
-                    file.write(json.dumps(row) + "\n")
-                    file.flush()
-                    yield row
-
-    def missing(self, only: Sequence[str] = (), again: bool = False) -> int:
-        """Number of rows that `rows` makes at most: some walks lack what is to be given."""
-        have = self._have(again)
-        keys = (
-            (of, walk, what)
-            for of in self.data_sets
-            for walk, _ in walks_of(of, self.data, self.path.parent)
-            for what in self.given
-        )
-        return sum(len(self._left(names, only, have)) for names in keys)
-
-    def _have(self, again: bool) -> set[tuple[str, ...]]:
-        return set() if again else {key_of(row) for row in self.results() if "failed" not in row}
-
-    def _left(self, names: tuple[str, ...], only: Sequence[str], have: set[tuple[str, ...]]) -> list[str]:
-        """The methods by which a walk that is given something is still to be estimated."""
-        left = [method for method in self.methods if (*names, method) not in have]
-        return [method for method in left if is_wanted((*names, method), only)]
-
-    def _walks(self, only: Sequence[str], have: set[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], BenchWalk]]:
-        for of in self.data_sets:
-            for name, read in walks_of(of, self.data, self.path.parent):
-                wanted = [what for what in self.given if self._left((of, name, what), only, have)]
-                walk = read() if wanted else None
-                for what in wanted:
-                    if walk is not None and (helped := given(walk, what)) is not None:
-                        yield (of, name, what), helped
+            for _, alike in groupby(missing, key=lambda each: each.name[:2]):
+                walk: BenchWalk | None = None
+                for each in alike:
+                    walk = walk or each.read()
+                    helped = given(walk, each.name[2])
+                    if helped is None:
+                        continue
+                    for row in _scored(each.name, helped, {name: methods[name] for name in each.methods}):
+                        file.write(json.dumps(row) + "\n")
+                        file.flush()
+                        yield row
 
     def results(self) -> list[Row]:
         """The last row of each name. A line that was cut off is left out, and made again."""
@@ -119,6 +110,15 @@ class Matrix:
             except (ValueError, KeyError, TypeError):
                 continue
         return list(rows.values())
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Rows that are to be made. name: data set, walk, what is given; read: reads the walk."""
+
+    name: tuple[str, str, str]
+    read: Callable[[], BenchWalk]
+    methods: tuple[str, ...]
 
 
 def key_of(row: Row) -> tuple[str, ...]:
@@ -152,22 +152,27 @@ def _scored(names: tuple[str, ...], walk: BenchWalk, methods: Mapping[str, Metho
             continue
         row |= {"seconds": round(time.perf_counter() - began, 3), "steps": _number(steps)}
         way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
-        yield row | {"length": _number(way / walk.length)} | places(track, walk.truth, walk.noise)
+        legs = walk.plan.crosses_wall(track.position, track.floor) if walk.plan and len(track) > 1 else np.empty(0)
+        walls = legs.mean() if len(legs) else np.nan
+        errors, inside = (list(map(_number, values)) for values in places(track, walk.truth, walk.noise))
+        row |= {"length": _number(way / walk.length), "walls": _number(walls), "errors": errors, "inside": inside}
+        yield row
 
 
-def places(track: Trajectory, truth: Trajectory, noise: float) -> Row:
-    """Errors at the places of a truth, and whether its 90 % region, with the noise of the truth [m], has each."""
-    if not len(truth) or not len(track):
-        return {"places": len(truth), "errors": [], "inside": []}
-    pairs = pair(track, truth)
-    inside = np.empty(0, dtype=bool)
-    if track.covariance is not None:
-        inside = in_region(pairs, stated_covariance(track, pairs.time) + noise**2 * np.eye(2))
-    return {
-        "places": len(truth),
-        "errors": circular_error(pairs).round(3).tolist(),
-        "inside": inside.astype(int).tolist(),
-    }
+def places(track: Trajectory, truth: Trajectory, noise: float) -> tuple[Array, Array]:
+    """Errors [m] at the places of a truth, and 1.0 where its 90 % region has the place, else 0.0.
+
+    noise: of the truth, per axis, which the region is widened by [m]. NaN where the track has no position, or states no
+    region.
+    """
+    errors, inside = np.full((2, len(truth)), np.nan)
+    if len(truth) and len(track):
+        pairs = pair(track, truth)
+        known = np.isin(truth.time, pairs.time)
+        errors[known] = circular_error(pairs)
+        if track.covariance is not None:
+            inside[known] = in_region(pairs, stated_covariance(track, pairs.time) + noise**2 * np.eye(2))
+    return errors, inside
 
 
 def _number(value: float) -> float | None:
@@ -178,7 +183,7 @@ def _number(value: float) -> float | None:
 
 SCORED_AT = (50, 75, 95)  # percentiles
 STATISTICS = ("data set", "given", "method", "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 %")
-STATISTICS += ("length", "steps", "seconds")
+STATISTICS += ("across walls", "length", "steps", "seconds")
 
 
 def percentiles_with_interval(groups: Sequence[Array], draws: int = 2000) -> list[str]:
@@ -201,18 +206,24 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
     return dict(groups)
 
 
+def known(row: Row, name: str) -> Array:
+    """The values of a list of a row without those that are None."""
+    return np.array([value for value in row[name] if value is not None])
+
+
 def statistics(rows: Iterable[Row]) -> list[list[str]]:
     """The cells of STATISTICS, a line for each group: percentiles of all places, with intervals; means of the rest."""
     lines = []
     for names, alike in grouped(rows).items():
         done = [row for row in alike if "failed" not in row]
-        errors = [np.array(row["errors"]) for row in done if row["errors"]]
-        inside = [each for row in done for each in row["inside"]]
-        due = sum(row["places"] for row in done)
-        count = sum(map(len, errors))
+        errors = [error for row in done if len(error := known(row, "errors"))]
+        inside = np.concatenate([np.empty(0), *(known(row, "inside") for row in done)])
+        walls = [row["walls"] for row in done if row.get("walls") is not None]
+        due, count = sum(len(row["errors"]) for row in done), sum(map(len, errors))
         cells = [str(len(alike)), str(len(alike) - len(done)), f"{count} of {due}" if count < due else str(count)]
         cells += percentiles_with_interval(errors) if errors else ["—"] * len(SCORED_AT)
-        cells.append(f"{100 * np.mean(inside):.0f} %" if inside else "—")
+        cells.append(f"{100 * inside.mean():.0f} %" if len(inside) else "—")
+        cells.append(f"{100 * np.mean(walls):.1f} %" if walls else "—")
         for name in ("length", "steps"):
             off = [100 * (row[name] - 1) for row in done if row[name] is not None]
             cells.append(f"{np.mean(off):+.1f} % (rms {np.sqrt(np.mean(np.square(off))):.1f})" if off else "—")
@@ -227,7 +238,7 @@ def plot(rows: Iterable[Row]) -> Figure:
 
     panels = defaultdict[tuple[str, str], dict[str, Array]](dict)
     for (of, what, method), alike in grouped(rows).items():
-        errors = np.concatenate([np.empty(0), *(row["errors"] for row in alike if "failed" not in row)])
+        errors = np.concatenate([np.empty(0), *(known(row, "errors") for row in alike if "failed" not in row)])
         if len(errors):
             panels[of, what][method] = np.sort(errors)
     if not panels:

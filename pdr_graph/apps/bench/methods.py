@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import shlex
 import subprocess
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.apps.replay import Latency, navigator_of, walked
+from pdr_graph.apps.bench.data_sets import function_of
+from pdr_graph.apps.replay import Latency, events_within, navigator_of, walked
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.particle_filter import particle_filter
 from pdr_graph.geometry import row_times
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_steps
-from pdr_graph.online.interface import events_of
 from pdr_graph.types import Trajectory
 from pdr_graph.walk import LIVE, Evidence, Options, estimate, observe, read
 
@@ -37,8 +35,7 @@ def by_name(method: str, evidence: Evidence) -> Trajectory:
 def live(evidence: Evidence) -> Trajectory:
     """The current poses of the navigator: each from earlier data only."""
     evidence = replace(evidence, options=replace(evidence.options, method=LIVE))
-    events = events_of(replace(evidence.walk, fixes=evidence.other_fixes))
-    return walked(navigator_of(evidence.options, evidence)(), events, Latency())
+    return walked(navigator_of(evidence.options, evidence)(), events_within(evidence)[0], Latency())
 
 
 def particles(evidence: Evidence) -> Trajectory:
@@ -74,17 +71,9 @@ def method_of(name: str, commands: Mapping[str, str] | None = None) -> Method:
         return OURS[name]
     if commands and name in commands:
         return partial(by_command, commands[name])
-    module, _, function = name.partition(":")
-    if not function:
+    if ":" not in name:
         raise InputError("methods", "", repr(name), f"one of {', '.join(OURS)}, of [commands], or module:function")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # behind the others: a copy.py there is not Python's
-    try:
-        own = getattr(importlib.import_module(module.removesuffix(".py")), function)
-    except (ImportError, AttributeError) as error:
-        raise InputError(
-            "methods", "", f"{name!r} ({one_line(str(error))})", "module:function, importable here"
-        ) from None
+    own = function_of(name, "methods")
     return lambda evidence: _checked(own(evidence), name)
 
 

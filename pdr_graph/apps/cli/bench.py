@@ -39,14 +39,15 @@ def ls(data: DataFolder = None) -> None:
     \b
     pdr-graph bench ls --data recordings
     """
-    from pdr_graph.apps.bench.data_sets import DATA_SETS, GIVEN
+    from pdr_graph.apps.bench.data_sets import ALSO, DATA_SETS, GIVEN
     from pdr_graph.apps.bench.methods import OURS
 
     folder = _data(data)
     for name, walks in DATA_SETS.items():
         found = count(len(list(walks(folder))), "walk") if folder else "no folder of data"
         echo(f"{name:10} {found:>10}  {(walks.__doc__ or '').splitlines()[0]}")
-    echo(f"given      {'; '.join(GIVEN)}; each also with ', plan'")
+    echo("own        a folder of recordings with their truth.csv; module:function (docs/bench.md)")
+    echo(f"given      {'; '.join(GIVEN)}; each also with {', '.join(ALSO)}")
     echo(f"methods    {', '.join(OURS)}; module:function; [commands] that write TUM")
 
 
@@ -67,8 +68,9 @@ def run(
     from pdr_graph.apps.bench.matrix import RESULTS, Matrix, key_of
 
     table, wanted = Matrix.load(matrix, _data(data)), only or ()
-    most, failed, made = table.missing(wanted, again), 0, 0
-    for row in table.rows(wanted, again):
+    missing, failed, made = table.missing(wanted, again), 0, 0
+    most = sum(len(each.methods) for each in missing)
+    for row in table.rows(missing):
         made += 1
         failed += "failed" in row
         if shows_progress():
