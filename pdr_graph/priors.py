@@ -606,10 +606,9 @@ class WayPriors(Table):
     farthest: float = number(120.0, "m", "the same at most")
     off: float = number(0.8, "nats", "per station off every way: more than a walk along one costs")
     leave: float = number(3.0, "nats", "of leaving or entering the ways")
-    apart: float = number(8.0, "m", "between parallel ways that are told apart")
+    apart: float = number(8.0, "m", "across the walk, between ways that are told apart")
     span: float = number(300.0, "s", "of a walk under way that is matched: some turns, of which 120 s have one or none")
     door: float = number(30.0, "m", "from an outer door of a plan to a way that leads there, at most")
-    open: float = number(3.0, "nats", "by which another path along ways is less probable and still considered")
 
 
 @dataclass(frozen=True)

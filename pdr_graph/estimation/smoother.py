@@ -55,6 +55,8 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     probability = (1.0 - found.elsewhere) * share
     of_c = best.solution.joint(("c", np.arange(len(best.state.c))))
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
+    if (ways := best.graph.ways) is not None:
+        covariance[:, :2, :2] = ways.widened(track.time, rows[:, :2], covariance[:, :2, :2])
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum())
     if not (path.any() or graph.walled or graph.sigma_direction >= INITIAL.ambiguous):
@@ -94,7 +96,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         contradictions=(
             *plan_contradictions(graph, on_plan if best.graph.walled else None),
             *contradictions(optima, share),
-            *(() if best.graph.ways is None else best.graph.ways.contradictions(best.at, best.solution)),
+            *(() if ways is None else ways.contradictions(best.at, best.solution)),
             *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
         ),
         routes=tuple(routes),
@@ -106,7 +108,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     warned = (
         *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
-        *(() if best.graph.ways is None else best.graph.ways.warnings(optima, share / share.sum())),
+        *(() if ways is None else ways.warnings()),
     )
     return replace(estimate, probability=stated, warnings=warned)
 

@@ -10,7 +10,8 @@ is good. So a state is the displacement d of the walk onto the ways, and costs
     |d − d'|² / 2 τ²                             (transition: the walk between both points has the shape of the ways)
 
 Two points are joined if the ways between them are about as long as the walk. A walk off the ways has a constant cost
-for each point, so that neither a missing way nor a park bends it.
+for each point, so that neither a missing way nor a park bends it. How probable other ways are, or none, the
+forward-backward algorithm says for each point; that widens the stated region.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from pdr_graph.floor.network import Lines
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
 from pdr_graph.priors import WAYS
-from pdr_graph.types import Array, Fixes, Index, Mask, OneLineRepr
+from pdr_graph.types import FINEST, Array, Fixes, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
     from pdr_graph.floor.building import Building
@@ -266,25 +267,30 @@ class WayPoints:
 
 @dataclass(frozen=True, eq=False)
 class WayMatch:
-    """The ways that a walk followed, or one of several possibilities.
+    """The ways that a walk followed, and how probable others are.
 
     on: ``(n,)`` True where it was on a way; displacement: ``(n, 2)`` from each place of the walk to the way [m];
-    price: of the discrete path: of being off all ways, and of another shape than theirs [nats]; lead: cost above that
-    of the most probable path [nats].
+    others: ``(n, 6)`` of other ways and of none, where it is on one: their probability P, and their moments about the
+    place of the walk P E[x], P E[y] [m], P E[x²], P E[xy], P E[y²] [m²]; price: of the discrete path: of being off all
+    ways, and of another shape than theirs [nats].
     """
 
     on: Mask
     displacement: Array
+    others: Array
     price: float
-    lead: float = 0.0
+
+    @classmethod
+    def nowhere(cls, size: int, price: float) -> WayMatch:
+        """Off every way."""
+        return cls(np.zeros(size, dtype=bool), np.zeros((size, 2)), np.zeros((size, 6)), price)
 
 
-def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
-    """The ways that a walk through places ``track (n, 2)`` [m] followed, the most probable first, at most two.
+def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> WayMatch:
+    """The ways that a walk through places ``track (n, 2)`` [m] most probably followed.
 
-    sigma: ``(n,)`` of each place, per axis [m]; askew: ``(n,)`` of the direction of the walk there [rad]. The second
-    leads along other ways (parallel pavements) somewhere, if it is nearly as probable. The walk is cut where it jumps
-    (a gap, a ride), and every LONGEST_MATCHED.
+    sigma: ``(n,)`` of each place, per axis [m]; askew: ``(n,)`` of the direction of the walk there [rad]. The walk is
+    cut where it jumps (a gap, a ride), and every LONGEST_MATCHED.
     """
     apart = np.hypot(*np.diff(track, axis=0).T)
     walked = length_along(track)
@@ -292,68 +298,53 @@ def match(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> lis
     number = np.cumsum(np.bincount(jumps, minlength=len(track))) + (walked - walked[0]) // LONGEST_MATCHED
     bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(track)]
     parts = [_matched(network, track[a:b], sigma[a:b], askew[a:b]) for a, b in pairwise(bounds)]
-    if not any(way.on.any() for ways in parts for way in ways):
-        return []
-    doubtful = min((ways for ways in parts if len(ways) > 1), key=lambda ways: ways[1].lead, default=None)
-    found = [[ways[0] for ways in parts]]
-    if doubtful is not None:
-        found.append([ways[1] if ways is doubtful else ways[0] for ways in parts])
-    return [
-        WayMatch(
-            np.concatenate([part.on for part in ways]),
-            np.concatenate([part.displacement for part in ways]),
-            sum(part.price for part in ways),
-        )
-        for ways in found
-    ]
+    columns = [np.concatenate(rows) for rows in zip(*((m.on, m.displacement, m.others) for m in parts), strict=True)]
+    return WayMatch(*columns, price=sum(part.price for part in parts))
 
 
-def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> list[WayMatch]:
-    """The ways that a part of a walk followed, as of `match`; at least one, which may be off every way."""
-    walked = length_along(track)
+def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> WayMatch:
+    """The ways that a part of a walk followed, as of `match`."""
+    walked, size = length_along(track), len(track)
     stations = np.unique(np.searchsorted(walked, np.arange(0.0, walked[-1] + WAYS.station, WAYS.station)))
-    stations = stations[stations < len(track)]
+    stations = stations[stations < size]
     n = len(stations)
-    nowhere = WayMatch(np.zeros(len(track), dtype=bool), np.zeros((len(track), 2)), WAYS.off * n)
     place, stray = track[stations], np.minimum(sigma[stations], WAYS.farthest / WAYS.reach)
     reach = WAYS.reach * np.hypot(stray, WAYS.drawn) + WAYS.spacing
     points = network.points.within(place, reach)
     if n < 2 or not len(points.place):
-        return [nowhere]
+        return WayMatch.nowhere(size, WAYS.off * n)
     indoors = network.indoors(place, np.hypot(stray, WAYS.drawn))
     lattice = _Lattice.of(points, place, np.diff(walked[stations]), stray, askew[stations], reach, indoors)
-    found, paths = list[WayMatch](), lattice.paths()
-    for states, cost in paths:
-        on = states >= 0
-        if not on.any():
-            found.append(nowhere)
-            continue
-        shift = points.place[states] - place
-        known = walked[stations][on]
-        displacement = np.stack([np.interp(walked, known, shift[on, axis]) for axis in (0, 1)], axis=1)
-        after = np.clip(np.searchsorted(stations, np.arange(len(track))), 1, n - 1)
-        pulled = float(lattice.emission[np.flatnonzero(on), states[on]].sum())  # by the sources of the walk
-        lead = cost - paths[0][1]
-        found.append(WayMatch(on[after] & on[after - 1], displacement, cost - pulled, lead))
-    return found
+    states, cost = lattice.path()
+    on = states >= 0
+    if not on.any():
+        return WayMatch.nowhere(size, WAYS.off * n)
+    shift = points.place[states] - place
+    known = walked[stations][on]
+    displacement = np.stack([np.interp(walked, known, shift[on, axis]) for axis in (0, 1)], axis=1)
+    after = np.clip(np.searchsorted(stations, np.arange(size)), 1, n - 1)
+    pulled = float(lattice.emission[np.flatnonzero(on), states[on]].sum())  # by the sources of the walk
+    columns = lattice.others(states).T
+    others = np.stack([np.interp(walked, walked[stations], column) for column in columns], axis=1)
+    return WayMatch(on[after] & on[after - 1], displacement, others, cost - pulled)
 
 
 @dataclass(frozen=True, eq=False)
 class _Lattice:
     """The hidden Markov model of one walk: ``s`` stations, ``p`` points and the state off every way, the last.
 
-    place: ``(p, 2)`` [m]; emission: ``(s, p)`` [nats], infinite out of reach; source, to: ``(m,)`` moves; shift:
-    ``(2, m)`` [m]; far: ``(m,)`` along ways [m]; step: ``(s - 1, 2)`` of the walk [m]; longest, sigma: ``(s - 1,)`` of
-    moves [m].
+    place: ``(p, 2)`` [m]; emission: ``(s, p)`` [nats], infinite out of reach; source, to: ``(m,)`` moves; far: ``(m,)``
+    along ways [m]; track: ``(s, 2)`` the walk [m]; stray: ``(s,)`` its sigma [m]; longest, sigma: ``(s - 1,)`` of moves
+    [m].
     """
 
     place: Array
     emission: Array
     source: Index
     to: Index
-    shift: Array
     far: Array
-    step: Array
+    track: Array
+    stray: Array
     longest: Array
     sigma: Array
 
@@ -373,66 +364,83 @@ class _Lattice:
         )
         source, to, far = points.moves(WAYS.detour * float(walked.max()) + WAYS.slack)
         turn = np.minimum((askew[1:] + askew[:-1]) / 2, WAYS.askew)
-        sigma = np.hypot(WAYS.moved, walked * turn)
         longest = WAYS.detour * walked + WAYS.slack
-        shift, step = (points.place[to] - points.place[source]).T, np.diff(place, axis=0)
-        return cls(points.place, emission, source, to, shift, far, step, longest, sigma)
+        return cls(points.place, emission, source, to, far, place, stray, longest, np.hypot(WAYS.moved, walked * turn))
 
-    def _moved(self, t: int) -> Array:
-        """Cost ``(m,)`` of each move from station t to the next."""
-        x, y = (moved - walked for moved, walked in zip(self.shift, self.step[t], strict=True))
-        return np.where(self.far <= self.longest[t], (x * x + y * y) / (2 * self.sigma[t] ** 2), np.inf)
-
-    def paths(self) -> list[tuple[Index, float]]:
-        """The best path ``(s,)`` of points, −1 off every way, and its cost; then one that leads elsewhere, if close."""
-        ahead, before = self._swept(forward=True)
-        back, after = self._swept(forward=False)
-        through = ahead + back - np.nan_to_num(self._emission, posinf=0.0)
-        best = self._traced(through, before, after, 0)
-        place = np.append(self.place, [[np.nan, np.nan]], axis=0)
-        apart = np.hypot(*(place[best][:, None] - place).transpose(2, 0, 1))
-        elsewhere = np.where(apart > WAYS.apart, through, np.inf)
-        t = int(np.argmin(elsewhere.min(axis=1)))
-        least = float(through[0].min())
-        found = [(best, least)]
-        if (cost := float(elsewhere[t].min())) < least + WAYS.open:
-            found.append((self._traced(elsewhere, before, after, t), cost))
-        p = len(self.place)
-        return [(np.where(path < p, path, -1), cost) for path, cost in found]
+    @cached_property
+    def _moves(self) -> list[tuple[Index, Index, Array]]:
+        """From each station to the next: the points from and to, and the cost of the move [nats]."""
+        within, found = np.isfinite(self.emission), list[tuple[Index, Index, Array]]()
+        for t, step in enumerate(np.diff(self.track, axis=0)):
+            near = within[t, self.source] & within[t + 1, self.to] & (self.far <= self.longest[t])
+            source, to = self.source[near], self.to[near]
+            off = self.place[to] - self.place[source] - step
+            found.append((source, to, np.sum(off * off, axis=1) / (2 * self.sigma[t] ** 2)))
+        return found
 
     @property
-    def _emission(self) -> Array:
-        """Costs ``(s, p + 1)`` of all states."""
+    def _costs(self) -> Array:
+        """Costs ``(s, p + 1)`` of all states. [nats]"""
         return np.append(self.emission, np.full((len(self.emission), 1), WAYS.off), axis=1)
 
-    def _swept(self, forward: bool) -> tuple[Array, Index]:
-        """Least costs ``(s, p + 1)`` of paths to each state from one end of the walk, and the neighbours on them."""
+    def path(self) -> tuple[Index, float]:
+        """The best path ``(s,)`` of points, −1 off every way, and its cost."""
         s, p = self.emission.shape
-        to, source = (self.to, self.source) if forward else (self.source, self.to)
-        order = np.argsort(to, kind="stable")
-        source, begin = source[order], np.searchsorted(to[order], np.arange(p))
-        size = np.diff(np.append(begin, len(order)))
-        cost, neighbour = self._emission, np.full((s, p + 1), p)
-        for t in range(1, s) if forward else range(s - 2, -1, -1):
-            last = t - 1 if forward else t + 1
-            moved = self._moved(min(t, last))[order] + cost[last][source]
-            along = np.minimum.reduceat(moved, begin)
-            is_least = np.flatnonzero(moved <= np.repeat(along, size))
-            first = source[is_least[np.searchsorted(is_least, begin)]]
-            entered = cost[last, p] + WAYS.leave
-            neighbour[t, :p] = np.where(along <= entered, first, p)
-            cost[t, :p] += np.minimum(along, entered)
-            nearest = int(np.argmin(cost[last, :p]))
-            left = cost[last, nearest] + WAYS.leave
-            cost[t, p] += min(cost[last, p], left)
-            neighbour[t, p] = nearest if left < cost[last, p] else p
-        return cost, neighbour
+        cost, neighbour = self._costs, np.full((s, p + 1), p)
+        for t, (source, to, moved) in enumerate(self._moves, start=1):
+            last, best = cost[t - 1], np.full(p, cost[t - 1, p] + WAYS.leave)
+            total = moved + last[source]
+            order = np.lexsort([total, to])
+            least = order[np.flatnonzero(np.diff(to[order], prepend=-1))]
+            least = least[total[least] <= best[to[least]]]
+            best[to[least]], neighbour[t, to[least]] = total[least], source[least]
+            nearest = int(np.argmin(last[:p]))
+            if (left := last[nearest] + WAYS.leave) < last[p]:
+                neighbour[t, p] = nearest
+            cost[t] += np.append(best, min(left, last[p]))
+        path = np.full(s, int(np.argmin(cost[-1])))
+        for n in range(s - 1, 0, -1):
+            path[n - 1] = neighbour[n, path[n]]
+        return np.where(path < p, path, -1), float(cost[-1].min())
 
-    def _traced(self, through: Array, before: Index, after: Index, t: int) -> Index:
-        """The path ``(s,)`` through the best state at a station."""
-        path = np.full(len(through), int(np.argmin(through[t])))
-        for n in range(t, 0, -1):
-            path[n - 1] = before[n, path[n]]
-        for n in range(t, len(through) - 1):
-            path[n + 1] = after[n, path[n]]
-        return path
+    def probability(self) -> Array:
+        """Probability ``(s, p + 1)`` of all states, by the forward-backward algorithm.
+
+        Its sums are over places along a way, so each point counts as the share spacing / √(2 π) σ of the places that
+        are possible; else three points on a way would be more probable than the walk off it.
+        """
+        p, leave, likely = len(self.place), np.exp(-WAYS.leave), np.exp(-self._costs)
+        share, entered = (WAYS.spacing / (np.sqrt(2 * np.pi) * sigma) for sigma in (self.sigma, self.stray))
+        entered = np.minimum(entered, 1.0)
+        moves = [(source, to, np.exp(-cost) * k) for (source, to, cost), k in zip(self._moves, share, strict=True)]
+        before, after = likely.copy(), np.ones_like(likely)
+        before[0, :p] *= entered[0]
+        for t, (source, to, moved) in enumerate(moves, start=1):
+            last = before[t - 1] / before[t - 1].sum()
+            before[t, :p] *= np.bincount(to, moved * last[source], p) + leave * entered[t] * last[p]
+            before[t, p] *= last[p] + leave * last[:p].sum()
+        for t, (source, to, moved) in reversed(list(enumerate(moves))):
+            last = after[t + 1] / after[t + 1].max() * likely[t + 1]
+            after[t, :p] = np.bincount(source, moved * last[to], p) + leave * last[p]
+            after[t, p] = last[p] + leave * entered[t + 1] * last[:p].sum()
+        both = before * after
+        return both / both.sum(axis=1, keepdims=True)
+
+    def others(self, path: Index) -> Array:
+        """Of all states that are beside a path ``(s,)`` of points, the columns ``(s, 6)`` of `WayMatch.others`.
+
+        What is ahead or behind on the same way is not beside it: the graph knows the place along a way.
+        """
+        ahead = np.gradient(self.track, axis=0)
+        left = (
+            np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+            / np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), FINEST)[:, None]
+        )
+        aside = np.einsum("spk,sk->sp", self.place - self.place[path][:, None], left)
+        weight = self.probability() * (path >= 0)[:, None]
+        weight[:, :-1] *= np.abs(aside) > WAYS.apart
+        x, y = (self.place - self.track[:, None]).transpose(2, 0, 1)
+        off, ways = weight[:, -1], weight[:, :-1]
+        moments = [np.sum(ways * each, axis=1) for each in (x, y, x * x, x * y, y * y)]
+        moments[2], moments[4] = moments[2] + off * self.stray**2, moments[4] + off * self.stray**2
+        return np.stack([weight.sum(axis=1), *moments], axis=1)

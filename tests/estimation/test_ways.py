@@ -104,48 +104,73 @@ def test_another_town_is_refused_with_the_distance():
         PathNetwork.load(KREMS, vienna, NEAR)
 
 
-def test_the_path_is_the_best_of_all():
-    """On a small lattice every path is tried."""
+def small_lattices():
+    """Lattices of which all sequences of states can be tried, with the cost of each sequence."""
     random = np.random.default_rng(0)
     s, p = 4, 3
-    every = np.array(list(product(range(p), repeat=2)))
+    source, to = np.array(list(product(range(p), repeat=2))).T
     for _ in range(20):
-        place = random.normal(0, 6, (p, 2))
-        source, to = every.T
-        shift = (place[to] - place[source]).T
         lattice = _Lattice(
-            place=place,
+            place=random.normal(0, 6, (p, 2)),
             emission=random.uniform(0, 2, (s, p)),
             source=source,
             to=to,
-            shift=shift,
-            far=random.uniform(0, 2, len(every)),
-            step=random.normal(0, 4, (s - 1, 2)),
+            far=random.uniform(0, 2, p * p),
+            track=random.normal(0, 4, (s, 2)),
+            stray=np.full(s, 5.0),
             longest=np.full(s - 1, 1.5),
             sigma=np.full(s - 1, 3.0),
         )
 
-        def cost(states, lattice=lattice):
+        def cost(states, along=0.0, entered=0.0, lattice=lattice):
+            """along, entered: additional cost of a move along ways, and of the first point on them."""
             total = sum(WAYS.off if j == p else lattice.emission[t, j] for t, j in enumerate(states))
+            total += entered * (states[0] != p)
             for t, (i, j) in enumerate(pairwise(states)):
                 if p in (i, j):
-                    total += WAYS.leave * (i != j)
+                    total += WAYS.leave * (i != j) + entered * (i == p != j)
                 else:
-                    m = i * p + j
-                    off = lattice.shift[:, m] - lattice.step[t]
-                    total += off @ off / 18.0 if lattice.far[m] <= 1.5 else np.inf
+                    off = lattice.place[j] - lattice.place[i] - (lattice.track[t + 1] - lattice.track[t])
+                    total += off @ off / 18.0 + along if lattice.far[i * p + j] <= 1.5 else np.inf
             return total
 
-        best, found = lattice.paths()[0]
-        costs = [cost(states) for states in product(range(p + 1), repeat=s)]
-        assert found == pytest.approx(min(costs))
-        assert cost(np.where(best < 0, p, best).tolist()) == pytest.approx(found)
+        yield lattice, cost, list(product(range(p + 1), repeat=s))
+
+
+def test_the_path_is_the_best_of_all():
+    """On a small lattice every path is tried."""
+    for lattice, cost, every in small_lattices():
+        best, found = lattice.path()
+        assert found == pytest.approx(min(cost(states) for states in every))
+        assert cost(np.where(best < 0, len(lattice.place), best).tolist()) == pytest.approx(found)
+
+
+def test_probabilities_are_those_of_all_paths():
+    length = np.sqrt(2 * np.pi) / WAYS.spacing
+    for lattice, cost, every in small_lattices():
+        weight = np.exp([-cost(states, np.log(3.0 * length), np.log(5.0 * length)) for states in every])
+        shares = [np.bincount(of_station, weight) / weight.sum() for of_station in np.transpose(every)]
+        np.testing.assert_allclose(lattice.probability(), shares, atol=1e-12)
+
+
+def test_parallel_ways_are_in_the_region():
+    """Two streets 24 m apart, the walk between them: the place of the other street is in the region."""
+    lines = tuple(np.array([(0.0, y), (400.0, y)]) for y in (0.0, 24.0))
+    network, track = PathNetwork(lines, ("residential",) * 2), np.array([(x, 11.0) for x in np.arange(0.0, 400.0, 2.0)])
+    n = len(track)
+    way = match(network, track, np.full(n, 12.0), np.full(n, 0.02))
+    assert way.on.all()
+    probability, mean = way.others[:, 0], way.others[:, 2]
+    assert (np.abs(probability - 0.4) < 0.2).all()
+    np.testing.assert_allclose(mean, 13.0 * probability, atol=1.0)  # some of it is off every way, where the walk is
+    sure = match(PathNetwork(lines[:1], ("residential",)), track, np.full(n, 12.0), np.full(n, 0.02))
+    assert sure.others[:, 0].max() < 0.1
 
 
 def test_a_walk_is_matched_to_the_ways_that_it_follows():
     walk, _ = walked(TOWN, 3, length=600)
     moved = walk.place + np.array([6.0, -5.0])
-    [way, *_] = match(TOWN, moved, np.full(len(moved), 6.0), np.full(len(moved), 0.05))
+    way = match(TOWN, moved, np.full(len(moved), 6.0), np.full(len(moved), 0.05))
     back = np.median(way.displacement[way.on], axis=0)
     assert way.on.mean() > 0.9
     np.testing.assert_allclose(back, [-6.0, 5.0], atol=3.0)  # ways are 3 to 10 m wide
@@ -156,7 +181,7 @@ def test_a_gap_in_a_walk_joins_no_ways():
     walk, _ = walked(TOWN, 3, length=400)
     jumped = np.concatenate([walk.place, walk.place[::-1] + np.array([0.0, 9000.0]), walk.place])
     sigma = np.full(len(jumped), 4.0)
-    [way, *_] = match(TOWN, jumped, sigma, sigma / 100)
+    way = match(TOWN, jumped, sigma, sigma / 100)
     first, away, last = np.split(way.on, 3)
     assert first.mean() > 0.9
     assert not away.any()

@@ -63,7 +63,7 @@ def outing(name, observation, scale=1.0):
     )
 
 
-def reconstruct(person, date, observations, profile):
+def reconstruct(person, date, observations, profile, ways=None):
     """A day in which every number depends on all its inputs, also on the days before."""
     scale = 1.0 if profile is None else 1.0 + profile.E_length
     outings = tuple(outing(name, observation, scale) for name, observation in observations.items())
@@ -79,13 +79,13 @@ def failing_on(*dates):
     return partial(_failing, dates)
 
 
-def _failing(dates, person, date, observations, profile):
+def _failing(dates, person, date, observations, profile, ways=None):
     if date in dates:
         raise ZeroDivisionError(f"no day\nlike {date}")
     return reconstruct(person, date, observations, profile)
 
 
-def dying_or_hanging(person, date, observations, profile):
+def dying_or_hanging(person, date, observations, profile, ways=None):
     """`reconstruct` that ends the process on one day of one person, as a crash in a library would.
 
     On a day of another it hangs, half a second before its time limit of LIMIT.
@@ -98,7 +98,7 @@ def dying_or_hanging(person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def freezing(file, person, date, observations, profile):
+def freezing(file, person, date, observations, profile, ways=None):
     """`reconstruct` that makes a file and stops its process on a day, as a disk that does not answer would."""
     if (person, date) == ("person1", "2024-05-02"):
         file.touch()
@@ -106,14 +106,14 @@ def freezing(file, person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def counting(folder, person, date, observations, profile):
+def counting(folder, person, date, observations, profile, ways=None):
     """`reconstruct` that appends a line to a file per day."""
     with (folder / f"{person} {date}").open("a") as file:
         file.write("made\n")
     return reconstruct(person, date, observations, profile)
 
 
-def slow(person, date, observations, profile):
+def slow(person, date, observations, profile, ways=None):
     """`reconstruct` that takes long enough to be interrupted."""
     clock.sleep(0.02)
     return reconstruct(person, date, observations, profile)
@@ -126,7 +126,7 @@ def waiting(folder, after, end, *day):
     return counting(folder, *day)
 
 
-def filling(person, date, observations, profile):
+def filling(person, date, observations, profile, ways=None):
     """`reconstruct` in a process that can write only 100 bytes per file from then on."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
     return reconstruct(person, date, observations, profile)

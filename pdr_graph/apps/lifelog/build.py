@@ -29,7 +29,7 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.io.tables import BEACON_LIST
 from pdr_graph.storage import decode, encode, fingerprint
 
-Reconstruct = Callable[..., Day]  # as `reconstruct.reconstruct`
+Reconstruct = Callable[[str, str, Mapping[str, observation.Observation], Profile | None, tuple[str, str]], Day]
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,7 @@ def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> tupl
             from pdr_graph.apps.lifelog.corrections import apply_to_observations
 
             observations = apply_to_observations(observations, first.corrections)
-        known = chain.person, first.date, observations, chain.profile
-        day = reconstruct(*known, *([chain.ways] if chain.ways[0] else []))
+        day = reconstruct(chain.person, first.date, observations, chain.profile, chain.ways)
         rows = rows_of(day, chain.key, [name for name, _ in first.recordings])
         blob = encode(DayRows(rows))
     except Exception as error:  # a failure of one day must not stop the others

@@ -459,8 +459,12 @@ class Followed(Structural):
         """What the ways show of sources, at the solved optimum ``at``."""
 
     @abstractmethod
-    def warnings(self, optima: Sequence[Any], share: Array) -> tuple[str, ...]:
-        """What other solutions, with shares ``(n,)``, say of the ways; the first is that of this kind."""
+    def warnings(self) -> tuple[str, ...]:
+        """Where other ways fit about as well."""
+
+    @abstractmethod
+    def widened(self, time: Array, position: Array, covariance: Array) -> Array:
+        """Covariances ``(n, 2, 2)`` about places ``(n, 2)`` at times ``(n,)``, in which other ways are counted."""
 
     @abstractmethod
     def outdoors(self, at: Chain) -> Mask:

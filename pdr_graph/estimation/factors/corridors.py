@@ -7,8 +7,8 @@ turns are associated with links and intersections along one walk; the associatio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -16,20 +16,18 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import percent
-from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import AnyArray, Displaced, FactorBlock, Linearized, Measurement, RobustLoss
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Lines, Network, nearest_segments
 from pdr_graph.floor.paths import PathNetwork, match
-from pdr_graph.geometry import length_along, nearest, pose_rotation, turn_between, wrap_angle
+from pdr_graph.geometry import interpolate, length_along, nearest, pose_rotation, turn_between, wrap_angle
 from pdr_graph.priors import CORRIDOR, FIXES, REPORTS, TURNS, VERDICTS, WAYS
 from pdr_graph.types import INSTANT, Array, Contradiction, Headings, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
     from pdr_graph.estimation.linear_system import Solution
-    from pdr_graph.estimation.optimizer import Optimum
 
 LEAST_LENGTH, LEAST_RATIO = 8.0, 3.0  # of a run [m], and in widths of its corridor: a shorter one may cross a plaza
 
@@ -84,6 +82,10 @@ class Track:
         """The walk ``at``, pieces [begin, end)."""
         moved = begin + np.flatnonzero(at.pieces.length[begin:end] > 0)
         return cls(at.ends[moved, :2], moved, np.append(-1, at.pieces.last), at.state.poses[:, 2])
+
+    def time(self, at: Evaluation) -> Array:
+        """Times ``(n,)`` of the places. [s]"""
+        return at.chain.time[at.pieces.interval[self.piece]] + at.pieces.to_end[1, self.piece]
 
     def keyframe(self, first: int, last: int) -> int | None:
         """The keyframe nearest to the middle of places ``first`` to ``last``; None if there is none between them."""
@@ -198,8 +200,8 @@ class PathFactor(Measurement):
 
     network: within reach; route: ``(n, 6)`` time [s], a [m], n and w √m [m] at each place of the matched walk, NaN off
     every way, and after its end; followed: ``(r,)`` keyframes on ways; row: ``(r,)`` of the route at each; along:
-    keyframes of directions; direction: there; price: see `WayMatch` [nats]; other: the same along other ways that are
-    nearly as probable, None if there are none.
+    keyframes of directions; direction: there; price: see `WayMatch` [nats]; others: ``(n, 9)`` time [s] and place [m]
+    of the matched walk, then `WayMatch.others`.
     """
 
     network: PathNetwork
@@ -209,7 +211,7 @@ class PathFactor(Measurement):
     along: Index
     direction: Headings
     price: float = 0.0
-    other: PathFactor | None = None
+    others: Array = field(default_factory=lambda: np.empty((0, 9)))
 
     name: ClassVar[str] = "paths"
 
@@ -232,11 +234,6 @@ class PathFactor(Measurement):
         assert isinstance(other, PathFactor)
         same = np.array_equal(self.followed, other.followed)
         return same and bool(np.allclose(self.route[self.row, 3:], other.route[other.row, 3:]))
-
-    def apart(self, other: PathFactor) -> Index:
-        """The keyframes that are on other ways than those of ``other``."""
-        shared, mine, theirs = np.intersect1d(self.followed, other.followed, return_indices=True)
-        return shared[np.hypot(*(self.foot[mine] - other.foot[theirs]).T) > WAYS.apart]
 
     def decisions(self) -> dict[str, AnyArray]:
         """The ways that the walk followed, for a walk under way."""
@@ -278,19 +275,27 @@ class PathFactor(Measurement):
                     found.append(Contradiction(name, "paths", round(size, 1), "m", text, "the receiver, and the ways"))
         return found
 
-    def warnings(self, optima: Sequence[Optimum], share: Array) -> tuple[str, ...]:
-        """Warn of ways beside those of the first solution that fit about as well. share: ``(n,)`` of each."""
-        elsewhere, times = 0.0, list[float]()
-        for optimum, weight in zip(optima[1:], share[1:].tolist(), strict=True):
-            time = optimum.graph.keyframe_time[optimum.graph.ways.apart(self)]
-            if len(time) and np.ptp(time) > 2 * WAYS.station / FIXES.walking_speed:
-                elsewhere += weight
-                times += time.tolist()
-        if elsewhere <= 1 - REPORTS.sure:
+    def warnings(self) -> tuple[str, ...]:
+        """Warn if other ways, or none, fit about as well."""
+        doubtful = self.others[:, 3] > 1 - REPORTS.sure
+        if len(time := self.others[doubtful, 0]) == 0 or np.ptp(time) < 2 * WAYS.station / FIXES.walking_speed:
             return ()
-        span = f"between {min(times):.0f} and {max(times):.0f} s"
-        beside = f"the walk followed others with a probability of {percent(elsewhere)}"
-        return (f"ways beside each other fit {span}: {beside}",)
+        share = percent(float(self.others[doubtful, 3].mean()))
+        span = f"between {time[0]:.0f} and {time[-1]:.0f} s"
+        return (f"other ways, or none, fit as well {span}: probability {share}, there {percent(doubtful.mean())}",)
+
+    def widened(self, time: Array, position: Array, covariance: Array) -> Array:
+        """Covariances ``(n, 2, 2)`` about places ``(n, 2)`` at times ``(n,)``, in which other ways are counted."""
+        if not len(self.others):
+            return covariance
+        place, share, mean, square = np.split(
+            interpolate(time, self.others[:, 0], self.others[:, 1:]), [2, 3, 5], axis=1
+        )
+        off, square = position - place, square[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        cross = mean[:, :, None] * off[:, None, :]
+        share = share[:, :, None]
+        spread = square - cross - cross.transpose(0, 2, 1) + share * off[:, :, None] * off[:, None, :]
+        return (1 - share) * covariance + spread
 
     def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
         """Find the ways that the walk ``at`` followed. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
@@ -299,15 +304,15 @@ class PathFactor(Measurement):
         if len(track.position) < 2 or not len(self.network):
             return none
         keyframe = at.pieces.interval[track.piece] + 1
-        found = list[Self]()
-        for way in match(self.network, track.position, sigma[keyframe], askew[keyframe]):
-            corrected = replace(track, position=track.position + way.displacement)
-            found.append(replace(none._along(at, track, corrected, way.on), price=way.price))
-        return replace(found[0], other=found[1] if len(found) > 1 else None) if found else none
+        way = match(self.network, track.position, sigma[keyframe], askew[keyframe])
+        corrected = replace(track, position=track.position + way.displacement)
+        found = none._along(at, track, corrected, way.on)
+        others = np.column_stack([track.time(at), track.position, way.others])
+        return replace(found, price=way.price, others=others)
 
     def _along(self, at: Evaluation, track: Track, corrected: Track, on: Mask) -> Self:
         """The factors of a walk along the ways on which its places are, once moved there. on: ``(n,)``."""
-        time = at.chain.time[at.pieces.interval[track.piece]] + at.pieces.to_end[1, track.piece]
+        time = track.time(at)
         route, directions = np.full((len(time) + 1, 6), np.nan), list[tuple[int, float, float]]()
         route[:, 0] = [*time, at.chain.time[-1] + 2 * INSTANT]
         for begin, end in np.flatnonzero(np.diff(on, prepend=False, append=False)).reshape(-1, 2).tolist():
@@ -350,18 +355,6 @@ class PathFactor(Measurement):
             FactorBlock.uniform(self.name, value, variables, jacobian, number[self.followed], loss=loss),
             heading_block(f"{self.name}.direction", at, self.along, self.direction, number[self.along]),
         ]
-
-    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
-        """The walk followed other ways, a few metres beside (a parallel pavement)."""
-        if self.other is None:
-            return ()
-        return (Proposal(Hypothesis((self.name, "beside"), lasting=False), (self.other,)),)
-
-
-@wording_of(PathFactor.name)
-def _wording(hypothesis: Hypothesis) -> Wording:
-    """The walk followed other ways."""
-    return Wording(PathFactor.name, "the walk may have followed a way beside the one that fits best")
 
 
 @dataclass(frozen=True)

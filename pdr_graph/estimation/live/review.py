@@ -97,7 +97,7 @@ def compare_sources(
     ways = dict[str, dict[str, AnyArray]]()
     if (followed := best.graph.ways) is not None:
         ways = {followed.name: decisions_of(followed)}
-        found = replace(found, warnings=followed.warnings(optima, share))
+        found = replace(found, warnings=followed.warnings())
     return Review(
         findings=found,
         decisions={name: numbered(rows, numbers.get(name)) for name, rows in decided.items()} | ways,
@@ -117,6 +117,9 @@ def _excess(optima: list[Optimum], weight: Array) -> Excess:
         there, covariance = _keyframes(optimum, time)
         apart = differences(there, poses)
         total += share * (covariance - solved + apart[:, :, None] * apart[:, None, :])
+    if (ways := optima[0].graph.ways) is not None:
+        solved = solved[:, :2, :2]
+        total[:, :2, :2] += ways.widened(time, poses[:, :2], solved) - solved
     value, vector = np.linalg.eigh(total)
     return Excess(time, (vector * np.maximum(value, 0.0)[:, None, :]) @ vector.transpose(0, 2, 1))
 

@@ -113,8 +113,9 @@ def walkable(tags: dict[str, str]) -> bool:
 def _osm(path: Path, low: Array, high: Array, is_xml: bool, far: _Far) -> Iterator[Street]:
     """The ways of OpenStreetMap that begin near the box."""
     try:
-        from osmium import FileProcessor
+        from osmium import FileProcessor, InvalidLocationError
         from osmium.filter import EntityFilter, KeyFilter
+        from osmium.geom import ALL, WKBFactory
         from osmium.osm import NODE, WAY, Way
     except ImportError:
         if not is_xml or path.stat().st_size > SMALL_XML:
@@ -122,6 +123,7 @@ def _osm(path: Path, low: Array, high: Array, is_xml: bool, far: _Far) -> Iterat
         yield from _osm_tree(path)
         return
     west, south, east, north = *(low - 0.02).tolist(), *(high + 0.02).tolist()  # 2 km: ways have corners
+    geometry = WKBFactory()  # a way at once: thirty times as fast as its nodes one by one
     every = FileProcessor(str(path), NODE | WAY).with_locations("flex_mem")
     every = every.with_filter(EntityFilter(WAY)).with_filter(KeyFilter("highway"))
     try:
@@ -136,9 +138,15 @@ def _osm(path: Path, low: Array, high: Array, is_xml: bool, far: _Far) -> Iterat
                 continue
             tags = dict(way.tags)
             if walkable(tags):
-                corners = [(node.lon, node.lat) for node in nodes if node.location.valid()]
+                try:
+                    corners = shapely.get_coordinates(shapely.from_wkb(geometry.create_linestring(way, ALL)))
+                except (
+                    RuntimeError,
+                    InvalidLocationError,
+                ):  # some corners are not in the extract, or all are at one place
+                    corners = np.array([(node.lon, node.lat) for node in nodes if node.location.valid()])
                 if len(corners) > 1:
-                    yield tags["highway"], np.array(corners)
+                    yield tags["highway"], corners
     except RuntimeError as error:
         raise InputError(path, "", f"a damaged extract ({str(error)[:80]})", "a whole .osm or .osm.pbf file") from None
 
