@@ -85,7 +85,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 566),
     "lab/simulation": (9, 1344),
-    "online": (7, 938),
+    "online": (7, 940),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {

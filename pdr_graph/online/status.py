@@ -22,6 +22,7 @@ from pdr_graph.estimation.results import (
 )
 from pdr_graph.estimation.verdict import ROUTE
 from pdr_graph.floor.building import Building
+from pdr_graph.geometry import distance_to_box
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
@@ -138,8 +139,10 @@ def contradictions_of(
     rows: the walk so far; reports: of its measurements.
     """
     found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
-    for ways in graph.at.measurements:
-        found = (*found, *ways.contradictions(graph.at, graph.solution)) if isinstance(ways, Followed) else found
+    for ways in (each for each in graph.at.measurements if isinstance(each, Followed)):
+        found = (*found, *ways.contradictions(graph.at, graph.solution))
+        outdoors = np.zeros(len(rows)) if plan is None else distance_to_box(rows.position, *plan.corners)
+        rows = rows[outdoors == 0]  # ways beside the plan are no evidence against it
     if restarts := smoother.ambiguity.restarts:
         text = f"the walk jumps to fixes that contradicted it, at {restarts[-1]:.0f} s"
         check = "where the walk was before and after: one of both is wrong"

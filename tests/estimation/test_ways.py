@@ -248,27 +248,53 @@ def test_the_window_has_the_distances_of_the_batch():
     assert 0 < len(half) < len(window)
 
 
-def test_ways_end_at_the_doors_of_a_plan():
-    """A street leads past a building, a path along its wall, another through it; the walk goes in by the door."""
+def beside_a_street():
+    """A building with one door, and ways outdoors."""
     building = plans.plan(
         ("corridor", shapely.box(0, 0, 60, 3)),
         ("room", shapely.box(0, 3, 60, 10)),
         ("door", shapely.box(-0.4, 0.9, 0.1, 2.1)),
     )
     lines = [[(-12, -100), (-12, 60)], [(-12, -5), (80, -5)], [(-12, 6), (80, 6)]]
-    network = PathNetwork(tuple(np.array(line, float) for line in lines), ("path",) * 3)
+    return building, PathNetwork(tuple(np.array(line, float) for line in lines), ("path",) * 3)
+
+
+def steps_along(*corners):
+    """Steps of 0.7 m along corners, and the place of each, the start first."""
+    corners = np.array(corners)
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
+    place = np.stack([np.interp(np.arange(0, walked[-1], 0.7), walked, axis) for axis in corners.T], axis=1)
+    move = np.diff(place, axis=0)
+    heading = np.arctan2(move[:, 1], move[:, 0])
+    return walks.steps_of(np.hypot(*move.T), np.diff(heading, prepend=heading[0])), place
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("along_ways", [False, True])
+def test_a_live_walk_leaves_the_building(along_ways):
+    """Its pose is no longer kept on the plan, and with ways the walls say nothing of it."""
+    building, network = beside_a_street()
+    steps, place = steps_along((30.0, 1.5), (-12.0, 1.5), (-12.0, -50.0))
+    rows = np.arange(2, len(steps), 4)
+    position = place[rows + 1] + np.random.default_rng(0).normal(0, 1, (len(rows), 2))
+    fixes = Fixes(steps.time[rows], position, np.full(len(rows), 1.5), ("",) * len(rows), source=("GPS",) * len(rows))
+    nav = Navigator(floor=building, paths=network if along_ways else None, executor=None)
+    for event in live_events(steps, fixes):
+        nav.push(event)
+    assert np.hypot(*(place[-1] - (nav.pose.x, nav.pose.y))) < 15, "on the plan it is 50 m"
+    assert ("leads through walls" in str(nav.status.verdict)) != along_ways
+
+
+def test_ways_end_at_the_doors_of_a_plan():
+    """A street leads past a building, a path along its wall, another through it; the walk goes in by the door."""
+    building, network = beside_a_street()
     joined = network.joined(Building.around(building))
     assert joined.joined(Building.around(building)) is joined
     assert [line[0].round(1).tolist() for line in joined.lines[-1:]] == [[-0.2, 1.5]], "from the door"
     assert not any(shapely.LineString(line).crosses(shapely.box(0, 0, 60, 10)) for line in joined.lines)
     assert joined.lines[-1][1].tolist() in joined.lines[0].tolist(), "a corner of the street"
 
-    corners = np.array([(-12.0, -90.0), (-12.0, 1.5), (57.0, 1.5)])
-    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
-    place = np.stack([np.interp(np.arange(0, walked[-1], 0.7), walked, axis) for axis in corners.T], axis=1)
-    move = np.diff(place, axis=0)
-    heading = np.arctan2(move[:, 1], move[:, 0])
-    steps = walks.steps_of(np.hypot(*move.T), np.diff(heading, prepend=heading[0]))
+    steps, place = steps_along((-12.0, -90.0), (-12.0, 1.5), (57.0, 1.5))
     rows = np.flatnonzero(place[1:, 0] < 0)[::4]  # none indoors
     position = place[rows + 1] + np.random.default_rng(0).normal(0, 2, (len(rows), 2))
     fixes = Fixes(steps.time[rows], position, np.full(len(rows), 5.0), ("",) * len(rows), source=("GPS",) * len(rows))

@@ -34,7 +34,7 @@ from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, TURN_VARIANCE
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, horizontal_sigma, pose_rotation
+from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, distance_to_box, horizontal_sigma, pose_rotation
 from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
@@ -395,7 +395,7 @@ class LiveOutput:
         """
         mean, covariance = ways.about(ways.mean[0]) if self.sure else ways.expectation()
         plan = self.graph.window.located_plan
-        if plan is None:
+        if plan is None or distance_to_box(mean[:2], *plan.corners) > 2 * horizontal_sigma(covariance):  # it left
             return Belief(mean, covariance)
         moved = mean.copy()
         moved[:2] = plan[self.graph.window.floor].nearest_walkable(mean[:2])
