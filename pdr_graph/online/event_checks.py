@@ -41,7 +41,7 @@ STEP_LIMITS: Limits = {  # [m, rad] of steps of another front end; of rows that 
     "sigma_turn": (1e-6, 1e3),
 }
 SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
-MOST_SOURCES = 100  # whose clocks are watched
+MOST_SOURCES = 100  # whose clocks are watched, and whose last positions are stored, to recognise duplicate epochs
 MOST = 10  # rows in SPAN of a type of data that does not state it
 MOST_MOMENTS = 4  # of a type of data in SPAN: each moment is a keyframe; ranges to several anchors may have the same
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"

@@ -40,7 +40,7 @@ from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import horizontal_sigma, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
-from pdr_graph.online.event_checks import AHEAD, EventChecks
+from pdr_graph.online.event_checks import AHEAD, MOST_SOURCES, EventChecks
 from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.status import (
     RIDES_NOW,
@@ -74,7 +74,6 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
-MOST_RECEIVERS = 100  # whose last positions are stored, to recognise duplicate epochs
 UPSIDE_DOWN = "accelerometer: the magnetic field points up: are the signs those of iOS? Android's are expected"
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
@@ -452,7 +451,7 @@ class Navigator:
         if source and self._last_fixes.get(source) == place:
             return False
         self._last_fixes[source] = place
-        if len(self._last_fixes) > MOST_RECEIVERS:
+        if len(self._last_fixes) > MOST_SOURCES:
             del self._last_fixes[next(iter(self._last_fixes))]
         return True
 
