@@ -37,7 +37,7 @@ from pdr_graph.types import Trajectory
 
 LONGEST_WAIT = 2.0  # [s] for which a message waits for those before it
 MOST_WAITING = 64  # messages that wait for one; then it is given up
-RECEIVERS = -(1 << 62)  # identities of what receivers hear are negative, and grow: none waits for another
+OF_RECEIVERS = -(1 << 62)  # identities of what receivers hear are negative, and grow: none waits for another
 LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
 

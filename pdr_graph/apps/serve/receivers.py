@@ -27,10 +27,10 @@ from pdr_graph.apps.serve.reception import Reception
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.validation import float_of
 
-ESPRESENSE, STATES = "espresense/devices/{}/+", "+/sensor/+/state"
+ESPRESENSE, STATE_TOPICS = "espresense/devices/{}/+", "+/sensor/+/state"
 BERMUDA_ENTITY = re.compile(r"(.+)_unfiltered_distance_to_(.+)")
 BERMUDA = -55.0, 3.0  # [dBm] at 1 m, and path loss exponent: defaults of its const.py
-WEAKEST, STRONGEST = -127.0, -1.0  # [dBm] levels of Bluetooth; 0 is what programs have before the first
+WEAKEST, LOUDEST = -127.0, -1.0  # [dBm] levels of Bluetooth; 0 is what programs have before the first
 MOST_SAID = 20  # receivers without a place that are named
 
 
@@ -79,14 +79,14 @@ def heard(topic: str, payload: bytes) -> tuple[str, str, float] | None:
         level = power - 10 * exponent * float(np.log10(distance)) if distance > 0 else np.nan
     else:
         return None
-    return (device, receiver, level) if WEAKEST <= level <= STRONGEST else None
+    return (device, receiver, level) if WEAKEST <= level <= LOUDEST else None
 
 
 async def listen(receivers: Receivers, reception: Reception, say: Say) -> None:
     """Give the levels of all receivers to the walks of their phones, for ever; a lost connection is made again."""
 
     async def work(client: Any) -> None:
-        for topic in (*map(ESPRESENSE.format, receivers.phones), STATES):
+        for topic in (*map(ESPRESENSE.format, receivers.phones), STATE_TOPICS):
             await client.subscribe(topic)
         say(f"mqtt: receivers by {receivers.broker.host}:{receivers.broker.port}")
         async for message in client.messages:

@@ -25,8 +25,8 @@ from pdr_graph.apps.serve import sensor_messages
 from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.live_walk import (
     LOG,
+    OF_RECEIVERS,
     PUBLISHED,
-    RECEIVERS,
     RECORDINGS,
     SESSION,
     MessageLog,
@@ -41,7 +41,7 @@ from pdr_graph.io.sensor_logger import NANOSECOND
 from pdr_graph.storage import decode_json, encode_json
 
 LATEST = 1 << 62  # [ns] Unix time that a sample may state
-LONGEST_SILENCE = 30.0  # [s] of a phone until what receivers hear of it is left out: `AHEAD` of the navigator
+PHONE_SILENCE = 30.0  # [s] of a phone until what receivers hear of it is left out: `AHEAD` of the navigator
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -204,7 +204,7 @@ class Reception:
         now, walks = time.time(), dict[str, State]()
         for state in sorted(self._states.values(), key=lambda state: state.last_received):
             under_way = state.behind and not (state.session.finished or state.ending)
-            if under_way and is_of(state.session) and now - state.last_received < LONGEST_SILENCE:
+            if under_way and is_of(state.session) and now - state.last_received < PHONE_SILENCE:
                 walks[state.session.phone] = state
         if len(walks) != 1:
             return
@@ -213,7 +213,7 @@ class Reception:
         sample = {"name": "bluetooth", "time": round((now - min(state.behind)) / NANOSECOND), "values": values}
         message = {"messageId": 0, "sessionId": state.session.key, "payload": [sample]}
         with contextlib.suppress(OSError, InputError):  # what is wrong with the disk, the phone is told
-            if self._log(state.session.id).add(RECEIVERS + round(1e6 * now), now, encode_json(message).encode()):
+            if self._log(state.session.id).add(OF_RECEIVERS + round(1e6 * now), now, encode_json(message).encode()):
                 self._announce(state)
 
     def _state(self, protocol: str, user: str, key: str, label: str, platform: str, phone: str) -> State:
