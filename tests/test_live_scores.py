@@ -52,7 +52,7 @@ def test_the_largest_jump_of_each_minute_counts(script):
 
 def test_a_place_beyond_the_walkable_area_is_outside(script):
     """By more than the 5 cm that a plan is exact to."""
-    plan = SimpleNamespace(walkable=shapely.box(0, 0, 10, 2))
+    plan = SimpleNamespace(floors=[SimpleNamespace(walkable=shapely.box(0, 0, 10, 2))])
     place = np.array([[5.0, 1.0], [5.0, 2.04], [5.0, 2.1], [11.0, 1.0]])
     assert script.outside(place, plan).tolist() == [False, False, True, True]
     assert not len(script.outside(place, None))
@@ -89,9 +89,8 @@ def test_times_to_the_place_and_the_direction_need_two_in_a_row(script):
 
 def test_poses_without_a_place_are_not_scored(script):
     """The navigator's first steps, before any fix, are about (0, 0)."""
-    nav, walk = script.LoggingNavigator(), script.simulated_walk("outdoors", 1)
-    given = script.Given(walk.steps, Fixes.none(), walk.headings)
-    for n, step in enumerate([step for step in script.events(given) if hasattr(step, "length")][:10]):
+    nav, walk = script.LoggingNavigator(), script.from_steps("outdoors", 1)
+    for n, step in enumerate([step for step in script.events(walk.evidence) if hasattr(step, "length")][:10]):
         nav.push(step)
         assert not script.ask_of(nav, float(n), nav.pose, np.zeros(2)).anchored
     nav.push(Fixes(np.array([1.0]), np.array([[5.0, 5.0]]), np.array([1.0])))
