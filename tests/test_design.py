@@ -90,7 +90,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
     "estimation.smoother": (30, 5566),
-    "online.navigator": (66, 12681),
+    "online.navigator": (66, 12682),
 }
 
 

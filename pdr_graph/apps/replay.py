@@ -140,7 +140,7 @@ def replay_recording(
 
                 shown = track(events[done:], "replay", console=Console(stderr=True))
             view = None if rerun is None else RerunView(rerun, evidence.building, evidence.other_fixes)
-            causal = walked(nav, shown, latency, (lambda pose: None) if view is None else partial(view.show, nav))
+            causal = walked(nav, shown, latency, None if view is None else partial(view.show, nav))
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
                 result = _finished(nav, evidence, outside)
@@ -228,7 +228,7 @@ def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict
 
 
 def walked(
-    nav: LiveEstimator, events: Iterable[Event], latency: Latency, show: Callable[[Pose], None] = lambda pose: None
+    nav: LiveEstimator, events: Iterable[Event], latency: Latency, show: Callable[[Pose], None] | None = None
 ) -> Trajectory:
     """Push all events; returns the causal poses: the first, one at the detection of each step, and the last.
 
@@ -236,6 +236,12 @@ def walked(
     the latency.
     """
     poses, most = list[Pose](), nav.steps
+
+    def add(pose: Pose) -> None:
+        poses.append(pose)
+        if show is not None:
+            show(pose)
+
     for event in events:
         latency.push(nav.push, event)
         nav.review()
@@ -246,13 +252,11 @@ def walked(
         elif not poses:
             pose = nav.pose
         if pose is not None:
-            poses.append(pose)
-            show(pose)
+            add(pose)
             latency.measure_memory(pose.time)
     last = nav.pose
     if last is not None and poses and last.time > poses[-1].time:
-        poses.append(last)
-        show(last)
+        add(last)
     return trajectory_of(poses)
 
 

@@ -96,7 +96,7 @@ class StepStream:
         """
         accelerometer, gyroscope = self._sensors.values()
         due = -np.inf if self._segment is None else self._segment.next_time(self._segment.block)
-        lagging = max(accelerometer.newest, gyroscope.newest) >= due + 0.2  # [s]: the other is processed alone
+        lagging = self.newest >= due + 0.2  # [s]: the other is processed alone
         waiting = max(len(accelerometer.arrived), len(gyroscope.arrived)) >= 24  # packets, after a reset of a clock
         if min(accelerometer.newest, gyroscope.newest) < due and not lagging and not waiting:
             return None, self._provisional

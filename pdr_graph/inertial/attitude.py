@@ -76,9 +76,12 @@ def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
 
 def hung(angular_rate: Array, acceleration: Array, period: float) -> Mask:
     """``(n,)`` True where a gyroscope hung: it repeats one value exactly while the phone moves. See `at_rest`."""
-    same = (angular_rate == np.roll(angular_rate, 1, axis=0)).all(axis=1)
+    shortest = round(REST.shortest / period) - 1
+    same = lasting_runs((angular_rate == np.roll(angular_rate, 1, axis=0)).all(axis=1), shortest)
+    if not same.any():  # as good as always: what follows is as long as the rest
+        return same
     moves = _spread(acceleration, max(3, round(REST.window / period))) > REST.acceleration
-    return lasting_runs(same & moves, round(REST.shortest / period) - 1)
+    return lasting_runs(same & moves, shortest)
 
 
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:

@@ -113,6 +113,7 @@ class EventChecks:
         """The fixes by the clock of the sensors, which is ``now`` [s], minus infinity before their first sample.
 
         Nobody knows the future: the clock of a source whose fixes are all later than now is ahead by the least of it.
+        Steps of another front end are no such clock: they may be certain seconds later.
         """
         time = fixes.time.copy()
         for n, source in enumerate(fixes.source if now > -np.inf else ()):

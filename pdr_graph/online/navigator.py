@@ -418,11 +418,6 @@ class Navigator:
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property
-    def _newest(self) -> float:
-        """Time of the newest sample, or, without samples, of the last step; minus infinity before. [s]"""
-        return max(self._gait.newest, self._now if self._window.keyframes else -np.inf)
-
-    @property
     def _now(self) -> float:
         return self._tail.end if self._tail is not None else self._certain_until
 
@@ -459,7 +454,7 @@ class Navigator:
         """Append valid measurements; those of the future, and those that come too often, are counted."""
         data = replace(data, time=self._on_clock(data.time))
         if isinstance(data, Fixes):
-            data = self._checks.by_sensor_clock(data, self._newest)
+            data = self._checks.by_sensor_clock(data, self._gait.newest)
         data = self._checks.thinned(kind_of(data).name, self._until_soon(data), self._graph.graph.log.rows(type(data)))
         if data is None or not len(data):
             return
@@ -484,8 +479,9 @@ class Navigator:
             self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
 
     def _until_soon(self, data: Any) -> Any:
-        """The rows that are not later than AHEAD from now, once there are steps."""
-        early = last_time(data) > (self._newest + AHEAD if self._newest > -np.inf else np.inf)
+        """The rows that are not later than AHEAD from the newest sample or step, once there are some."""
+        newest = max(self._gait.newest, self._now if self._window.keyframes else -np.inf)
+        early = last_time(data) > (newest + AHEAD if newest > -np.inf else np.inf)
         self._early += int(early.sum())
         return take(data, ~early) if early.any() else data
 

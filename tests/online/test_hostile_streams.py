@@ -135,6 +135,15 @@ def test_late_measurements_are_an_issue():
     assert said(nav, f"{nav.status.late} came too late")
 
 
+def test_steps_that_are_certain_seconds_later_accuse_no_clock():
+    """Of a front end of one's own: its last step is no present time, by which a fix would be of the future."""
+    time, one = np.arange(0.5, 38.0), np.ones(1)
+    fixes = [Fixes(time[n : n + 1], np.array([[t, 0.0]]), one, source=("GNSS",)) for n, t in enumerate(time)]
+    events = [event for event in walk() if isinstance(event, Steps)] + fixes
+    events.sort(key=lambda event: event.end + 4.0 if isinstance(event, Steps) else float(event.time[0]))
+    assert not said(pushed(events), "clock")
+
+
 def test_fixes_at_100_hz_are_thinned():
     steps, fixes = held_by_walls(20, period=0.5)
     time = np.arange(0.5, 10.0, 0.01)

@@ -27,8 +27,8 @@ LATER = 45.0  # [s] from which some lie
 def walk():
     """The events of the walk and its truth."""
     made = simulate(scenario(ROUTE, seed=1, phone={"rate": 50}, gnss={"accuracy": 4.5}))
-    fixes = replace(made.gnss.fixes, sigma=made.gnss.accuracy / RADIUS_68, source=("GNSS",) * len(made.gnss.accuracy))
-    recording = replace(made.recording("accelerometer", "gyroscope", "magnetometer"), fixes=fixes)
+    gnss = replace(made.gnss.fixes, sigma=made.gnss.accuracy / RADIUS_68, source=("GNSS",) * len(made.gnss.accuracy))
+    recording = replace(made.recording("accelerometer", "gyroscope", "magnetometer"), fixes=gnss)
     return list(events_of(recording, packet=0.5)), made.frame, made.truth
 
 

@@ -38,10 +38,10 @@ from pdr_graph.apps.serve.publishing import Hub, nowhere
 from pdr_graph.apps.serve.sensor_messages import PLATFORMS, SENSOR_LOGGER
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.sensor_logger import NANOSECOND
+from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.storage import decode_json, encode_json
 
 LATEST = 1 << 62  # [ns] Unix time that a sample may state
-PHONE_SILENCE = 30.0  # [s] of a phone until what receivers hear of it is left out: `AHEAD` of the navigator
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -204,7 +204,8 @@ class Reception:
         now, walks = time.time(), dict[str, State]()
         for state in sorted(self._states.values(), key=lambda state: state.last_received):
             under_way = state.behind and not (state.session.finished or state.ending)
-            if under_way and is_of(state.session) and now - state.last_received < PHONE_SILENCE:
+            current = now - state.last_received < AHEAD  # else the navigator leaves it out
+            if under_way and current and is_of(state.session):
                 walks[state.session.phone] = state
         if len(walks) != 1:
             return

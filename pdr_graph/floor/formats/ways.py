@@ -140,10 +140,7 @@ def _osm(path: Path, low: Array, high: Array, is_xml: bool, far: _Far) -> Iterat
             if walkable(tags):
                 try:
                     corners = shapely.get_coordinates(shapely.from_wkb(geometry.create_linestring(way, ALL)))
-                except (
-                    RuntimeError,
-                    InvalidLocationError,
-                ):  # some corners are not in the extract, or all are at one place
+                except (RuntimeError, InvalidLocationError):  # corners are not in the extract, or all at one place
                     corners = np.array([(node.lon, node.lat) for node in nodes if node.location.valid()])
                 if len(corners) > 1:
                     yield tags["highway"], corners
