@@ -33,7 +33,16 @@ from pdr_graph.estimation.factors.base import (
     State,
     initial_state,
 )
-from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut, pace_changes, whole_pieces
+from pdr_graph.estimation.factors.chain import (
+    DECIMALS,
+    Chain,
+    Evaluation,
+    Pieces,
+    Priors,
+    cut,
+    pace_changes,
+    whole_pieces,
+)
 from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk, ways_of
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
@@ -140,8 +149,8 @@ class WalkGraph:
             *priors,
             *ways_of(paths if paths is None or floor is None else paths.joined(Building.around(floor))),
         )
-        self.start = initial_state(poses, c, self._measurements)
-        self.walled, self.optimum = False, cast("State | None", None)
+        self.start = initial_state(poses, c, self._measurements, self.chain.numbers)
+        self.walled, self.optimum, self.priors = False, cast("State | None", None), cast("Priors | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
         if self.unplaced and self.floor_sequence is not None:
             self._use_plan(self.floor_sequence)
@@ -154,6 +163,28 @@ class WalkGraph:
         sizes = {"step": len(self.steps), "keyframe": len(self.keyframe_time), "fix": len(self.fixes)}
         parts = [count(size, name) for name, size in sizes.items()]
         return f"WalkGraph({', '.join([*parts, *plan])})"
+
+    @classmethod
+    def under_way(
+        cls,
+        steps: Steps,
+        chain: Chain,
+        measurements: Sequence[Measurement],
+        start: State,
+        prior: Prior,
+        floor_sequence: FloorSequence | None,
+        priors: Priors,
+        equations: list[NormalEquations],
+    ) -> WalkGraph:
+        """The graph of the last part of a walk, whose chain and measurements are there already.
+
+        priors: those of variables that measurements add which hold, see `Evaluation`; equations: of graphs alike.
+        """
+        graph = object.__new__(cls)
+        graph.steps, graph.chain, graph._measurements, graph.start = steps, chain, tuple(measurements), start
+        graph.prior, graph.floor_sequence, graph.priors, graph._equations = prior, floor_sequence, priors, equations
+        graph.walled, graph._associated, graph.optimum = floor_sequence is not None, True, None
+        return graph
 
     @classmethod
     def of(cls, steps: Steps, data: Sequence[Any], **options: Any) -> WalkGraph:
@@ -237,7 +268,7 @@ class WalkGraph:
 
     def evaluate(self, state: State) -> Evaluation:
         """All factors at one state."""
-        return self.chain.evaluate(state, self.measurements)
+        return self.chain.evaluate(state, self.measurements, self.priors)
 
     def initial_values(self) -> gtsam.Values:
         """The start of the search as ``gtsam.Values``: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
@@ -262,6 +293,14 @@ class WalkGraph:
     def smoothed(self, optimum: State) -> WalkGraph:
         """The graph of an estimate: at its optimum, without what only the search needs."""
         return self._replaced(_measurements=self.measurements, start=optimum, optimum=optimum, _equations=[])
+
+    def at(self, state: State) -> WalkGraph:
+        """Start the search at ``state``."""
+        return self._replaced(start=state)
+
+    def also(self, measurements: Sequence[Measurement]) -> WalkGraph:
+        """Add measurements that add no variables."""
+        return self._replaced(_measurements=(*self._measurements, *measurements), _equations=[])
 
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""
@@ -365,7 +404,7 @@ class WalkGraph:
 
     def _with_variables(self, measurements: tuple[Measurement, ...]) -> WalkGraph:
         """Replace the measurements; variables that they add are at their initial values."""
-        start = initial_state(self.start.poses, self.start.c, measurements)
+        start = initial_state(self.start.poses, self.start.c, measurements, self.chain.numbers)
         return self._replaced(_measurements=measurements, start=start)
 
     def _replaced(self, **changes: Any) -> WalkGraph:

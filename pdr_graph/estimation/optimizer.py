@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
 from pdr_graph.estimation.factors.base import POSE, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.linear_system import LinearSystem, NormalEquations, Solution
+from pdr_graph.estimation.linear_system import LinearSystem, Solution
 from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 
@@ -69,23 +68,6 @@ def near_start(graph: WalkGraph) -> Optimum:
     return _between_own_walls(first.graph, first)
 
 
-class Factors(Protocol):
-    """What a search needs of a graph: that of a whole walk, or of a window."""
-
-    @property
-    def walled(self) -> bool:
-        """True if walls or corridors of a plan hold the walk."""
-        ...
-
-    def evaluate(self, state: State) -> Evaluation:
-        """All factors at one state."""
-        ...
-
-    def normal_equations(self, at: Evaluation) -> NormalEquations:
-        """The normal equations of the factors at ``at``."""
-        ...
-
-
 class Descent:
     """The search for the optimum near a start, a step at a time; batch and live.
 
@@ -93,7 +75,7 @@ class Descent:
     far, with those that were not taken. Raises RuntimeError if the cost is not finite.
     """
 
-    def __init__(self, graph: Factors, start: State | Evaluation, converged: float = CONVERGED):
+    def __init__(self, graph: WalkGraph, start: State | Evaluation, converged: float = CONVERGED):
         at = start if isinstance(start, Evaluation) else graph.evaluate(start)
         self.graph, self.at, self.iterations, self.converged = graph, at, 0, False
         if not np.isfinite(self.at.cost):
@@ -127,6 +109,14 @@ class Descent:
         if not self.converged:
             self._damping = self._damping / 10 if self._damping > LEAST_DAMPING else 0.0
             self._moved = True
+
+
+def descended(graph: WalkGraph, steps: int) -> Evaluation:
+    """The walk after so many steps from the start of ``graph``, or at the optimum nearby."""
+    search = Descent(graph, graph.start)
+    while not search.converged and search.iterations < steps:
+        search.step()
+    return search.at
 
 
 def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Optimum:

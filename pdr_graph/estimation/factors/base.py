@@ -397,9 +397,14 @@ class Measurement(ABC):
         return ()
 
 
-def initial_state(poses: Array, c: Array, measurements: Iterable[Measurement]) -> State:
-    """The initial state of a batch: poses, calibrations, and the variables that measurements add."""
-    arrays, numbers = {POSE: poses, CALIBRATION: c}, {}
+def initial_state(
+    poses: Array, c: Array, measurements: Iterable[Measurement], numbers: Mapping[str, Index] | None = None
+) -> State:
+    """The initial state of a walk: poses, calibrations, and the variables that measurements add.
+
+    numbers: of poses and calibrations in their GTSAM keys, see `Chain.numbers`; 0, 1, … by default.
+    """
+    arrays, numbers = {POSE: poses, CALIBRATION: c}, dict(numbers or {})
     for measurement in measurements:
         for new in measurement.variables(poses):
             arrays[new.symbol], numbers[new.symbol] = new.initial, new.number

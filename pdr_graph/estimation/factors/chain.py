@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, Priced, State
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Linearized, Measurement, Priced, State
 from pdr_graph.geometry import nearest, peaks, pose_rotation, wrap_angle
 from pdr_graph.priors import MOTION, RECEIVERS, STEP, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
@@ -376,6 +376,11 @@ class Chain:
     def time(self) -> Array:
         """Times of the keyframes ``(k + 1,)``. [s]"""
         return self.pieces.keyframe_time
+
+    @property
+    def numbers(self) -> dict[str, Index]:
+        """Numbers of the keyframes and the calibrations in their GTSAM keys, by symbol."""
+        return {POSE: self.number, CALIBRATION: self.segment_number}
 
     @property
     def segment_first(self) -> Index:

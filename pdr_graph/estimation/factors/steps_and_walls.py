@@ -148,6 +148,8 @@ def walls_on_plan(floor_sequence: FloorSequence, prior: Prior) -> WallFactor:
     return WallFactor(floor_sequence, (), nowhere, prior.wall_margin, prior.wall_sigma)
 
 
-def walls_of_fields(fields: Sequence[DistanceField], field_of: Index, prior: Prior) -> WallFactor:
+def walls_of_fields(
+    fields: Sequence[DistanceField], field_of: Index, prior: Prior, floor_sequence: FloorSequence | None
+) -> WallFactor:
     """The walls with which the pieces of a walk are associated; field_of: ``(m,)`` field of each piece, −1 none."""
-    return WallFactor(None, tuple(fields), field_of, prior.wall_margin, prior.wall_sigma)
+    return WallFactor(floor_sequence, tuple(fields), field_of, prior.wall_margin, prior.wall_sigma)

@@ -20,15 +20,16 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import Findings, paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.factors.base import Gated, decisions_of, poses_at
-from pdr_graph.estimation.factors.chain import whole_pieces
+from pdr_graph.estimation.factors.base import Gated, State, decisions_of, poses_at
+from pdr_graph.estimation.factors.chain import Evaluation, whole_pieces
 from pdr_graph.estimation.factors.fixes import sourced
 from pdr_graph.estimation.factors.registry import kind_of_type, made_from
+from pdr_graph.estimation.factors.start import WALKER_KIND
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import OF_POSITION, GaussianMixture, measured
 from pdr_graph.estimation.linear_system import one_thread
-from pdr_graph.estimation.live.live_graph import LiveGraph
+from pdr_graph.estimation.live.live_graph import LiveGraph, same_decisions
 from pdr_graph.estimation.live.live_output import (
     LiveOutput,
     Modes,
@@ -41,6 +42,7 @@ from pdr_graph.estimation.live.live_output import (
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
 from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, numbered
+from pdr_graph.estimation.optimizer import continued, descended
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE, WAYS
@@ -152,28 +154,29 @@ def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> Ba
 
 
 def try_path(
-    graph: LiveGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int
+    walk: WalkGraph, alternative: Callable[[], tuple[Path, Decisions]], rounds: int
 ) -> tuple[Path, Decisions] | None:
     """The alternative at its optimum, and the decisions about measurements on it; None if it does not cost less.
 
-    graph: a copy of the walk's, which is changed; alternative: returns the path, and decisions about measurements on
-    it; rounds: most steps of the search.
+    walk: of the window; alternative: returns the path, and decisions about measurements on it; rounds: most steps of
+    each search.
     """
     path, decisions = alternative()
-    if not len(path.within(graph.window.times)):
+    if not len(path.within(walk.chain.time)):
         return None  # it has left the window: the particles are behind
-    present = _optimized(graph, rounds)
-    graph.decide(graph.decisions | decisions)
-    graph.place_on(path)
-    clearly_less = _optimized(graph, rounds) < present - LIVE_PATHS.least_gain
-    return (graph.window.path, decisions) if clearly_less else None
+    present = _optimized(walk, walk.start, rounds)
+    decisions = {name: rows for name, rows in decisions.items() if name != WALKER_KIND}
+    other = walk.decided(decisions)
+    start = continued(other.start, walk.start)
+    other = _optimized(other.at(start), path.placed(walk.chain, start), rounds)
+    if not other.surprise < present.surprise - LIVE_PATHS.least_gain:
+        return None
+    return Path.of(other.chain, other.state), decisions
 
 
-def _optimized(graph: LiveGraph, rounds: int) -> float:
-    """The cost of the path at its optimum, with the price of the regions that it leads through."""
-    price = graph.associate_walls()
-    graph.solve(rounds)
-    return graph.at.cost + price
+def _optimized(walk: WalkGraph, start: State, rounds: int) -> Evaluation:
+    """The walk at the optimum near a start, with the walls there."""
+    return descended(walk.associated_at(start), rounds)
 
 
 class LiveAmbiguity:
@@ -253,7 +256,7 @@ class LiveAmbiguity:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
         self.next_comparison = -np.inf if output.sure else self.next_comparison
-        graph.associate_walls()  # or a search without walls would move the walk off the solution
+        graph.walls_changed()  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
         graph.solve(SCHEDULE.rounds)
 
@@ -316,11 +319,15 @@ class LiveAmbiguity:
     def reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
         graph, at = self.graph, self.graph.at
-        gated = [kind.reclassified(at) for kind in at.measurements if isinstance(kind, Gated)]
+        gated = [kind for kind in at.measurements if isinstance(kind, Gated)]
         others = [kind for kind in at.measurements if not isinstance(kind, Gated)]
-        if graph.store_decisions([*gated, *others]):
+        after = [kind.reclassified(at) for kind in gated]
+        changed = any(not same_decisions(decisions_of(a), decisions_of(b)) for a, b in zip(gated, after, strict=True))
+        graph.store_decisions([*after, *others])
+        if changed:
             graph.log.version += 1
             graph.solve()
+        gated = after
         if any(kind.diverged for kind in gated) and graph.window.times[-1] >= self.next_batch:
             self.restart()
 
@@ -403,7 +410,7 @@ class LiveAmbiguity:
         """Compare an alternative with the present path on a copy, and adopt the better one later."""
         if not self.graph.window.intervals:
             return  # a single keyframe has no other path: the lag is shorter than the time between fixes
-        question = partial(try_path, self.graph.copy(), alternative, rounds)
+        question = partial(try_path, self.graph.frozen(), alternative, rounds)
         self.trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
 
     def adopt_alternative(self) -> None:

@@ -1,20 +1,21 @@
-"""The factor graph of a walk under way: the batch's factors over a window, and the marginal of what has left it.
+"""The factor graph of a walk under way: the batch's factors over a window, smoothed by iSAM2.
 
-Measurements are the same objects as the batch's, made from the rows in the window, and the search is the batch's
-(`Descent`), a few steps at a time. A keyframe that leaves the window is marginalised (`MarginalFactor`).
+Measurements are the same objects as the batch's, made from the rows in the window. iSAM2 has them as its factors
+(`IncrementalSmoother`), takes an update at each keyframe, and marginalises those that leave. Where the walk is placed
+anew, by the batch or by an answer, iSAM2 begins again from the factors and the marginal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized, Measurement, State, decisions_of
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, AnyArray, Itemized, Measurement, State, decisions_of
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Priors
+from pdr_graph.estimation.factors.marginal import MarginalFactor
 from pdr_graph.estimation.factors.registry import corridors_of, ways_of
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
@@ -25,8 +26,9 @@ from pdr_graph.estimation.factors.start import (
 )
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.linear_system import NormalEquations, Solution
-from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory, MarginalFactor, marginalized
+from pdr_graph.estimation.incremental import IncrementalSmoother
+from pdr_graph.estimation.linear_system import NormalEquations
+from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory
 from pdr_graph.estimation.live.window import (
     CLOSE,
     WAITING,
@@ -38,7 +40,7 @@ from pdr_graph.estimation.live.window import (
     Window,
     merged_decisions,
 )
-from pdr_graph.estimation.optimizer import Descent
+from pdr_graph.estimation.optimizer import descended
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
@@ -48,31 +50,7 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 MOST_REASONS = 100  # reasons that are kept
-
-
-@dataclass(frozen=True, eq=False)
-class WindowFactors:
-    """All factors of a window, as `optimizer.Factors`.
-
-    priors: those of variables that measurements add which hold, see `Evaluation`; start: the present estimate.
-    """
-
-    chain: Chain
-    measurements: tuple[Measurement, ...]
-    priors: Priors
-    walled: bool
-    start: State
-    known: list[NormalEquations]
-
-    def evaluate(self, state: State) -> Evaluation:
-        """All factors at one state."""
-        return self.chain.evaluate(state, self.measurements, self.priors)
-
-    def normal_equations(self, at: Evaluation) -> NormalEquations:
-        """The normal equations of the factors at ``at``; those of the last window if it has the same blocks."""
-        if not (self.known and self.known[0].fits(at)):
-            self.known[:] = [NormalEquations(at)]
-        return self.known[0]
+LEAST_RISE = 0.01  # of the cost, that is no rounding error
 
 
 class LiveGraph:
@@ -102,17 +80,18 @@ class LiveGraph:
         self.leaving_after, self.marginals = lag, list[MarginalFactor]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self.too_late, self.excess, self.failures, self.iterations = 0, Excess(), list[str](), 0
+        self.too_late, self.excess, self.failures, self.iterations, self.rebuilds = 0, Excess(), list[str](), 0, 0
         self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
         self._priors: Priors = frozenset()  # of these variables, those that hold
-        self._factors: WindowFactors | None = None
+        self._factors: WalkGraph | None = None
         self._version = 0  # of the rows that `_factors` has
         self._measurements, self._measured_at = list[Measurement](), (-1, False)  # not bound to a chain
         self._equations = list[NormalEquations]()
-        self._search: Descent | None = None
-        self._left: Evaluation | None = None  # with keyframes that have left, whose marginal is due
+        self._isam: IncrementalSmoother | None = None
+        self._at: Evaluation | None = None  # at its estimate
+        self._left: Evaluation | None = None  # with keyframes that have left, which iSAM2 has still
 
     # Steps and measurements in
 
@@ -191,17 +170,17 @@ class LiveGraph:
         return bool(len(times)) and bool(self.window.times) and float(times.min()) <= self.window.times[-1] + CLOSE
 
     @property
-    def factors(self) -> WindowFactors:
+    def factors(self) -> WalkGraph:
         """All factors of the window, with its present estimate."""
         if self._factors is None or self._version != self.log.version:
             self._factors, self._version = self._built(), self.log.version
         return self._factors
 
-    def _built(self) -> WindowFactors:
+    def _built(self) -> WalkGraph:
         window, chain = self.window, self.window.chain()
+        steps = window.steps.steps
         if self._measured_at != (measured_at := (self.log.version, window.finished)):
             end = np.inf if window.finished else window.times[-1]
-            steps = window.steps.steps
             self._measurements = self.log.measurements(steps, self.prior_in_force, window.times[0], end, self.decisions)
             self._measured_at = measured_at
         ways = [kind.continued(self.decisions.get(kind.name, {})) for kind in ways_of(self.paths)]
@@ -212,23 +191,36 @@ class LiveGraph:
         kinds.append(calibration_prior(dict.fromkeys(begins, self.c_prior), self.prior.change))
         if chain.number[0] == self._hold[0]:
             kinds.append(self._hold[1])
-        if (walls := window.walls) is not None:
+        floors = window.floors()
+        if (walls := window.walls(floors)) is not None:
             kinds.append(walls)
-        if window.intervals and self.prior.corridors and (floors := window.floors()) is not None:
+        if window.intervals and self.prior.corridors and floors is not None:
             at = chain.evaluate(window.state(chain))
             kinds += [kind.associated(at) for kind in corridors_of(floors, self.prior)]
 
-        # The marginal of variables that have left
+        # Variables that have left with the keyframes before
         state = window.state(chain, kinds, self._others)
         if self._left is not None:
-            names, present = _names(self._left.state), set(_names(state))
-            marginal, absorbed = marginalized(self._left, np.array([name not in present for name in names]))
-            kept = [old for old in self.marginals if present.issuperset(old.names)]
-            self.marginals, self._priors, self._left = [*kept, *filter(None, [marginal])], self._priors - absorbed, None
+            self._marginalize(self._left, state)
+            self._left = None
         self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
         self._add_priors(chain, state, tuple(kinds))
-        measurements, walled = (*kinds, *self.marginals), window.located_plan is not None
-        return WindowFactors(chain, measurements, self._priors, walled, state, self._equations)
+        measurements, prior = (*kinds, *self.marginals), self.prior_in_force
+        return WalkGraph.under_way(steps, chain, measurements, state, prior, floors, self._priors, self._equations)
+
+    def _marginalize(self, left: Evaluation, state: State) -> None:
+        """Let iSAM2 marginalise the variables that a new state does not have; their priors are in the marginal."""
+        present = set(_names(state))
+        leaving = [name for name in _names(left.state) if name not in present]
+        gone = set(leaving)
+        for block in left.blocks if self._priors else ():
+            if block.prior:
+                numbers = [(symbol, left.state.number(symbol)[rows].tolist()) for symbol, rows in block.variables]
+                bound = [any((symbol, of[n]) in gone for symbol, of in numbers) for n in range(len(block))]
+                self._priors -= {(block.name, number) for number in block.number[bound].tolist()}
+        self.marginals = [marginal for marginal in self.marginals if gone.isdisjoint(marginal.names)]
+        if self._isam is not None:
+            self._isam.leave(leaving)
 
     def _add_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> None:
         """Let the priors of variables that are new hold.
@@ -247,41 +239,82 @@ class LiveGraph:
                     self._priors |= {(block.name, number) for number in block.number[added].tolist()}
             self._store(state)
 
-    # The search
+    # The smoother
 
-    def search(self) -> Descent:
-        """The search for the optimum, begun if there is none; measurements since then are for the next `solve`."""
-        search = self._search
-        if search is None or len(search.at.state.poses) != len(self.window.keyframes):
-            return self._begun()
-        return search
+    @property
+    def isam(self) -> IncrementalSmoother:
+        """iSAM2, with all keyframes of the window; measurements since then are for the next `solve`."""
+        if self._isam is None or len(self._isam.estimate.poses) != len(self.window.keyframes):
+            self._update()
+        assert self._isam is not None
+        return self._isam
 
-    def _begun(self) -> Descent:
-        """Begin the search with the present factors, at the present estimate."""
-        try:
-            self._search = Descent(self.factors, self.factors.start)
-        except RuntimeError as error:
-            self._fail(error)
-            self._search = Descent(self.factors, self.factors.start)
-        return self._search
-
-    def solve(self, steps: int = 1) -> bool:
-        """Take so many steps of the search, with all measurements; False if it had reached the optimum before."""
-        same = self._search is not None and self._search.graph is self.factors
-        search, moved = self.search() if same else self._begun(), False
-        for _ in range(steps):
-            if search.converged:
+    def solve(self, updates: int = 1) -> bool:
+        """Update iSAM2 so often, first with all measurements; False if it was at the optimum before."""
+        done = 0
+        while done < updates:
+            if self._isam is None or self._isam.walk is not self.factors:
+                self._update()
+            elif self._isam.stale or not self._isam.converged:
+                self._update(again=True)
+            else:
                 break
-            try:
-                search.step()
-            except (RuntimeError, np.linalg.LinAlgError) as error:
-                self._fail(error)
-                search = self.search()
-            self.iterations, moved = self.iterations + 1, True
-        if moved:
-            self.window.read(search.at.state)
-            self._store(search.at.state)
-        return moved
+            done += 1
+        return done > 0
+
+    def _update(self, again: bool = False) -> None:
+        """Update iSAM2 with the present factors, or with the factors that it has; begin anew where it cannot go on."""
+        factors = self.factors  # what has left is marginalised first
+        try:
+            if self._isam is None:
+                self._begin(searched(factors))
+            elif self._isam.stale:
+                self._begin(self.frozen())
+            else:
+                self._isam.again() if again else self._isam.update(factors)
+                self._damp(self._isam)
+        except (RuntimeError, IndexError, np.linalg.LinAlgError) as error:
+            self._fail(error)
+        self.iterations += 1
+        self._read()
+
+    def _damp(self, isam: IncrementalSmoother) -> None:
+        """Begin iSAM2 anew if its step has raised the cost, by the damped search from where it was linearised."""
+        if isam.walk.evaluate(isam.estimate).cost <= isam.cost + LEAST_RISE:
+            return
+        walk = isam.walk.also(isam.marginals())
+        if not walk.evaluate(isam.estimate).cost <= walk.evaluate(isam.point).cost + LEAST_RISE:
+            self.rebuilds += 1
+            self._begin(searched(walk.at(isam.point)))
+
+    def _begin(self, walk: WalkGraph) -> None:
+        """Begin iSAM2 with a walk, which has the marginal of what has left."""
+        self._isam = IncrementalSmoother(walk)
+        self.marginals = [kind for kind in walk.measurements if isinstance(kind, MarginalFactor)]
+        self._factors, self._version = walk, self.log.version
+
+    def _fail(self, error: Exception) -> None:
+        """Begin anew after factors that iSAM2 cannot solve; with those that no search can, without the marginal."""
+        self.failures = [*self.failures, str(error).strip().splitlines()[0][:100]][-MOST_REASONS:]
+        try:
+            self._begin(searched(self.frozen()))
+        except (RuntimeError, IndexError, np.linalg.LinAlgError):
+            self._isam = None
+            self.restart(self.leaving_after)
+            self._begin(searched(self.factors))
+
+    def frozen(self) -> WalkGraph:
+        """The graph of the window as it is now, with the marginal of what has left, at the estimate."""
+        walk, marginals = self.factors, [] if self._isam is None else self._isam.marginals()
+        state = self.window.state(walk.chain, walk.measurements, self._others)
+        return walk.at(state).also(marginals)
+
+    def _read(self) -> None:
+        """Copy the estimate to the window."""
+        assert self._isam is not None
+        self._at = None
+        self.window.read(self._isam.estimate)
+        self._store(self._isam.estimate)
 
     def _store(self, state: State) -> None:
         """Copy the estimates of the variables that measurements add."""
@@ -291,14 +324,11 @@ class LiveGraph:
             if symbol not in (POSE, CALIBRATION)
         }
 
-    def _fail(self, error: Exception) -> None:
-        """Begin anew without the marginal, after factors that cannot be solved; measurements in it are left out."""
-        self.failures = [*self.failures, str(error).splitlines()[0][:100]][-MOST_REASONS:]
-        self.restart(self.leaving_after)
-
     def moved(self) -> None:
-        """Search from the window's poses, which were set by others."""
-        self._search = self._factors = None
+        """Begin iSAM2 anew from the window's poses, which were set by others."""
+        if self._isam is not None:
+            self.marginals += self._isam.marginals()
+        self._isam = self._at = self._factors = None
 
     def place_on(self, path: Path) -> None:
         """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
@@ -308,12 +338,12 @@ class LiveGraph:
     def move_to(self, path: Path) -> None:
         """Move the window to a path, with the walls there."""
         self.place_on(path)
-        self.associate_walls()  # or the walls of the path that is left would pull at the first solution
+        self.walls_changed()  # or the walls of the path that is left would pull at the first solution
         self.solve()
 
     def restart(self, lag: float) -> None:
         """Forget what has left the window; keyframes leave after ``lag`` [s] from now on."""
-        self.leaving_after, self.marginals, self._left = lag, [], None
+        self.leaving_after, self._isam, self.marginals, self._left = lag, None, [], None
         self._others, self._priors = {}, frozenset()
         self._begins, pose = self.window.segments[0], self.window.pose[0].copy()
         hold = first_heading_prior(float(pose[2])) if self.has_position else first_pose_prior(pose)
@@ -321,22 +351,24 @@ class LiveGraph:
         self.log.version += 1  # the decisions may have changed
         self.moved()
 
-    def associate_walls(self, pieces: int | None = None) -> float:
-        """Associate the last ``pieces``, or all, with walls; returns the price of the regions they lead through."""
-        price, changed = self.window.associate_walls(pieces)
-        if changed:
-            self.moved()
-        return price
+    def walls_changed(self, pieces: int | None = None) -> bool:
+        """Associate the last ``pieces``, or all, with walls; True if any piece has other walls than before."""
+        changed = self.window.associate_walls(pieces)
+        self._factors = None if changed else self._factors
+        return changed
 
     @property
     def at(self) -> Evaluation:
         """The window's factors at the estimate."""
-        return self.search().at
+        isam = self.isam
+        if self._at is None:
+            self._at = isam.walk.evaluate(isam.estimate)
+        return self._at
 
     @property
-    def solution(self) -> Solution:
-        """The linear system of the window, solved."""
-        return self.search().system.solution
+    def solution(self) -> IncrementalSmoother:
+        """iSAM2, which gives joint covariances."""
+        return self.isam
 
     @property
     def cost(self) -> float:
@@ -364,8 +396,8 @@ class LiveGraph:
         if not count:
             return
         window, until = self.window, self.window.times[count]
-        if min(self._arrivals, default=until) < until:
-            self._search = None  # a late measurement is of the past
+        if min(self._arrivals, default=until) < until:  # a late measurement is of the past
+            self._update()
         at, start = self.at, window.pose[0].copy() if window.complete else None
         due = until > self.finalized.edge[0] + SCHEDULE.covariance_interval
         edge = self.covariance(count) if due or start is not None else np.eye(3)
@@ -387,7 +419,7 @@ class LiveGraph:
         self._arrivals = [time for time in self._arrivals if time >= until]
         if due:
             self.finalized.finalize(window.times[0], edge)
-        self._left, self._factors, self._search = at, None, None
+        self._left, self._factors, self._at = at, None, None
 
     # Decisions, and the batch of the window
 
@@ -398,9 +430,7 @@ class LiveGraph:
             if decided := decisions_of(measurement):
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
-                changed |= stored.keys() != merged.keys() or not all(
-                    np.array_equal(stored[name], rows, equal_nan=rows.dtype == float) for name, rows in merged.items()
-                )
+                changed |= not same_decisions(stored, merged)
                 self.decisions = self.decisions | {measurement.name: merged}
         return changed
 
@@ -433,13 +463,17 @@ class LiveGraph:
 
         return build
 
-    def copy(self) -> LiveGraph:
-        """An independent graph of the same window, without rows and reports."""
-        other = copy(self)
-        other.window, other.log = self.window.copy(), self.log.copy()
-        other.finalized, other.collectors, other._arrivals = FinalizedTrajectory(), [], list(self._arrivals)
-        other.marginals, other._equations, other._factors, other._search = list(self.marginals), [], None, None
-        return other
+
+def searched(walk: WalkGraph) -> WalkGraph:
+    """The walk at the optimum near its start, by the damped search."""
+    return walk.at(descended(walk, SCHEDULE.rounds).state)
+
+
+def same_decisions(one: Mapping[str, AnyArray], other: Mapping[str, AnyArray]) -> bool:
+    """True if decisions about a kind are the same."""
+    return one.keys() == other.keys() and all(
+        np.array_equal(one[name], rows, equal_nan=rows.dtype == float) for name, rows in other.items()
+    )
 
 
 def _names(state: State) -> list[tuple[str, int]]:

@@ -53,7 +53,6 @@ class LiveSmoother:
         self.output = LiveOutput(self.graph)
         self.ambiguity = LiveAmbiguity(self.graph, self.output, executor)
         self.final: Estimate | None = None
-        self._walls_due, self._rounds_due = False, 0
 
     @property
     def sure(self) -> bool:
@@ -71,16 +70,8 @@ class LiveSmoother:
             self.graph.begin()
         self.ambiguity.open_direction(steps)
         busy = self._close()
-        if not busy and (self._walls_due or self._rounds_due):  # the work is spread over the steps between keyframes
-            busy = True
-            if not self._walls_due:
-                self._rounds_due = self._rounds_due - 1 if self.graph.solve() else 0
-            elif self.ambiguity.solved:  # there are no walls before the batch has solved the walk
-                self.graph.associate_walls(SCHEDULE.wall_pieces)
-            self._walls_due = False
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
-        self.graph.search()
 
     def rewind(self, to: float) -> float:
         """Drop the steps after ``to`` [s], as far as they are in the window; returns when those that are left end."""
@@ -101,7 +92,6 @@ class LiveSmoother:
         if window.keyframes and (times <= window.steps.end).any():
             self._close()
             self.ambiguity.follow_modes()
-            self.graph.search()
 
     def collect(self, received: Sightings, radio: str) -> None:
         """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors."""
@@ -154,12 +144,13 @@ class LiveSmoother:
             ambiguity.restart()
         ambiguity.search_plan()
         if not ambiguity.solve_by_batch():
-            graph.solve()
+            graph.solve(SCHEDULE.rounds)
+        if ambiguity.solved and graph.walls_changed(SCHEDULE.wall_pieces):  # no walls before the batch has solved it
+            graph.solve(SCHEDULE.rounds)
         ambiguity.adopt_alternative()
         if reached and self.sure:
             ambiguity.reclassify()
             ambiguity.doubt_new_fixes()
         ambiguity.compare_sources(SCHEDULE.comparison_time)
         ambiguity.follow(new)
-        self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True

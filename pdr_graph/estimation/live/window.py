@@ -92,7 +92,13 @@ class Path:
     begin: Array
     c: Array
 
-    def within(self, time: Sequence[float]) -> Index:
+    @classmethod
+    def of(cls, chain: Chain, state: State) -> Path:
+        """The path of the keyframes of a chain."""
+        first = chain.segment_first
+        return cls(chain.time, state.poses, chain.time[first], state.c[chain.segment[first]])
+
+    def within(self, time: Sequence[float] | Array) -> Index:
         """Indices of the times [s], ascending, that it covers."""
         begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
         return np.arange(begin, end)
@@ -109,6 +115,17 @@ class Path:
     def uniform(self) -> Path:
         """The path with its last calibration everywhere, which is the best informed."""
         return replace(self, begin=self.time[:1], c=self.c[-1:])
+
+    def placed(self, chain: Chain, state: State) -> State:
+        """The state of a chain with its keyframes on the path; those after its end are dead-reckoned."""
+        within, poses, c = self.within(chain.time), state.poses.copy(), state.c.copy()
+        poses[within] = self.poses(chain.time[within])
+        moves = preintegrate(chain.pieces, np.tile(self.c[-1], (len(chain.segment), 1))).delta[chain.pieces.last]
+        for n in range(int(within[-1]), len(moves)):
+            poses[n + 1] = _after(poses[n], moves[n])
+        for n in np.flatnonzero(chain.time[:-1] >= self.time[0] - CLOSE).tolist():
+            c[chain.segment[n]] = self.calibration(float(chain.time[n + 1]))
+        return state.replaced(**{POSE: poses, CALIBRATION: c})
 
 
 class StepBuffer:
@@ -383,53 +400,44 @@ class Window:
         labels = [interval.label for interval in self.intervals[first:] for _ in interval.fields]
         return None if self.located_plan is None else FloorSequence.of(self.located_plan, labels)
 
-    @property
-    def walls(self) -> Measurement | None:
-        """The walls that the pieces are associated with; None without a plan."""
+    def walls(self, floors: FloorSequence | None) -> Measurement | None:
+        """The walls that the pieces are associated with; None without a plan. floors: of the pieces."""
         if self.plan is None:
             return None
         fields = [field for interval in self.intervals for field in interval.fields]
         number = {field: n for n, field in enumerate(dict.fromkeys(field for field in fields if field is not None))}
         field_of = np.array([-1 if field is None else number[field] for field in fields], dtype=np.intp)
-        return walls_of_fields(list(number), field_of, self.prior)
+        return walls_of_fields(list(number), field_of, self.prior, floors)
 
-    def associate_walls(self, pieces: int | None = None) -> tuple[float, bool]:
+    def associate_walls(self, pieces: int | None = None) -> bool:
         """Associate the last ``pieces``, by default all, with the walls along the estimate.
 
-        Returns the price of their regions, and True if any piece has other walls than before.
+        Returns True if any piece has other walls than before.
         """
         if not self.intervals:
-            return 0.0, False
+            return False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
         first = max(0, len(self.intervals) - 1 - int(np.searchsorted(count, min(pieces or count[-1], count[-1]))))
         if (floors := self.floors(first)) is None:
-            return 0.0, False
+            return False
         chain, last, changed = self.chain(first), self.intervals[first:], False
         walls = walls_on_plan(floors, self.prior).associated(chain.evaluate(self.state(chain)))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
         for interval, at in zip(last, chain.pieces.first.tolist(), strict=True):
             before, interval.fields = interval.fields, named[at : at + len(interval.fields)]
             changed |= any(a is not b for a, b in zip(before, interval.fields, strict=True))
-        return walls.price, changed
+        return changed
 
     @property
     def path(self) -> Path:
         """The estimate as a path."""
-        segment = np.array([interval.segment for interval in self.intervals])
-        first = np.flatnonzero(np.diff(segment, prepend=-1))
-        time = np.array(self.times)
-        return Path(time, self.pose.copy(), time[first], np.array([self.c[n] for n in segment[first].tolist()]))
+        chain = self.chain()
+        return Path.of(chain, self.state(chain))
 
     def place_on(self, path: Path) -> None:
         """Move the estimate to a path; keyframes after its end are dead-reckoned."""
-        within = path.within(self.times)
-        self.pose = self.pose.copy()
-        self.pose[within] = path.poses(np.array(self.times)[within])
-        for n in range(int(within[-1]) + 1, len(self.times)):
-            self.pose[n] = self._pose_after(self.pose[n - 1], self.intervals[n - 1], path.c[-1])
-        for interval in self.intervals:
-            if interval.begin >= path.time[0] - CLOSE:
-                self.c[interval.segment] = path.calibration(interval.end)
+        chain = self.chain()
+        self.read(path.placed(chain, self.state(chain)))
 
     def read(self, state: State) -> None:
         """Copy poses and calibrations from a state of all keyframes."""
@@ -478,12 +486,16 @@ class Window:
 
     def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
         """The pose ``(3,)`` after the steps of an interval."""
-        moved = preintegrate(interval.pieces, c[None]).delta[-1]
-        return pose + np.append(rotation(pose[2]) @ moved[:2], moved[2])
+        return _after(pose, preintegrate(interval.pieces, c[None]).delta[-1])
 
     def _number(self) -> int:
         self.count += 1
         return self.count - 1
+
+
+def _after(pose: Array, move: Array) -> Array:
+    """The pose ``(3,)`` after a displacement ``(3,)`` in its axes."""
+    return pose + np.append(rotation(pose[2]) @ move[:2], move[2])
 
 
 def _extended(chain: Chain, new: Sequence[Interval], pace: Mapping[int, float]) -> Chain:

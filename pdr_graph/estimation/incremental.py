@@ -1,0 +1,364 @@
+"""iSAM2 of a walk under way: GTSAM's fixed-lag smoother with the factors of its window.
+
+`gtsam.IncrementalFixedLagSmoother` is iSAM2 (Kaess, Johannsson, Roberts, Ila, Leonard, Dellaert, "iSAM2: Incremental
+smoothing and mapping using the Bayes tree", IJRR 31(2), 2012) with marginalisation of what leaves the window. It
+linearises each factor, again where a variable has moved beyond a threshold, and gives poses and covariances. A factor
+is a ``gtsam.CustomFactor`` with the residual and the derivatives of its block; all callbacks of an update share one
+evaluation of the walk. A factor that is another one than before (an outlier, other walls, another sigma) is replaced.
+
+What marginalisation leaves is linear about the variables at the edge of the window, which iSAM2 holds at their
+linearisation point from then on. Where one of them moves beyond its threshold all the same, iSAM2 is begun anew, with
+the marginal as a factor like the others (`MarginalFactor`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, RobustLoss, State, extract, insert, key
+from pdr_graph.estimation.factors.marginal import MarginalFactor
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.types import Array, Index, Mask
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from pdr_graph.estimation.factors.chain import Evaluation
+    from pdr_graph.estimation.graph import WalkGraph
+
+STAYS, LEAVES = 1e9, 0.0  # timestamps of the fixed-lag smoother: the window says who leaves, not a lag of its own
+THRESHOLD = {  # of relinearisation: moves below change no pose by some centimetres
+    POSE: np.array([0.3, 0.3, 0.015]),  # [m, m, rad]
+    CALIBRATION: np.array([0.02, 0.008, 8e-4]),  # R_s, R_d, b [-, -, rad/s]
+}
+THRESHOLD_OF_OTHERS = np.array([0.4, 0.4, 0.4])  # offsets [m], lags [s], beacons [m, dB]
+WALLED = 0.04  # times these between walls, which begin and end to hold a step within a few centimetres
+AGAIN = 2.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
+SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
+SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
+NUMBER = (1 << 56) - 1  # the bits of a key that are the number
+
+Name = tuple[str, tuple[str, ...]]  # of a block: its kind and the symbols of its variables
+Identity = tuple[int, ...]  # of a factor in its block: its number, and the keys of its variables
+
+
+class IncrementalSmoother:
+    """iSAM2 with the factors of a walk; begins with all of them, at its start.
+
+    walk: whose factors it has; point: at which they are linearised; cost: of them there; estimate: of all variables;
+    updates: number of updates of iSAM2.
+    Raises RuntimeError, here and in all methods, if the factors do not determine all variables or are not finite.
+    """
+
+    def __init__(self, walk: WalkGraph):
+        import gtsam
+
+        self._scale = WALLED if walk.walled else 1.0
+        self._smoother = gtsam.IncrementalFixedLagSmoother(1.0, _parameters(self._scale))
+        self._slots = dict[tuple[Name, Identity], int]()
+        self._rows = dict[Name, FactorRows]()  # at the point of linearisation
+        self._fresh: dict[Name, FactorRows] | None = None  # at the point of the update under way
+        self._known = dict[str, Index]()  # numbers of iSAM2's variables, ascending
+        self._held = dict[str, Mask]()  # those of them that the marginal holds at their point
+        self.walk, self.updates, self.cost = walk, 0, 0.0
+        self.point = self.estimate = walk.start
+        self.update(walk)
+
+    def update(self, walk: WalkGraph) -> None:
+        """Take the factors of a walk that goes on, or is decided otherwise, and update once.
+
+        New variables begin at the walk's start.
+        """
+        import gtsam
+
+        self.point = _continued(walk.start, self.point, self._known)
+        at = walk.evaluate(self.point)
+        now = _rows_of(at)
+        self.cost = at.cost
+        at.forget_blocks()
+        graph, removed, added, slots = gtsam.NonlinearFactorGraph(), list[int](), list[tuple[Name, Identity]](), {}
+        for name, rows in now.items():
+            same = rows.follow(self._rows.get(name))
+            for n, identity in enumerate(rows.identity):
+                slot = self._slots.get((name, identity))
+                if slot is not None and same[n]:
+                    slots[name, identity] = slot
+                elif rows.most[n]:
+                    graph.add(self._factor(name, rows, n))
+                    added.append((name, identity))
+        removed = sorted(slot for each, slot in self._slots.items() if each not in slots)
+        values, stamps = gtsam.Values(), dict[int, float]()
+        for symbol, variables in self.point.arrays.items():
+            number = self.point.number(symbol)
+            for n in np.flatnonzero(~np.isin(number, self._known.get(symbol, ()))).tolist():
+                insert(values, symbol, key(symbol, int(number[n])), variables[n])
+                stamps[key(symbol, int(number[n]))] = STAYS
+        present = {symbol: np.sort(self.point.number(symbol)) for symbol in self.point.arrays}
+        gone = _keys(self._known) - _keys(present)
+        self.walk, self._slots, self._rows, self._known = walk, slots, now, _joined(self._known, present)
+        self._run(graph, values, stamps, removed)
+        self._slots |= zip(added, map(int, self._smoother.getISAM2Result().getNewFactorsIndices()), strict=True)
+        # iSAM2 has dropped the variables without a factor; those that the marginal still binds are marginalised
+        if bound := [variable for variable in sorted(gone) if self._smoother.getISAM2().valueExists(variable)]:
+            self._known = _without(self._known, gone - set(bound))
+            self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), dict.fromkeys(bound, LEAVES), [])
+        self._known = present
+        self._read()
+
+    def again(self) -> None:
+        """Update once more without new factors."""
+        import gtsam
+
+        self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, [])
+        self._read()
+
+    def leave(self, leaving: Iterable[tuple[str, int]]) -> None:
+        """Marginalise variables, given by symbol and number; their factors are those of the present walk."""
+        import gtsam
+
+        stamps = {key(*name): LEAVES for name in leaving}
+        self._slots = {each: slot for each, slot in self._slots.items() if stamps.keys().isdisjoint(each[1][1:])}
+        self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), stamps, [])
+        self._known = _without(self._known, stamps)
+        self._read()
+
+    @property
+    def converged(self) -> bool:
+        """True if no variable is so far from its point that another update would change the estimate."""
+        return self._farthest(held=False) <= AGAIN
+
+    @property
+    def stale(self) -> bool:
+        """True if a variable that the marginal holds has gone beyond its threshold: iSAM2 is to be begun anew."""
+        return self._farthest(held=True) > AGAIN
+
+    def joint(self, *groups: tuple[str, Index]) -> Array:
+        """Joint covariances ``(n, 3 d, 3 d)`` of n groups of d variables, as `Solution.joint`."""
+        isam = self._smoother.getISAM2()
+        keys = np.stack([self.estimate.keys(symbol, rows) for symbol, rows in groups], axis=1)
+        joint = np.empty((len(keys), keys.shape[1], 3, keys.shape[1], 3))
+        for n, group in enumerate(keys.tolist()):
+            if len(group) == 1:
+                joint[n, 0, :, 0] = isam.marginalCovariance(group[0])
+                continue
+            of_group = isam.jointMarginalCovariance(group)
+            for a, first in enumerate(group):
+                for b in range(a, len(group)):
+                    joint[n, a, :, b] = of_group.at(first, group[b])
+                    joint[n, b, :, a] = joint[n, a, :, b].T
+        return joint.reshape(len(keys), 3 * keys.shape[1], -1)
+
+    def marginals(self) -> list[MarginalFactor]:
+        """The factors that marginalisation has left, about the point at which they hold."""
+        import gtsam
+
+        factors, found = self._smoother.getFactors(), list[MarginalFactor]()
+        for factor in map(factors.at, range(factors.size())):
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                names = [(chr(each >> 56), each & NUMBER) for each in factor.keys()]
+                point = [self.point[s][int(np.flatnonzero(self.point.number(s) == n)[0])] for s, n in names]
+                whole = factor.factor().augmentedInformation()
+                found.append(MarginalFactor.of(names, np.array(point), whole[:-1, :-1], -whole[:-1, -1]))
+        return found
+
+    # Inside
+
+    def _run(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float], removed: list[int]
+    ) -> None:
+        """One update of iSAM2."""
+        self._fresh = None
+        self._smoother.update(graph, values, stamps, removed)
+        self.updates += 1
+
+    def _read(self) -> None:
+        """Read linearisation point, estimate and held variables."""
+        fixed = self._smoother.getISAM2().getFixedVariables()
+        self.point = self._state(self._smoother.getLinearizationPoint())
+        self.estimate = self._state(self._smoother.calculateEstimate())
+        self._held = {
+            symbol: np.array(
+                [fixed.count(variable) > 0 for variable in self.estimate.keys(symbol).tolist()], dtype=bool
+            )
+            for symbol in self.estimate.arrays
+        }
+
+    def _state(self, values: gtsam.Values) -> State:
+        """The variables of the walk in ``values``, in its order."""
+        arrays, numbers = dict[str, Array](), dict[str, Index]()
+        for symbol, number in self.walk.start.numbers.items():
+            known = self._known.get(symbol, np.empty(0, dtype=np.intp))
+            numbers[symbol] = number[np.isin(number, known)]
+            rows = extract(values, symbol) if len(known) else np.empty((0, 3))
+            arrays[symbol] = rows[np.searchsorted(known, numbers[symbol])]
+        return State(arrays, numbers)
+
+    def _farthest(self, held: bool) -> float:
+        """The longest way of a variable from its point, in thresholds; of those that are held, or of the others."""
+        longest = 0.0
+        for symbol, rows in self.estimate.arrays.items():
+            moved = rows - self.point[symbol]
+            if symbol == POSE:
+                moved[:, 2] = wrap_angle(moved[:, 2])
+            of_kind = np.abs(moved[self._held[symbol] == held])
+            longest = max(longest, float((of_kind / (self._scale * _threshold(symbol))).max(initial=0.0)))
+        return longest
+
+    def _factor(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
+        """Factor ``n`` of a block for iSAM2."""
+        import gtsam
+
+        identity, rows = factors.identity[n], factors.most[n]
+
+        def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+            part = self._part(values, name, identity, rows)
+            if jacobians is not None:
+                for v in range(len(identity) - 1):
+                    jacobians[v] = part[:, 1 + 3 * v : 4 + 3 * v]
+            return part[:, 0]
+
+        return gtsam.CustomFactor(factors.noise(n), list(identity[1:]), error)
+
+    def _part(self, values: gtsam.Values, name: Name, identity: Identity, rows: int) -> Array:
+        """Residual and derivatives ``(rows, 1 + 3 v)`` of a factor at the point of the update under way."""
+        if self._fresh is None:
+            point, self._fresh = self._state(values), self._rows
+            if any(not np.array_equal(point[symbol], self.point[symbol]) for symbol in self.walk.start.arrays):
+                at = self.walk.evaluate(point)
+                self.cost = at.cost
+                self._fresh = _rows_of(at)
+                at.forget_blocks()
+        here = self._fresh[name]
+        part = here.of(here.place[identity])
+        self._rows[name].linearized(identity, part)
+        if len(part) == rows:
+            return part
+        filled = np.zeros((rows, part.shape[1]))
+        filled[: len(part)] = part
+        return filled
+
+
+class FactorRows:
+    """The factors of a block at one state, as rows of residual and derivatives.
+
+    identity: of each of the ``n`` factors; place: of each identity; most: rows of each at any state.
+    """
+
+    def __init__(self, block: FactorBlock, state: State):
+        keys = np.stack([state.keys(symbol, rows) for symbol, rows in block.variables], axis=1)
+        self.identity: list[Identity] = list(zip(block.number.tolist(), *keys.T.tolist(), strict=True))
+        self.place = dict(zip(self.identity, range(len(self.identity)), strict=True))
+        self._rows = np.column_stack([block.residual, *block.jacobian()])
+        self._bounds = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
+        counts = np.diff(self._bounds) if block.most_rows is None else block.most_rows
+        self.most: list[int] = counts.tolist()
+        self._robust = block.loss if isinstance(block.loss, RobustLoss) else None
+        self._flag = np.zeros(len(block), dtype=bool) if self._robust is None else self._robust.outlier
+        if self._robust is None and block.loss.noise(0, _unit(1)) is None:  # GTSAM does not have the loss
+            self._rows *= np.sqrt(block.weight)[block.row_of, None]
+        self._last = list[Array | None]([None] * len(block))  # as linearised
+
+    def of(self, n: int) -> Array:
+        """The rows ``(r, 1 + 3 v)`` of a factor."""
+        return self._rows[self._bounds[n] : self._bounds[n + 1]]
+
+    def noise(self, n: int) -> gtsam.noiseModel.Base:
+        """GTSAM's noise model of a factor: its rows are whitened."""
+        unit = _unit(self.most[n])
+        return unit if self._robust is None else self._robust.noise(n, unit)
+
+    def linearized(self, identity: Identity, rows: Array) -> None:
+        """Store the rows with which iSAM2 has a factor from now on."""
+        if (n := self.place.get(identity)) is not None:
+            self._last[n] = rows
+
+    def follow(self, before: FactorRows | None) -> list[bool]:
+        """Take what iSAM2 has of the factors that were there before; True for those that are still the same."""
+        if before is None:
+            return [False] * len(self.identity)
+        same = list[bool]()
+        for n, identity in enumerate(self.identity):
+            old = before.place.get(identity, -1)
+            rows = self._last[n] = before._last[old] if old >= 0 else None
+            same.append(rows is not None and self._flag[n] == before._flag[old] and _alike(rows, self.of(n)))
+        return same
+
+
+def _alike(old: Array, new: Array) -> bool:
+    """True if the rows of a factor are nearly the same."""
+    if old.shape != new.shape:
+        return False
+    return not old.size or bool(np.abs(old - new).max() < SAME * (1 + np.abs(new).max() / 20))
+
+
+def _rows_of(at: Evaluation) -> dict[Name, FactorRows]:
+    """The rows of all blocks of a walk at one state."""
+    found = dict[Name, FactorRows]()
+    for block in at.blocks:
+        name = block.name, tuple(symbol for symbol, _ in block.variables)
+        while name in found:  # marginals of the same kinds of variables
+            name = name[0] + "'", name[1]
+        found[name] = FactorRows(block, at.state)
+    return found
+
+
+def _keys(numbers: dict[str, Index]) -> set[int]:
+    """The keys of variables."""
+    return {key(symbol, number) for symbol, of_symbol in numbers.items() for number in of_symbol.tolist()}
+
+
+def _joined(one: dict[str, Index], other: dict[str, Index]) -> dict[str, Index]:
+    """Numbers of one or the other, ascending, by symbol."""
+    none = np.empty(0, dtype=np.intp)
+    return {symbol: np.union1d(one.get(symbol, none), other.get(symbol, none)) for symbol in {**one, **other}}
+
+
+def _without(numbers: dict[str, Index], keys: Container[int]) -> dict[str, Index]:
+    """The numbers of the variables without these keys."""
+    return {s: of[[key(s, number) not in keys for number in of.tolist()]] for s, of in numbers.items()}
+
+
+def _continued(start: State, point: State, known: dict[str, Index]) -> State:
+    """The variables of ``start``, at ``point`` where they are known."""
+    arrays = dict[str, Array]()
+    for symbol, rows in start.arrays.items():
+        arrays[symbol] = rows
+        if len(known.get(symbol, ())):
+            order = np.argsort(point.number(symbol))
+            number = point.number(symbol)[order]
+            place = np.minimum(np.searchsorted(number, start.number(symbol)), len(number) - 1)
+            there = number[place] == start.number(symbol)
+            arrays[symbol] = np.where(there[:, None], point[symbol][order[place]], rows)
+    return State(arrays, start.numbers)
+
+
+@cache
+def _unit(rows: int) -> gtsam.noiseModel.Unit:
+    import gtsam
+
+    return gtsam.noiseModel.Unit.Create(rows)
+
+
+def _threshold(symbol: str) -> Array:
+    """By how much a variable ``(3,)`` may move before its factors are linearised again."""
+    return THRESHOLD.get(symbol, THRESHOLD_OF_OTHERS)
+
+
+@cache
+def _parameters(scale: float) -> gtsam.ISAM2Params:
+    """Of iSAM2: thresholds per symbol, and a variable is examined at each update."""
+    import gtsam
+
+    parameters, thresholds = gtsam.ISAM2Params(), gtsam.ISAM2ThresholdMap()
+    for symbol in SYMBOLS:
+        thresholds.insert((symbol, scale * _threshold(symbol)))
+    parameters.setRelinearizeThreshold(thresholds)
+    parameters.relinearizeSkip = 1
+    parameters.findUnusedFactorSlots = True  # or the slots of removed factors are never used again
+    parameters.enablePartialRelinearizationCheck = False
+    parameters.setFactorization("CHOLESKY")
+    return parameters
