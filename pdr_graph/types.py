@@ -849,22 +849,9 @@ def declared(record_type: type, column: dict[str, str]) -> list[str]:
     return [name for name, declaration in declarations(record_type).items() if declaration == column[COLUMN]]
 
 
-def is_table(record_type: type) -> bool:
-    """True for dataclasses with a field ``time``."""
-    return "time" in declarations(record_type)
-
-
 def keyframes_of(kind: Any) -> Index | None:
-    """The keyframe ``(n,)`` of each instance of a measurement kind; None if no field is declared KEYFRAME.
-
-    Raises ValueError if it has several for each instance.
-    """
-    for name in declared(type(kind), KEYFRAME):
-        if np.ndim(getattr(kind, name)) != 1:
-            found = f"found shape {np.shape(getattr(kind, name))}, expected (n,)"
-            raise ValueError(f"{type(kind).__name__}.{name}: {found}; several keyframes of a row are declared ROW")
-        return getattr(kind, name)
-    return None
+    """The keyframe ``(n,)`` of each instance of a measurement kind; None if no field is declared KEYFRAME."""
+    return next((getattr(kind, name) for name in declared(type(kind), KEYFRAME)), None)
 
 
 def row_columns(record: Any) -> dict[str, Any]:
@@ -876,13 +863,14 @@ def row_columns(record: Any) -> dict[str, Any]:
     rows = len(record) if keyframe is None else len(keyframe)
     for name, declaration in declarations(type(record)).items():
         values = getattr(record, name)
-        if declaration == TABLE[COLUMN] or not (isinstance(values, (np.ndarray, tuple)) or is_table(type(values))):
+        holds_rows = isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))
+        if declaration == TABLE[COLUMN] or not holds_rows:
             continue
-        if len(values) not in (0, rows):
-            hint = "what belongs to the table as a whole is declared field(metadata=TABLE)"
-            raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}; {hint}")
         if len(values) == rows:
             columns[name] = values
+        elif len(values):
+            hint = "what belongs to the table as a whole is declared field(metadata=TABLE)"
+            raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}; {hint}")
     return columns
 
 

@@ -277,7 +277,7 @@ def test_a_column_with_another_number_of_rows_is_refused_in_one_line():
     with pytest.raises(ValueError, match=complaint):
         navigator.push(damaged)
     del KINDS[Anchorline]
-    for kind, found in ((Walked, "Walked.walk: found 3 rows"), (Twofold, r"Twofold.keyframe: found shape \(\d+, 2\)")):
+    for kind, found in ((Walked, "Walked.walk: found 3 rows"), (Twofold, r"found keyframes of shape \(\d+, 2\)")):
         pdr.register(Anchorline, kind)
         with pytest.raises(ValueError, match=found):
             pdr.WalkGraph(steps, fixes, measurements=[lines])

@@ -7,13 +7,12 @@ type of data became in a graph.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, Locating, Measurement, Remembered
-from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, is_table, row_columns
+from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, row_columns
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.start import Prior
@@ -41,7 +40,7 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     Raises TypeError for other classes and declarations, ValueError if a name is taken.
     """
     place = f"register, {data_type.__name__}"
-    if not is_dataclass(data_type) or not is_table(data_type):
+    if "time" not in declarations(data_type):
         raise TypeError(f"{place}: found a type without a column of times, expected a frozen dataclass with time")
     if not getattr(data_type, "__dataclass_params__").frozen:  # noqa: B009, the type checker does not know it
         raise TypeError(f"{place}: found a dataclass that can change, expected @dataclass(frozen=True)")
@@ -50,7 +49,10 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     for kind in kinds:
         if not kind.name or not callable(getattr(kind, "of", None)):
             raise TypeError(f"{place}: found {kind.__name__} without a name or of(…), expected both")
-        _check_keyframe(f"{place}: {kind.__name__}", kind)
+        bound = declared(kind, KEYFRAME)
+        if len(bound) > 1 or declarations(kind).get("keyframe") == "":
+            expected = "expected one field(metadata=KEYFRAME), or ROW for several"
+            raise TypeError(f"{place}: {kind.__name__}: found keyframes {bound}, {expected}")
     lists, reference = declared(data_type, TABLE), getattr(data_type, "reference", None)
     if "time" in lists or declared(data_type, KEYFRAME):
         raise TypeError(f"{place}: found time declared TABLE, or a KEYFRAME, expected times of rows, and no keyframes")
@@ -67,13 +69,6 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     if not hasattr(data_type, "__len__"):
         data_type.__len__ = lambda table: len(table.time)  # type: ignore[attr-defined]
     KINDS[data_type] = kinds
-
-
-def _check_keyframe(place: str, kind: type[Measurement]) -> None:
-    """Raise TypeError unless a kind declares its keyframes, and one field at most as KEYFRAME."""
-    bound = declared(kind, KEYFRAME)
-    if len(bound) > 1 or declarations(kind).get("keyframe") == "":
-        raise TypeError(f"{place}: found keyframes {bound}, expected one field(metadata=KEYFRAME), or ROW for several")
 
 
 def _definitions(*classes: type) -> list[tuple[str, str]]:
@@ -124,14 +119,12 @@ def measurements_of(
     kind, for a walk under way.
     """
     kind_of(data)
-    row_columns(data)  # raises ValueError, as below, where a column has another number of rows
+    row_columns(data)  # raises ValueError where a column has another number of rows
     number, made, source = np.arange(len(data)) if number is None else number, list[Measurement](), data
     for kind in KINDS[type(data)]:
         new: Measurement = kind.of(source, steps, prior, number)
         if decisions is not None and isinstance(new, Remembered):
             new = new.continued(decisions.get(kind.name, {}))
-        if declared(kind, KEYFRAME):
-            row_columns(new)
         made.append(new)
         source = made[0]
     return made
