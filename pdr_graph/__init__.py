@@ -12,7 +12,7 @@ read       load  read_fixes  read_trajectory  FloorPlan  Building  PathNetwork  
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
 estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
 live       Navigator  Journal  Event  Samples  Sensor  Scan  Pose  Mode  Status  events_of
-extend     register  Measurement  FactorBlock
+extend     register  Measurement  FactorBlock  ROW  KEYFRAME  TABLE
 look       plot  evaluate
 simulate   Scenario  simulate
 data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError

@@ -36,7 +36,10 @@ from .online.interface import events_of as events_of
 from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
 from .online.status import Status as Status
+from .types import KEYFRAME as KEYFRAME
 from .types import LONLAT as LONLAT
+from .types import ROW as ROW
+from .types import TABLE as TABLE
 from .types import Calibration as Calibration
 from .types import Contradiction as Contradiction
 from .types import Estimate as Estimate

@@ -7,11 +7,13 @@
 * Arrays are samples-first, ``(n, 3)``. Data types are frozen; functions return new values and never change inputs.
 * Intervals are ``[start, end)``. Uncertainty is a standard deviation ``sigma_*`` or a covariance ``(n, d, d)``.
 * A table of measurements for the graph is a frozen dataclass with ``time``, ``(n,)`` or ``(n, 2)`` for pairs [s], rows
-  sorted by time. Arrays and tuples of n values are columns with a value per row. It may state, as class variables:
-  ``limits``, least and largest value of a column (a live walk leaves out rows beyond them, and rows that are not
-  finite); ``optional``, the columns that may be NaN; ``most``, rows that a live walk uses in a quarter of a second;
-  ``tables`` and ``reference``, the names of the fields that rows refer to (label, position of anchors), and the column
-  that refers to them.
+  sorted by time. It may state, as class variables: ``limits``, least and largest value of a column (a live walk leaves
+  out rows beyond them, and rows that are not finite); ``optional``, the columns that may be NaN; ``most``, rows that a
+  live walk uses in a quarter of a second; ``reference``, the column that has, for each row, its place in a list of
+  beacons or anchors: ``label`` and the other fields declared TABLE.
+* An array, a tuple or a table in a field is a column with a value per row (ROW), empty where nothing is known. What
+  belongs to the table as a whole is declared ``field(metadata=TABLE)``; numbers, texts and other values always do.
+  The same holds for kinds of measurement, whose keyframe ``(n,)`` per row is declared ``field(metadata=KEYFRAME)``.
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cache, cached_property
 from math import isfinite
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -43,6 +45,8 @@ DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 GNSS = "GNSS"  # source of fixes from a phone's receiver
 NONE: Any = ()  # a column of which nothing is known
+COLUMN = "pdr_graph.column"  # in the metadata of a field: how it is declared
+ROW, KEYFRAME, TABLE = ({COLUMN: declared} for declared in ("row", "keyframe", "table"))
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -491,7 +495,7 @@ class Steps(Rows):
     sigma_length: Array
     sigma_turn: Array
     final_turn: float = 0.0
-    unknown: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = field(default=(), metadata=TABLE)
     stepless: float = 0.0
     confidence: Array = None  # type: ignore[assignment]
 
@@ -541,11 +545,10 @@ class Levels(Rows, row="level"):
     time: Array
     beacon: Index
     rssi: Array
-    label: tuple[str, ...]
-    position: Array
-    sigma: Array
+    label: tuple[str, ...] = field(metadata=TABLE)
+    position: Array = field(metadata=TABLE)
+    sigma: Array = field(metadata=TABLE)
 
-    tables: ClassVar[tuple[str, ...]] = ("label", "position", "sigma")
     reference: ClassVar[str] = "beacon"
     limits: ClassVar[Limits] = {
         "rssi": (-200.0, 200.0),
@@ -600,11 +603,10 @@ class Ranges(Rows, row="range"):
     anchor: Index
     range: Array
     sigma: Array
-    label: tuple[str, ...]
-    position: Array
-    position_sigma: Array
+    label: tuple[str, ...] = field(metadata=TABLE)
+    position: Array = field(metadata=TABLE)
+    position_sigma: Array = field(metadata=TABLE)
 
-    tables: ClassVar[tuple[str, ...]] = ("label", "position", "position_sigma")
     reference: ClassVar[str] = "anchor"
     limits: ClassVar[Limits] = {
         "range": (0.0, FARTHEST),
@@ -835,21 +837,69 @@ class Estimate(OneLineRepr):
         return [count(len(self.trajectory), "pose"), *time_span(self.trajectory), *counts, state]
 
 
+@cache
+def declarations(record_type: type) -> dict[str, str]:
+    """How each field of a data type or measurement kind is declared: "row", "keyframe", "table"; "" if it is not."""
+    columns = fields(record_type) if is_dataclass(record_type) else ()
+    return {each.name: each.metadata.get(COLUMN, "") for each in columns}
+
+
+def declared(record_type: type, column: dict[str, str]) -> list[str]:
+    """The names of the fields of a data type or measurement kind that are declared ROW, KEYFRAME or TABLE."""
+    return [name for name, declaration in declarations(record_type).items() if declaration == column[COLUMN]]
+
+
+def keyframes_of(kind: Any) -> Index | None:
+    """The keyframe ``(n,)`` of each instance of a measurement kind; None if no field is declared KEYFRAME."""
+    return next((getattr(kind, name) for name in declared(type(kind), KEYFRAME)), None)
+
+
+def row_columns(record: Any) -> dict[str, Any]:
+    """The columns of a table or measurement kind that have a value per row, by name.
+
+    Raises ValueError if a column has another number of values than the record has rows. Empty columns are left out.
+    """
+    keyframe, columns = keyframes_of(record), dict[str, Any]()
+    rows = len(record) if keyframe is None else len(keyframe)
+    for name, declaration in declarations(type(record)).items():
+        values = getattr(record, name)
+        holds_rows = isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))
+        if declaration == TABLE[COLUMN] or not holds_rows:
+            continue
+        if len(values) == rows:
+            columns[name] = values
+        elif len(values):
+            hint = "what belongs to the table as a whole is declared field(metadata=TABLE)"
+            raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}; {hint}")
+    return columns
+
+
+def rows_of(column: Any, index: Index) -> Any:
+    """The rows ``index (n,)`` of a column: an array, a tuple or a table."""
+    if isinstance(column, np.ndarray):
+        return column[index]
+    return tuple(column[i] for i in index.tolist()) if isinstance(column, tuple) else take(column, index)
+
+
 def take(data: Table, which: int | slice | Mask | Index) -> Table:
-    """The rows `which` of a table, as arrays and tuples; other fields are kept, as `row_columns` says."""
+    """The rows `which` of a table; what belongs to the table as a whole is kept, as `row_columns` says."""
     size = len(data)
     index = np.arange(*which.indices(size)) if isinstance(which, slice) else np.atleast_1d(np.arange(size)[which])
-    of_rows, table = row_columns(data), object.__new__(type(data))  # its rows were validated when `data` was made
-    for column in fields(data):
-        values = getattr(data, column.name)
-        if column.name in of_rows:
-            values = values[index] if isinstance(values, np.ndarray) else tuple(values[i] for i in index.tolist())
-        object.__setattr__(table, column.name, values)
+    columns, table = row_columns(data), object.__new__(type(data))  # its rows were validated when `data` was made
+    for name in declarations(type(data)):
+        values = rows_of(columns[name], index) if name in columns else getattr(data, name)
+        object.__setattr__(table, name, values)
     return table
 
 
+def repeated(kind: Table, which: Index, keyframe: Index) -> Table:
+    """The instances ``which (n,)`` of a measurement kind, any of them several times, bound to keyframes ``(n,)``."""
+    columns = {name: rows_of(column, which) for name, column in row_columns(kind).items()}
+    return replace(kind, **columns | dict.fromkeys(declared(type(kind), KEYFRAME), keyframe))
+
+
 def appended(data: Table, more: Table) -> Table:
-    """The rows of `data` and then of `more`, of the same type; tables that rows refer to are taken from `more`."""
+    """The rows of `data` and then of `more`, of the same type; what belongs to the whole table is taken from `more`."""
     return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in row_columns(data)})
 
 
@@ -861,15 +911,15 @@ def with_offset(data: Table, seconds: float) -> Table:
 def concatenate(parts: Sequence[Table]) -> Table:
     """The rows of at least one table, all of one type, in the order of the parts.
 
-    Tables that rows refer to are merged: a label names one beacon or anchor, described by the first part that has it.
+    The list that rows refer to is merged: a label names one beacon or anchor, described by the first part that has it.
     """
     parts = [part for part in parts if len(part)] or list(parts[:1])
     first = parts[0]
     if len(parts) == 1:
         return first
     joined = {name: _stacked([getattr(part, name) for part in parts]) for name in row_columns(first)}
-    tables = getattr(type(first), "tables", ())
-    if tables:
+    reference = getattr(type(first), "reference", None)
+    if reference is not None:
         named: dict[tuple[str, int], tuple[Table, int]] = {}
         keys = [list(_keys(part)) for part in parts]
         for part, of_part in zip(parts, keys, strict=True):
@@ -877,9 +927,9 @@ def concatenate(parts: Sequence[Table]) -> Table:
                 named.setdefault(key, (part, m))
         row_of = {key: row for row, key in enumerate(named)}
         rows = [np.array([row_of[key] for key in of_part], dtype=np.intp) for of_part in keys]
-        column = type(first).reference
-        joined[column] = np.concatenate([row[getattr(part, column)] for row, part in zip(rows, parts, strict=True)])
-        for name in tables:
+        numbers = [row[getattr(part, reference)] for row, part in zip(rows, parts, strict=True)]
+        joined[reference] = np.concatenate(numbers)
+        for name in declared(type(first), TABLE):
             values = [getattr(part, name)[m] for part, m in named.values()]
             joined[name] = tuple(values) if isinstance(getattr(first, name), tuple) else np.array(values)
     return replace(first, **joined)
@@ -894,13 +944,6 @@ def by_type(tables: Sequence[Any]) -> tuple[Any, ...]:
 def last_time(data: Any) -> Array:
     """The time ``(n,)`` at which each row is complete: its only time, or the later of two. [s]"""
     return data.time if data.time.ndim == 1 else data.time.max(axis=1)
-
-
-def row_columns(data: Any) -> list[str]:
-    """The names of the columns with one value per row; other fields are tables that rows refer to."""
-    tables = getattr(type(data), "tables", ())
-    columns = [(field.name, getattr(data, field.name)) for field in fields(data) if field.name not in tables]
-    return [name for name, column in columns if isinstance(column, (np.ndarray, tuple)) and len(column) == len(data)]
 
 
 def _stacked(columns: Sequence[Any]) -> Any:

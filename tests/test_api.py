@@ -33,6 +33,7 @@ Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
 Journal(path, log, make)
+KEYFRAME
 LONLAT
 Measurement()
 Mode(probability, x, y, heading, covariance)
@@ -41,6 +42,7 @@ start_heading_sigma=, epoch=, executor=)
 PathNetwork(lines, classes, notes=, frame=, target=, building=, area=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=, placed=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
+ROW
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=, step_counter=)
 Samples(sensor, time, values)
@@ -53,6 +55,7 @@ Signal(time, values)
 Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, rebuilds, judge)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=, \
 stepless=, confidence=)
+TABLE
 Trajectory(time, position, heading, floor=, covariance=, epsg=)
 Verdict(state, reasons=)
 WalkGraph(steps, fixes=, *, headings=, floor=, floors=, levels=, closures=, measurements=, paths=, prior=, others=)
@@ -77,7 +80,13 @@ verdict(estimate)
 """
 
 
-CONSTANTS = {"Event", "LONLAT"}  # a type alias and a number: they have no parameters, nor a place of their own
+CONSTANTS = {
+    "Event",
+    "KEYFRAME",
+    "LONLAT",
+    "ROW",
+    "TABLE",
+}  # a type alias, a number, declarations of fields: they have no parameters, nor a place of their own
 
 
 def spelt(name):

@@ -64,7 +64,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2940),
+    ".": (15, 2960),  # declared columns of data types and kinds
     "apps": (3, 170),
     "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
@@ -75,7 +75,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
     "estimation": (18, 3162),
     "estimation/ambiguity": (6, 390),
-    "estimation/factors": (15, 2750),
+    "estimation/factors": (15, 2760),  # the checks of these columns
     "estimation/live": (10, 1824),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
@@ -89,8 +89,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5566),
-    "online.navigator": (66, 12682),
+    "estimation.smoother": (30, 5590),
+    "online.navigator": (66, 12710),
 }
 
 

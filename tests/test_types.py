@@ -38,6 +38,7 @@ from pdr_graph.types import (
     Sightings,
     Signal,
     Verdict,
+    take,
 )
 
 STEPS = wandering_walk(3)
@@ -71,6 +72,14 @@ def test_fixes_are_selected_like_arrays():
     assert len(fixes[-1]) == 1
     assert fixes[fixes.time > 0.5].time.tolist() == [1.0, 2.0]
     assert len(fixes[:0]) == 0
+
+
+def test_a_step_is_taken_with_all_that_the_sensors_do_not_determine():
+    """Also where a walk has as many unknown quantities as steps."""
+    steps = replace(take(STEPS, slice(2)), unknown=("turns", "lengths"))
+    one = take(steps, 0)
+    assert one.time.tolist() == STEPS.time[:1].tolist()
+    assert one.unknown == steps.unknown
 
 
 TIME = np.arange(0, 10, 0.01)

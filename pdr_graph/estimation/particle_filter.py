@@ -21,9 +21,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.priors import MOTION, PARTICLES, REGIONS, WALLS
-from pdr_graph.types import Array, Index, take
+from pdr_graph.types import Array, Index, keyframes_of, repeated
 
 
 class PoseCosts(Protocol):
@@ -82,23 +82,6 @@ class LimitsSteps(Structural):
         ...
 
 
-def _repeated(kind: Any, which: Index, keyframe: Index) -> Any:
-    """The instances ``which (n,)``, any of them several times, bound to other keyframes ``(n,)``.
-
-    Of kinds without such a method, all columns and tables with a row for each instance are taken.
-    """
-    if hasattr(kind, "repeated"):
-        return kind.repeated(which, keyframe)
-    changed: dict[str, Any] = {"keyframe": keyframe}
-    for name, column in vars(kind).items():
-        rows = name in {each.name for each in fields(kind)} and name != "keyframe"
-        if rows and isinstance(column, np.ndarray) and len(column) == len(kind.keyframe):
-            changed[name] = column[which]
-        elif rows and hasattr(column, "time") and len(column) == len(kind.keyframe):
-            changed[name] = take(column, which)
-    return replace(kind, **changed)
-
-
 def pose_costs(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
     """The measurements of all kinds at a keyframe."""
     costs = [
@@ -111,23 +94,27 @@ def pose_costs(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMe
 
 def _by_residuals(kind: Measurement, keyframe: int) -> Residuals | None:
     """The instances of a kind at a keyframe; None for kinds whose instances are not bound to one keyframe each."""
-    bound = vars(kind).get("keyframe")
-    if not isinstance(bound, np.ndarray) or bound.ndim != 1:
+    bound = keyframes_of(kind)
+    if bound is None:
         return None
     which = np.flatnonzero(bound == keyframe)
-    return Residuals(_repeated(kind, which, np.zeros(len(which), dtype=np.intp))) if len(which) else None
+    return Residuals(repeated(kind, which, np.zeros_like(which)), len(which)) if len(which) else None
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Costs of poses by the residuals of a kind. kind: its instances at the keyframe, bound to keyframe 0."""
+    """Costs of poses by the residuals of a kind.
+
+    kind: its instances at the keyframe, bound to keyframe 0; count: their number.
+    """
 
     kind: Measurement
+    count: int
 
     def costs(self, state: Array) -> Iterable[Array]:
         """The sum of the losses of all factors of each pose."""
-        n, f = state.shape[1], len(vars(self.kind)["keyframe"])
-        each = _repeated(self.kind, np.tile(np.arange(f), n), np.arange(n).repeat(f))
+        n, f = state.shape[1], self.count
+        each = repeated(self.kind, np.tile(np.arange(f), n), np.arange(n).repeat(f))
         walk = initial_state(np.ascontiguousarray(state[:3].T), np.ascontiguousarray(state[3:].T), (each,))
         none = np.empty((0, 3))
         increments, nothing = Increments(none, np.empty((0, 3, 3))), Linearized(none, *(np.empty((0, 3, 3)),) * 3)

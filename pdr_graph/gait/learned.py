@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -46,8 +46,6 @@ class Velocities(Rows, row="velocity"):
     velocity: Array
     sigma: Array
     frame: Index
-
-    tables: ClassVar[tuple[str, ...]] = ()
 
 
 class Network:

@@ -19,6 +19,7 @@ from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INERTIAL,
     INSTANT,
+    TABLE,
     Array,
     Fixes,
     Levels,
@@ -26,6 +27,7 @@ from pdr_graph.types import (
     Mask,
     Sightings,
     Steps,
+    declared,
     last_time,
     row_columns,
     take,
@@ -91,10 +93,10 @@ class EventChecks:
         Values are within the limits of the type of data, and finite. A listed position may be unknown.
         """
         limits: Limits = getattr(data, "limits", {})
-        tables = {column: bounds for column, bounds in limits.items() if column in getattr(data, "tables", ())}
-        arrays = [name for name in row_columns(data) if isinstance(getattr(data, name), np.ndarray)]
+        tables = {column: limits[column] for column in declared(type(data), TABLE) if column in limits}
+        arrays = {name: column for name, column in row_columns(data).items() if isinstance(column, np.ndarray)}
         optional = getattr(data, "optional", ())
-        numbers = [name for name in arrays if getattr(data, name).dtype.kind == "f" and name not in optional]
+        numbers = [name for name, column in arrays.items() if column.dtype.kind == "f" and name not in optional]
         finite: Limits = dict.fromkeys(numbers, (-LARGEST_FLOAT, LARGEST_FLOAT))
         soon = np.abs(data.time) < SENSOR_VALIDATION.latest
         rows = {column: bounds for column, bounds in (finite | limits).items() if column not in tables}
@@ -185,8 +187,7 @@ class EventChecks:
         self.unused["steps", OUT_OF_ORDER] += max(1, int((~later).sum()))
         if steps.end <= end + INSTANT:
             return None
-        columns = {name: column[later] for name, column in vars(steps).items() if isinstance(column, np.ndarray)}
-        return replace(steps, start=end, **columns)
+        return replace(take(steps, later), start=end)
 
     def issues(self) -> list[str]:
         """A line for each unit that is not the expected one, and for each reason why rows were left out."""

@@ -20,6 +20,7 @@ from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.chain import intervals, whole_pieces
 from pdr_graph.estimation.factors.fixes import FixCosts
 from pdr_graph.estimation.factors.heading_prior import HeadingCosts
+from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import (
     COMPILED,
@@ -33,7 +34,7 @@ from pdr_graph.estimation.particle_filter import (
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.geometry import interpolate, rotation
 from pdr_graph.priors import PARTICLES, RANGES, REGIONS
-from pdr_graph.types import Fixes, Ranges
+from pdr_graph.types import Fixes, Ranges, take
 
 SIGMA = np.array([0.07, 0.25, 0.02])  # of a step's length, sway [m] and turn [rad]
 
@@ -335,6 +336,22 @@ def test_ranges_weigh_each_pose_by_its_residual():
             huber = np.where(np.abs(s) > 2.45, 2.45 * (np.abs(s) - 2.45 / 2), s**2 / 2)
             expected += np.minimum(huber, PARTICLES.outlier_price)
         assert total(pose_costs([kind], keyframe), state) == pytest.approx(expected, rel=0.02, abs=0.02)
+
+
+def test_the_cost_of_a_range_does_not_depend_on_the_number_of_others():
+    """Nor where there are as many ranges as keyframes: the walked track belongs to the walk, not to the ranges."""
+    steps, _, truth = drawn_from_the_model(40, 1)
+    ranges, state, costs = ranged(truth, 1)[0], states(50, truth.position[20]), dict[int, np.ndarray]()
+    few = take(replace(ranges, sigma=np.full(len(ranges), 1.5)), ranges.time < 4.0)
+    graph = WalkGraph(steps, measurements=[few])
+    keyframes = len(graph.chain.time)
+    for n in (keyframes - 1, keyframes, keyframes + 1):
+        more = take(few, np.minimum(np.arange(n), len(few) - 1))  # the last range again and again
+        kind = RangeFactor.of(more, steps, graph.prior).bind(graph.chain)
+        costs[n] = total(pose_costs([kind], int(kind.keyframe[2])), state)
+    below, equal, above = (costs[keyframes + by] for by in (-1, 0, 1))
+    assert below == pytest.approx(above, rel=1e-12)
+    assert equal == pytest.approx(below, rel=1e-12)
 
 
 def test_levels_of_many_poses_are_those_of_each_alone():

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,6 +26,7 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.priors import PARTICLES
+from pdr_graph.types import repeated, take
 from pdr_graph.walk import Options, estimate, read
 from pdr_graph.walk import observe as evidence_of
 
@@ -253,7 +254,76 @@ def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path
     assert error(outing.trajectory, truth) < 0.4
 
 
+def test_what_is_declared_of_the_whole_is_neither_selected_nor_repeated():
+    """Colours as many as lines: by length alone they would be a column of rows."""
+    lines = ColouredLines(np.arange(2.0), np.zeros(2), np.eye(2), np.ones(2), colours=("red", "blue"), hue=("a", "b"))
+    one = take(lines, [1, 1, 0])
+    assert (one.time.tolist(), one.hue, one.colours) == ([1.0, 1.0, 0.0], ("b", "b", "a"), ("red", "blue"))
+    kind = Coloured(lines, np.array([5, 6]), np.array([2, 7]), walk=np.array([10.0, 20.0]))
+    again = repeated(kind, np.array([1, 1, 0]), np.array([0, 1, 2]))
+    assert (again.number.tolist(), again.keyframe.tolist()) == ([6, 6, 5], [0, 1, 2])
+    assert (again.lines.hue, again.lines.colours) == (("b", "b", "a"), ("red", "blue"))
+    assert again.walk.tolist() == [10.0, 20.0]
+
+
+def test_a_column_with_another_number_of_rows_is_refused_in_one_line():
+    """At once: in a batch, live, and of a kind that says of the walk what it declares of its rows."""
+    steps, fixes, _, lines = drawn(0, 20)
+    damaged = replace(lines, sigma=lines.sigma[:2])
+    complaint = rf"^Anchorline.sigma: found 2 rows, expected {len(lines)}; what belongs .* field\(metadata=TABLE\)$"
+    with pytest.raises(ValueError, match=complaint):
+        pdr.WalkGraph(steps, fixes, measurements=[damaged])
+    navigator = pdr.Navigator()
+    with pytest.raises(ValueError, match=complaint):
+        navigator.push(damaged)
+    del KINDS[Anchorline]
+    for kind, found in ((Walked, "Walked.walk: found 3 rows"), (Twofold, r"found keyframes of shape \(\d+, 2\)")):
+        pdr.register(Anchorline, kind)
+        with pytest.raises(ValueError, match=found):
+            pdr.WalkGraph(steps, fixes, measurements=[lines])
+        del KINDS[Anchorline]
+    pdr.register(Anchorline, AnchorlineFactor)
+
+
+@dataclass(frozen=True)
+class ColouredLines(Anchorline):
+    colours: tuple[str, ...] = field(default=(), metadata=pdr.TABLE)
+    hue: tuple[str, ...] = ()
+
+    def __len__(self):
+        return len(self.time)
+
+
+@dataclass(frozen=True, eq=False)
+class Walked(AnchorlineFactor):
+    walk: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Coloured(AnchorlineFactor):
+    walk: np.ndarray = field(default_factory=lambda: np.zeros(3), metadata=pdr.TABLE)
+
+
+class Twofold(AnchorlineFactor):
+    @classmethod
+    def of(cls, lines, steps, prior, number):
+        return cls(lines, number, np.full((len(number), 2), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Undeclared(AnchorlineFactor):
+    keyframe: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class TwiceBound(AnchorlineFactor):
+    other: np.ndarray = field(metadata=pdr.KEYFRAME)
+
+
 Changing = make_dataclass("Changing", ["time"])
+Bound = make_dataclass("Bound", ["time", ("at", np.ndarray, field(metadata=pdr.KEYFRAME))], frozen=True)
+Whole = make_dataclass("Whole", [("time", np.ndarray, field(metadata=pdr.TABLE))], frozen=True)
+Listless = make_dataclass("Listless", ["time", "anchor", "label"], frozen=True, namespace={"reference": "anchor"})
 Timeless = make_dataclass("Timeless", ["place"], frozen=True)
 Ranges = make_dataclass("Ranges", ["time"], frozen=True)
 
@@ -276,6 +346,11 @@ class Taken(AnchorlineFactor):
         (Ranges, AnchorlineFactor, ValueError, "another type of this name is registered"),
         (pdr.Fixes, AnchorlineFactor, ValueError, "another type of this name is registered"),
         (Anchorline, Taken, ValueError, "is registered"),
+        (Anchorline, Undeclared, TypeError, r"Undeclared: found keyframes \[\], expected one"),
+        (Anchorline, TwiceBound, TypeError, r"TwiceBound: found keyframes \['keyframe', 'other'\], expected one"),
+        (Bound, AnchorlineFactor, TypeError, "or a KEYFRAME, expected"),
+        (Whole, AnchorlineFactor, TypeError, "found time declared TABLE"),
+        (Listless, AnchorlineFactor, TypeError, "refer to no list, expected label"),
     ],
 )
 def test_what_cannot_be_registered_is_refused(data, kind, error, reason):

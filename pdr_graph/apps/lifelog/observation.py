@@ -27,6 +27,7 @@ from pdr_graph.io.validation import plausible_times
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import (
     INSTANT,
+    TABLE,
     Array,
     Beacons,
     Fixes,
@@ -36,6 +37,9 @@ from pdr_graph.types import (
     Sightings,
     Signal,
     Steps,
+    declared,
+    row_columns,
+    rows_of,
     take,
     with_offset,
 )
@@ -400,14 +404,12 @@ def without_times(observation: Observation, spans: Sequence[Span], note: str) ->
             return None
         within = np.any([(table.time >= a) & (table.time <= b) for a, b in inside], axis=0)
         table = take(table, ~(within if within.ndim == 1 else within.any(axis=1)))
-        tables = getattr(type(table), "tables", ())
-        if not tables:
+        reference = getattr(type(table), "reference", None)
+        if reference is None:
             return table
-        column = type(table).reference
-        used, number = np.unique(getattr(table, column), return_inverse=True)
-        named = {name: getattr(table, name) for name in tables}
-        kept = {n: c[used] if isinstance(c, np.ndarray) else tuple(c[i] for i in used) for n, c in named.items()}
-        return replace(table, **kept, **{column: number.astype(np.intp)})
+        used, number = np.unique(getattr(table, reference), return_inverse=True)
+        kept = {name: rows_of(getattr(table, name), used) for name in declared(type(table), TABLE)}
+        return replace(table, **kept, **{reference: number.astype(np.intp)})
 
     steps, looks = observation.steps, observation.looks
     for a, b in inside:
@@ -445,7 +447,7 @@ def steps_without(steps: Steps, looks: Array, a: float, b: float) -> tuple[Steps
     b = min(steps.end, max([b, *steps.time[dropped]]))
     if a >= b:
         return steps, looks
-    columns = {name: column[~dropped] for name, column in vars(steps).items() if isinstance(column, np.ndarray)}
+    columns = row_columns(take(steps, ~dropped))
     seen = looks[:-1][~dropped]
     if before < len(seen):  # the next step turns by what it turned itself; the pause before it is partly left out
         columns["turn"][before] -= columns["pause_turn"][before]

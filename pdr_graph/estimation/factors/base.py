@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Contradiction, Fixes, Index, Mask
+from pdr_graph.types import Array, Contradiction, Fixes, Index, Mask, keyframes_of, row_columns
 
 if TYPE_CHECKING:
     import gtsam
@@ -374,6 +374,11 @@ class Measurement(ABC):
     determines_position: ClassVar[bool] = False
     overhang: ClassVar[float] = 0.0
     on_plan: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the columns are those that are declared, if there is a KEYFRAME."""
+        if (keyframe := keyframes_of(self)) is not None and row_columns(self) and keyframe.ndim != 1:
+            raise ValueError(f"{type(self).__name__}: found keyframes of shape {keyframe.shape}, expected (n,), or ROW")
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""

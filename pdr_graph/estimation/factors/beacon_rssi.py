@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -29,7 +29,19 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Meas
 from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.priors import BEACONS, PRICES
-from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Levels, Sightings, Steps, minor_number, take
+from pdr_graph.types import (
+    KEYFRAME,
+    TABLE,
+    Array,
+    BeaconReport,
+    Beacons,
+    Fixes,
+    Index,
+    Levels,
+    Sightings,
+    Steps,
+    minor_number,
+)
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -48,12 +60,12 @@ class BeaconRssiFactor(Measurement):
     """
 
     listed: Levels
-    position: Array
-    prior: Array
-    beacon_number: Index
+    position: Array = field(metadata=TABLE)
+    prior: Array = field(metadata=TABLE)
+    beacon_number: Index = field(metadata=TABLE)
     number: Index
-    keyframe: Index
-    origin: Array | None = None
+    keyframe: Index = field(metadata=KEYFRAME)
+    origin: Array | None = field(default=None, metadata=TABLE)
 
     name: ClassVar[str] = "beacons"
     determines_position: ClassVar[bool] = True
@@ -83,10 +95,6 @@ class BeaconRssiFactor(Measurement):
     def bind(self, chain: Chain) -> Self:
         """Bind every level to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.listed.time))
-
-    def repeated(self, which: Index, keyframe: Index) -> Self:
-        """The levels ``which (n,)``, bound to other keyframes ``(n,)``; of the same beacons."""
-        return replace(self, listed=take(self.listed, which), number=self.number[which], keyframe=keyframe)
 
     def decisions(self) -> dict[str, AnyArray]:
         """Positions and priors of the beacons."""

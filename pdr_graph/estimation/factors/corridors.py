@@ -23,7 +23,7 @@ from pdr_graph.floor.network import Lines, Network, nearest_segments
 from pdr_graph.floor.paths import PathNetwork, match
 from pdr_graph.geometry import interpolate, length_along, nearest, pose_rotation, turn_between, wrap_angle
 from pdr_graph.priors import CORRIDOR, FIXES, REPORTS, TURNS, VERDICTS, WAYS
-from pdr_graph.types import INSTANT, Array, Contradiction, Headings, Index, Mask, OneLineRepr
+from pdr_graph.types import INSTANT, KEYFRAME, Array, Contradiction, Headings, Index, Mask, OneLineRepr
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -106,7 +106,7 @@ class CorridorFactor(Measurement):
     """
 
     floor_sequence: FloorSequence
-    keyframe: Index
+    keyframe: Index = field(metadata=KEYFRAME)
     direction: Headings
 
     name: ClassVar[str] = "corridors"

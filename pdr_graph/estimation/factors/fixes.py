@@ -9,7 +9,7 @@ reach of the one before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -19,7 +19,20 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate, pose_rotation
 from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
-from pdr_graph.types import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE, Array, Fixes, FixReport, Index, Mask, Steps
+from pdr_graph.types import (
+    DUPLICATE,
+    FROZEN,
+    KEYFRAME,
+    LOUD_BEACON,
+    OUTSIDE,
+    TABLE,
+    Array,
+    Fixes,
+    FixReport,
+    Index,
+    Mask,
+    Steps,
+)
 
 if TYPE_CHECKING:
     import gtsam
@@ -47,7 +60,7 @@ class FixFactor(Measurement):
     """
 
     fixes: Fixes
-    steps: Steps
+    steps: Steps = field(metadata=TABLE)
     number: Index
     sigma: Array
     used: Mask
@@ -59,7 +72,7 @@ class FixFactor(Measurement):
     outlier: Mask
     held: Mask
     biased: Mask
-    keyframe: Index
+    keyframe: Index = field(metadata=KEYFRAME)
     widened: Array
     approximate: bool = False
     wrong: Mask | bool = False

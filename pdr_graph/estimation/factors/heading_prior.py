@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -14,7 +14,7 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.priors import COMPASS, PARTICLES, PRICES
-from pdr_graph.types import START, Array, Headings, Index, Steps, take
+from pdr_graph.types import KEYFRAME, START, Array, Headings, Index, Steps, take
 
 if TYPE_CHECKING:
     import gtsam
@@ -48,7 +48,7 @@ class HeadingFactor(Measurement):
 
     headings: Headings
     number: Index
-    keyframe: Index
+    keyframe: Index = field(metadata=KEYFRAME)
     off: float = 0.0
     wrong_start: bool = False
 

@@ -6,7 +6,7 @@ Sources are a stop between two recordings, a recognised place, an encounter of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from pdr_graph.estimation.factors.base import GAUSSIAN, FactorBlock, Measurement
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Closures, Index, Steps
+from pdr_graph.types import ROW, Array, Closures, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -36,7 +36,7 @@ class LoopClosureFactor(Measurement):
 
     closures: Closures
     number: Index
-    keyframe: Index
+    keyframe: Index = field(metadata=ROW)
     hold: str = DOUBTED
 
     name: ClassVar[str] = "closures"

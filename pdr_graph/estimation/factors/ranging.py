@@ -16,7 +16,7 @@ So is the lag of all ranges, whose clock may be another device's.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -36,7 +36,7 @@ from pdr_graph.estimation.factors.gnss_bias import QUARTER
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_points, rotation
 from pdr_graph.priors import RANGES, REPORTS
-from pdr_graph.types import INSTANT, Array, Complex, Fixes, Index, RangeReport, Ranges, Steps, take
+from pdr_graph.types import INSTANT, KEYFRAME, TABLE, Array, Complex, Fixes, Index, RangeReport, Ranges, Steps, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -85,9 +85,9 @@ class RangeFactor(Measurement):
 
     ranges: Ranges
     number: Index
-    keyframe: Index
-    track: Complex
-    time: Array
+    keyframe: Index = field(metadata=KEYFRAME)
+    track: Complex = field(metadata=TABLE)
+    time: Array = field(metadata=TABLE)
     ahead: Complex
     detours: bool = False
 

@@ -7,13 +7,12 @@ type of data became in a graph.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, Locating, Measurement, Remembered
-from pdr_graph.types import Fixes, Index, Steps
+from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, row_columns
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.start import Prior
@@ -34,10 +33,14 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     a class method ``of(data, steps, prior, number)``, number ``(n,)`` being the permanent numbers of the rows.
     Registering the same definitions again, as in a notebook, replaces the former.
 
-    Raises TypeError for other classes, ValueError if a name is taken.
+    Arrays, tuples and tables in the fields of both have a value per row; data with another number of values are refused
+    with a ValueError. ``field(metadata=TABLE)`` declares what belongs to the whole. ``field(metadata=KEYFRAME)`` is the
+    keyframe ``(n,)`` of each row of a kind, at which its residuals weigh particles; several per row are declared ROW.
+
+    Raises TypeError for other classes and declarations, ValueError if a name is taken.
     """
     place = f"register, {data_type.__name__}"
-    if not is_dataclass(data_type) or "time" not in {column.name for column in fields(data_type)}:
+    if "time" not in declarations(data_type):
         raise TypeError(f"{place}: found a type without a column of times, expected a frozen dataclass with time")
     if not getattr(data_type, "__dataclass_params__").frozen:  # noqa: B009, the type checker does not know it
         raise TypeError(f"{place}: found a dataclass that can change, expected @dataclass(frozen=True)")
@@ -46,6 +49,15 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     for kind in kinds:
         if not kind.name or not callable(getattr(kind, "of", None)):
             raise TypeError(f"{place}: found {kind.__name__} without a name or of(…), expected both")
+        bound = declared(kind, KEYFRAME)
+        if len(bound) > 1 or declarations(kind).get("keyframe") == "":
+            expected = "expected one field(metadata=KEYFRAME), or ROW for several"
+            raise TypeError(f"{place}: {kind.__name__}: found keyframes {bound}, {expected}")
+    lists, reference = declared(data_type, TABLE), getattr(data_type, "reference", None)
+    if "time" in lists or declared(data_type, KEYFRAME):
+        raise TypeError(f"{place}: found time declared TABLE, or a KEYFRAME, expected times of rows, and no keyframes")
+    if reference is not None and (reference in lists or "label" not in lists):
+        raise TypeError(f"{place}: found rows that refer to no list, expected label and the list's fields as TABLE")
     former = next((known for known in KINDS if known.__name__ == data_type.__name__), None)
     if former is not None and _definitions(former, *KINDS[former]) != _definitions(data_type, *kinds):
         raise ValueError(f"{place}: another type of this name is registered, of {former.__module__}")
@@ -107,6 +119,7 @@ def measurements_of(
     kind, for a walk under way.
     """
     kind_of(data)
+    row_columns(data)  # raises ValueError where a column has another number of rows
     number, made, source = np.arange(len(data)) if number is None else number, list[Measurement](), data
     for kind in KINDS[type(data)]:
         new: Measurement = kind.of(source, steps, prior, number)

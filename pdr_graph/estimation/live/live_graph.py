@@ -44,7 +44,7 @@ from pdr_graph.estimation.optimizer import descended
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Array, Index, take
+from pdr_graph.types import Array, Index, row_columns, take
 
 if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
@@ -448,7 +448,9 @@ class LiveGraph:
         window, steps = self.window, self.window.steps.steps
         raw = [data for collector in self.collectors for data in collector.complete(steps)]
         data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
-        data = [take(d, np.flatnonzero(np.array(d.source) != but)) if but and hasattr(d, "source") else d for d in data]
+        for n, rows in enumerate(data if but else ()):
+            if "source" in row_columns(rows):
+                data[n] = take(rows, np.flatnonzero(np.array(rows.source) != but))
         prior, mean = self.prior_in_force, self.c_prior[0] if c is None else c
         same_walker = decided or prior is self.prior  # else the batch decides anew who walks
         prior = replace(prior, mean=tuple(mean.tolist())) if same_walker else self.prior
