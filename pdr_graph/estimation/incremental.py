@@ -40,6 +40,7 @@ WALLED = 0.04  # times these between walls, which begin and end to hold a step w
 AGAIN = 2.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
 SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
 SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
+NONE = np.empty(0, dtype=np.intp)
 NUMBER = (1 << 56) - 1  # the bits of a key that are the number
 
 Name = tuple[str, tuple[str, ...]]  # of a block: its kind and the symbols of its variables
@@ -63,7 +64,7 @@ class IncrementalSmoother:
         self._rows = dict[Name, FactorRows]()  # at the point of linearisation
         self._fresh: dict[Name, FactorRows] | None = None  # at the point of the update under way
         self._known = dict[str, Index]()  # numbers of iSAM2's variables, ascending
-        self._held = dict[str, Mask]()  # those of them that the marginal holds at their point
+        self._fixed = set[int]()  # keys of those that the marginal holds at their point
         self.walk, self.updates, self.cost = walk, 0, 0.0
         self.point = self.estimate = walk.start
         self.update(walk)
@@ -94,9 +95,11 @@ class IncrementalSmoother:
         values, stamps = gtsam.Values(), dict[int, float]()
         for symbol, variables in self.point.arrays.items():
             number = self.point.number(symbol)
-            for n in np.flatnonzero(~np.isin(number, self._known.get(symbol, ()))).tolist():
-                insert(values, symbol, key(symbol, int(number[n])), variables[n])
-                stamps[key(symbol, int(number[n]))] = STAYS
+            known = set(self._known.get(symbol, NONE).tolist())
+            for n, of in enumerate(number.tolist()):
+                if of not in known:
+                    insert(values, symbol, key(symbol, of), variables[n])
+                    stamps[key(symbol, of)] = STAYS
         present = {symbol: np.sort(self.point.number(symbol)) for symbol in self.point.arrays}
         gone = _keys(self._known) - _keys(present)
         self.walk, self._slots, self._rows, self._known = walk, slots, now, _joined(self._known, present)
@@ -124,6 +127,8 @@ class IncrementalSmoother:
         self._slots = {each: slot for each, slot in self._slots.items() if stamps.keys().isdisjoint(each[1][1:])}
         self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), stamps, [])
         self._known = _without(self._known, stamps)
+        fixed = self._smoother.getISAM2().getFixedVariables()
+        self._fixed = {each for each in _keys(self._known) if fixed.count(each)}
         self._read()
 
     @property
@@ -176,25 +181,20 @@ class IncrementalSmoother:
         self.updates += 1
 
     def _read(self) -> None:
-        """Read linearisation point, estimate and held variables."""
-        fixed = self._smoother.getISAM2().getFixedVariables()
+        """Read linearisation point and estimate."""
         self.point = self._state(self._smoother.getLinearizationPoint())
         self.estimate = self._state(self._smoother.calculateEstimate())
-        self._held = {
-            symbol: np.array(
-                [fixed.count(variable) > 0 for variable in self.estimate.keys(symbol).tolist()], dtype=bool
-            )
-            for symbol in self.estimate.arrays
-        }
 
     def _state(self, values: gtsam.Values) -> State:
         """The variables of the walk in ``values``, in its order."""
         arrays, numbers = dict[str, Array](), dict[str, Index]()
         for symbol, number in self.walk.start.numbers.items():
-            known = self._known.get(symbol, np.empty(0, dtype=np.intp))
-            numbers[symbol] = number[np.isin(number, known)]
+            known = self._known.get(symbol, NONE)
+            place = np.searchsorted(known, number)
+            there = known[np.minimum(place, len(known) - 1)] == number if len(known) else np.zeros(len(number), bool)
+            numbers[symbol] = number if there.all() else number[there]
             rows = extract(values, symbol) if len(known) else np.empty((0, 3))
-            arrays[symbol] = rows[np.searchsorted(known, numbers[symbol])]
+            arrays[symbol] = rows[place if there.all() else place[there]]
         return State(arrays, numbers)
 
     def _farthest(self, held: bool) -> float:
@@ -204,9 +204,10 @@ class IncrementalSmoother:
             moved = rows - self.point[symbol]
             if symbol == POSE:
                 moved[:, 2] = wrap_angle(moved[:, 2])
-            of_kind = np.abs(moved[self._held[symbol] == held])
-            longest = max(longest, float((of_kind / (self._scale * _threshold(symbol))).max(initial=0.0)))
-        return longest
+            shares = (np.abs(moved) / _threshold(symbol)).max(axis=1, initial=0.0)
+            fixed = [each in self._fixed for each in self.estimate.keys(symbol).tolist()]
+            longest = max(longest, float(shares[np.array(fixed, dtype=bool) == held].max(initial=0.0)))
+        return longest / self._scale
 
     def _factor(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
         """Factor ``n`` of a block for iSAM2."""
@@ -249,18 +250,19 @@ class FactorRows:
     """
 
     def __init__(self, block: FactorBlock, state: State):
-        keys = np.stack([state.keys(symbol, rows) for symbol, rows in block.variables], axis=1)
-        self.identity: list[Identity] = list(zip(block.number.tolist(), *keys.T.tolist(), strict=True))
+        keys = [state.keys(symbol, rows).tolist() for symbol, rows in block.variables]
+        self.identity: list[Identity] = list(zip(block.number.tolist(), *keys, strict=True))
         self.place = dict(zip(self.identity, range(len(self.identity)), strict=True))
         self._rows = np.column_stack([block.residual, *block.jacobian()])
-        self._bounds = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
+        self._bounds: list[int] = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
         counts = np.diff(self._bounds) if block.most_rows is None else block.most_rows
         self.most: list[int] = counts.tolist()
         self._robust = block.loss if isinstance(block.loss, RobustLoss) else None
-        self._flag = np.zeros(len(block), dtype=bool) if self._robust is None else self._robust.outlier
+        self._outlier = [False] * len(block) if self._robust is None else self._robust.outlier.tolist()
         if self._robust is None and block.loss.noise(0, _unit(1)) is None:  # GTSAM does not have the loss
             self._rows *= np.sqrt(block.weight)[block.row_of, None]
-        self._last = list[Array | None]([None] * len(block))  # as linearised
+        self._each = block.rows_each
+        self._last = list[Array | None]([None] * len(block))  # as iSAM2 linearised them
 
     def of(self, n: int) -> Array:
         """The rows ``(r, 1 + 3 v)`` of a factor."""
@@ -280,19 +282,31 @@ class FactorRows:
         """Take what iSAM2 has of the factors that were there before; True for those that are still the same."""
         if before is None:
             return [False] * len(self.identity)
-        same = list[bool]()
+        same = [False] * len(self.identity)
+        there, now, last = list[int](), list[Array](), list[Array]()
         for n, identity in enumerate(self.identity):
             old = before.place.get(identity, -1)
             rows = self._last[n] = before._last[old] if old >= 0 else None
-            same.append(rows is not None and self._flag[n] == before._flag[old] and _alike(rows, self.of(n)))
+            if rows is not None and self._outlier[n] == before._outlier[old]:
+                here = self.of(n)
+                if here.shape == rows.shape:
+                    there.append(n)
+                    now.append(here)
+                    last.append(rows)
+        if not there:
+            return same
+        if self._each:
+            alike = _alike(np.array(now), np.array(last)).tolist()
+        else:
+            alike = [not len(a) or bool(_alike(a[None], b[None])[0]) for a, b in zip(now, last, strict=True)]
+        for n, is_alike in zip(there, alike, strict=True):
+            same[n] = is_alike
         return same
 
 
-def _alike(old: Array, new: Array) -> bool:
-    """True if the rows of a factor are nearly the same."""
-    if old.shape != new.shape:
-        return False
-    return not old.size or bool(np.abs(old - new).max() < SAME * (1 + np.abs(new).max() / 20))
+def _alike(now: Array, last: Array) -> Mask:
+    """True ``(n,)`` for factors whose rows ``(n, r, w)`` are nearly the same."""
+    return np.abs(now - last).max(axis=(1, 2)) < SAME * (1 + np.abs(now).max(axis=(1, 2)) / 20)
 
 
 def _rows_of(at: Evaluation) -> dict[Name, FactorRows]:
@@ -313,8 +327,7 @@ def _keys(numbers: dict[str, Index]) -> set[int]:
 
 def _joined(one: dict[str, Index], other: dict[str, Index]) -> dict[str, Index]:
     """Numbers of one or the other, ascending, by symbol."""
-    none = np.empty(0, dtype=np.intp)
-    return {symbol: np.union1d(one.get(symbol, none), other.get(symbol, none)) for symbol in {**one, **other}}
+    return {symbol: np.union1d(one.get(symbol, NONE), other.get(symbol, NONE)) for symbol in {**one, **other}}
 
 
 def _without(numbers: dict[str, Index], keys: Container[int]) -> dict[str, Index]:

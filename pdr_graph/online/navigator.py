@@ -262,7 +262,7 @@ class Navigator:
         if not self._window.keyframes:
             return trajectory_of_rows([])
         output = self._graph.output
-        return trajectory_of_rows([*output.pending_rows(), output.rows(), output.predicted_rows(self._tail)])
+        return trajectory_of_rows([*self._graph.graph.finalized.rows, output.rows(), output.predicted_rows(self._tail)])
 
     @property
     def status(self) -> Status:

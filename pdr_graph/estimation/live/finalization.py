@@ -53,28 +53,16 @@ def moved(pose: Array, before: Array, after: Array) -> Array:
 class FinalizedTrajectory:
     """Finalised rows and reports that `pop_finalized` has not returned yet.
 
-    final: rows with covariance; left: later rows, whose covariance is still relative to their keyframes; reports: by
-    kind and number of the instance; anchored: the position of the walk has been certain once; until then all rows move
-    with the start of the window, whose last pose was ``hinge``; edge: time [s] of the last covariance of the first
-    keyframe, and that covariance.
+    rows: with covariance; reports: by kind and number of the instance; anchored: the position of the walk has been
+    certain once; until then all rows move with the start of the window, whose last pose was ``hinge``; edge: time [s]
+    and covariance of the first keyframe of the window.
     """
 
     def __init__(self) -> None:
-        self.final, self.left = list[TrajectoryRows](), list[TrajectoryRows]()
+        self.rows = list[TrajectoryRows]()
         self.reports: dict[str, dict[int, Any]] = {}
         self.anchored, self.hinge = False, np.zeros(3)
         self.edge = 0.0, np.eye(3) * FRAME_SIGMA**2
-
-    def take(self, leaving: Sequence[Interval], at: Evaluation, start: Array | None) -> None:
-        """Append the rows of intervals that leave the window; start: first pose of the walk if it leaves with them."""
-        if start is not None:
-            at_start = np.array([leaving[0].begin])
-            self.left.append(TrajectoryRows(at_start, start[None], np.zeros((1, 3, 3)), [leaving[0].label]))
-        for n, interval in enumerate(leaving):
-            pose = at.ends[at.pieces.first[n] + interval.row_piece]
-            R = pose_rotation(np.full(len(pose), at.pose_i[n, 2]))
-            spread = R @ interval.bridge.spread[interval.row_piece] @ R.transpose(0, 2, 1)
-            self.left.append(TrajectoryRows(interval.row_time, pose, spread, [interval.label] * len(pose)))
 
     def begin(self, start: Array, after: Array, covariance: Array) -> None:
         """Set the covariance of the first pose of a walk whose position is measured; otherwise it defines the frame.
@@ -87,35 +75,35 @@ class FinalizedTrajectory:
         by[:2, 2] = rotation(np.pi / 2) @ (start[:2] - after[:2])
         self.edge = self.edge[0], by @ covariance @ by.T
 
-    def rows(self, time: float, covariance: Array) -> list[TrajectoryRows]:
-        """All rows; covariances are interpolated between that of ``edge`` and that of the first keyframe in the window.
+    def take(self, leaving: Sequence[Interval], at: Evaluation, start: Array | None, covariance: Array) -> None:
+        """Append the rows of intervals that leave the window.
 
-        time [s], covariance ``(3, 3)``: of this keyframe.
+        Covariances between keyframes are interpolated from the edge to the new edge, whose ``covariance`` is
+        ``(3, 3)``. start: first pose of the walk if it leaves with them.
         """
-        (edge_time, edge_covariance), all_rows = self.edge, list(self.final)
-        for rows in self.left:
-            share = ((rows.time - edge_time) / (time - edge_time))[:, None, None]
-            all_rows.append(
-                replace(rows, covariance=(1 - share) * edge_covariance + share * covariance + rows.covariance)
-            )
-        return all_rows
-
-    def finalize(self, time: float, covariance: Array) -> None:
-        """Make all rows final, with covariances as of `rows`."""
-        self.final = self.rows(time, covariance)
-        self.left, self.edge = [], (time, covariance)
+        (begin, before), end = self.edge, leaving[-1].end
+        if start is not None:
+            label = [leaving[0].label]
+            self.rows.append(TrajectoryRows(np.array([leaving[0].begin]), start[None], before[None], label))
+        for n, interval in enumerate(leaving):
+            pose = at.ends[at.pieces.first[n] + interval.row_piece]
+            R = pose_rotation(np.full(len(pose), at.pose_i[n, 2]))
+            spread = R @ interval.bridge.spread[interval.row_piece] @ R.transpose(0, 2, 1)
+            share = ((interval.row_time - begin) / (end - begin))[:, None, None]
+            spread = (1 - share) * before + share * covariance + spread
+            self.rows.append(TrajectoryRows(interval.row_time, pose, spread, [interval.label] * len(pose)))
+        self.edge = end, covariance
 
     def move(self, after: Array) -> None:
         """Move all rows rigidly with the start of the window, which is now at pose ``after (3,)``."""
         before, self.hinge = self.hinge, after
         R = pose_rotation(after[2:] - before[2])[0]
-        for past in (self.final, self.left):
-            for k, rows in enumerate(past):
-                past[k] = replace(rows, pose=moved(rows.pose, before, after), covariance=R @ rows.covariance @ R.T)
+        for k, rows in enumerate(self.rows):
+            self.rows[k] = replace(rows, pose=moved(rows.pose, before, after), covariance=R @ rows.covariance @ R.T)
 
     def pop_finalized(self) -> list[TrajectoryRows]:
-        """Return and remove the final rows; none until the position of the walk is certain."""
+        """Return and remove the rows; none until the position of the walk is certain."""
         if not self.anchored:
             return []
-        rows, self.final, self.reports = self.final, [], {}
+        rows, self.rows, self.reports = self.rows, [], {}
         return rows

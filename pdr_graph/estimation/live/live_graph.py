@@ -91,7 +91,6 @@ class LiveGraph:
         self._equations = list[NormalEquations]()
         self._isam: IncrementalSmoother | None = None
         self._at: Evaluation | None = None  # at its estimate
-        self._left: Evaluation | None = None  # with keyframes that have left, which iSAM2 has still
 
     # Steps and measurements in
 
@@ -109,9 +108,10 @@ class LiveGraph:
         times = np.round(np.asarray(data.time, dtype=np.float64), DECIMALS)
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
-            self.too_late += int(early.sum())
-            kept = np.flatnonzero(~early if early.ndim == 1 else ~early.any(axis=1))
-            data, times, number = take(data, kept), times[kept], None if number is None else number[kept]
+            if early.any():
+                self.too_late += int(early.sum())
+                kept = np.flatnonzero(~early if early.ndim == 1 else ~early.any(axis=1))
+                data, times, number = take(data, kept), times[kept], None if number is None else number[kept]
         if len(times):
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()
@@ -144,9 +144,10 @@ class LiveGraph:
         window.finished = at_end
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
-        if ends:
-            # The last interval links its calibration to the next
-            self._leave(int(np.searchsorted(window.times[:-2], ends[-1] - self.leaving_after)))
+        if ends:  # the last interval links its calibration to the next; some keyframes leave at once
+            leaving = int(np.searchsorted(window.times[:-2], ends[-1] - self.leaving_after))
+            if leaving and window.times[leaving] > window.times[0] + SCHEDULE.covariance_interval:
+                self._leave(leaving)
         new = window.cut(ends)
         for time in reached:
             window.split(time)
@@ -177,6 +178,16 @@ class LiveGraph:
         return self._factors
 
     def _built(self) -> WalkGraph:
+        window = self.window
+        chain, kinds, state = self._kinds()
+        self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
+        self._add_priors(chain, state, tuple(kinds))
+        measurements, prior, steps = (*kinds, *self.marginals), self.prior_in_force, window.steps.steps
+        floors = window.floors()
+        return WalkGraph.under_way(steps, chain, measurements, state, prior, floors, self._priors, self._equations)
+
+    def _kinds(self) -> tuple[Chain, list[Measurement], State]:
+        """The chain of the window, its measurement kinds but for marginals, and its variables."""
         window, chain = self.window, self.window.chain()
         steps = window.steps.steps
         if self._measured_at != (measured_at := (self.log.version, window.finished)):
@@ -198,18 +209,11 @@ class LiveGraph:
             at = chain.evaluate(window.state(chain))
             kinds += [kind.associated(at) for kind in corridors_of(floors, self.prior)]
 
-        # Variables that have left with the keyframes before
-        state = window.state(chain, kinds, self._others)
-        if self._left is not None:
-            self._marginalize(self._left, state)
-            self._left = None
-        self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
-        self._add_priors(chain, state, tuple(kinds))
-        measurements, prior = (*kinds, *self.marginals), self.prior_in_force
-        return WalkGraph.under_way(steps, chain, measurements, state, prior, floors, self._priors, self._equations)
+        return chain, kinds, window.state(chain, kinds, self._others)
 
-    def _marginalize(self, left: Evaluation, state: State) -> None:
-        """Let iSAM2 marginalise the variables that a new state does not have; their priors are in the marginal."""
+    def _marginalize(self, left: Evaluation) -> None:
+        """Let iSAM2 marginalise the variables that the window does not have any more; the marginal has their priors."""
+        _, _, state = self._kinds()
         present = set(_names(state))
         leaving = [name for name in _names(left.state) if name not in present]
         gone = set(leaving)
@@ -219,8 +223,8 @@ class LiveGraph:
                 bound = [any((symbol, of[n]) in gone for symbol, of in numbers) for n in range(len(block))]
                 self._priors -= {(block.name, number) for number in block.number[bound].tolist()}
         self.marginals = [marginal for marginal in self.marginals if gone.isdisjoint(marginal.names)]
-        if self._isam is not None:
-            self._isam.leave(leaving)
+        assert self._isam is not None
+        self._isam.leave(leaving)
 
     def _add_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> None:
         """Let the priors of variables that are new hold.
@@ -264,7 +268,7 @@ class LiveGraph:
 
     def _update(self, again: bool = False) -> None:
         """Update iSAM2 with the present factors, or with the factors that it has; begin anew where it cannot go on."""
-        factors = self.factors  # what has left is marginalised first
+        factors = self.factors
         try:
             if self._isam is None:
                 self._begin(searched(factors))
@@ -272,6 +276,7 @@ class LiveGraph:
                 self._begin(self.frozen())
             else:
                 self._isam.again() if again else self._isam.update(factors)
+                self._at = None
                 self._damp(self._isam)
         except (RuntimeError, IndexError, np.linalg.LinAlgError) as error:
             self._fail(error)
@@ -280,7 +285,7 @@ class LiveGraph:
 
     def _damp(self, isam: IncrementalSmoother) -> None:
         """Begin iSAM2 anew if its step has raised the cost, by the damped search from where it was linearised."""
-        if isam.walk.evaluate(isam.estimate).cost <= isam.cost + LEAST_RISE:
+        if self.at.cost <= isam.cost + LEAST_RISE:
             return
         walk = isam.walk.also(isam.marginals())
         if not walk.evaluate(isam.estimate).cost <= walk.evaluate(isam.point).cost + LEAST_RISE:
@@ -289,7 +294,7 @@ class LiveGraph:
 
     def _begin(self, walk: WalkGraph) -> None:
         """Begin iSAM2 with a walk, which has the marginal of what has left."""
-        self._isam = IncrementalSmoother(walk)
+        self._isam, self._at = IncrementalSmoother(walk), None
         self.marginals = [kind for kind in walk.measurements if isinstance(kind, MarginalFactor)]
         self._factors, self._version = walk, self.log.version
 
@@ -312,7 +317,6 @@ class LiveGraph:
     def _read(self) -> None:
         """Copy the estimate to the window."""
         assert self._isam is not None
-        self._at = None
         self.window.read(self._isam.estimate)
         self._store(self._isam.estimate)
 
@@ -343,7 +347,7 @@ class LiveGraph:
 
     def restart(self, lag: float) -> None:
         """Forget what has left the window; keyframes leave after ``lag`` [s] from now on."""
-        self.leaving_after, self._isam, self.marginals, self._left = lag, None, [], None
+        self.leaving_after, self._isam, self.marginals = lag, None, []
         self._others, self._priors = {}, frozenset()
         self._begins, pose = self.window.segments[0], self.window.pose[0].copy()
         hold = first_heading_prior(float(pose[2])) if self.has_position else first_pose_prior(pose)
@@ -398,28 +402,26 @@ class LiveGraph:
         window, until = self.window, self.window.times[count]
         if min(self._arrivals, default=until) < until:  # a late measurement is of the past
             self._update()
-        at, start = self.at, window.pose[0].copy() if window.complete else None
-        due = until > self.finalized.edge[0] + SCHEDULE.covariance_interval
-        edge = self.covariance(count) if due or start is not None else np.eye(3)
+        at, start, edge = self.at, window.pose[0].copy() if window.complete else None, self.covariance(count)
         for measurement in at.measurements:
             numbers, times = measurement.instances if isinstance(measurement, Itemized) else (np.empty(0), np.empty(0))
             early = np.flatnonzero(times < until)
             if len(early):
                 reports = zip(numbers[early].tolist(), measurement.reports(at, early), strict=True)
                 self.finalized.reports.setdefault(measurement.name, {}).update(reports)
-        self.finalized.take(window.intervals[:count], at, start)
+        leaving = window.intervals[:count]
         window.forget(count)
         if start is not None and self.has_position:
             self.finalized.begin(start, window.pose[0], edge)
+        self.finalized.take(leaving, at, start, edge)
         if not self.finalized.anchored:
             self.finalized.hinge = window.pose[0].copy()
         for store in (self.log, *self.collectors):
             store.forget(until)
         self.decisions = (self.log.longer or self.log).present(self.decisions)
         self._arrivals = [time for time in self._arrivals if time >= until]
-        if due:
-            self.finalized.finalize(window.times[0], edge)
-        self._left, self._factors, self._at = at, None, None
+        self._factors = self._at = None
+        self._marginalize(at)
 
     # Decisions, and the batch of the window
 

@@ -426,10 +426,6 @@ class LiveOutput:
         rows = zip(new.time.tolist(), new.position, new.sigma.tolist(), new.source, strict=True)
         return [Position(t, position, sigma, share.get(source, 1.0), source) for t, position, sigma, source in rows]
 
-    def pending_rows(self) -> list[TrajectoryRows]:
-        """Finalised rows that `pop_finalized` has not returned yet."""
-        return self.graph.finalized.rows(self.graph.window.times[0], self.graph.covariance(0))
-
     def rows(self) -> TrajectoryRows:
         """Rows of the window up to its last keyframe, with the start and end of the walk if they are in it."""
         window, graph = self.graph.window, self.graph

@@ -47,6 +47,7 @@ from pdr_graph.types import (
 
 Rows = TypeVar("Rows", Fixes, Headings)
 RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
+NONE = np.empty(0, dtype=bool)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
@@ -564,13 +565,16 @@ class MeasurementLog:
         self.version += 1
         if self.longer is not None:
             self.longer.append(data, number)
-        if table is not None:
-            kept = np.flatnonzero(~np.isin(table.number, number))
-            number = np.concatenate([table.number[kept], number])
-            data = appended(take(table.data, kept), data)
-        order = np.argsort(last_time(data), kind="stable")
-        count = max(count, int(number.max(initial=-1)) + 1)
-        self._tables[type(data)] = Table(take(data, order), number[order], count)
+        count, before = max(count, int(number.max(initial=-1)) + 1), table
+        if before is not None and (again := np.isin(before.number, number) if number[0] < before.count else NONE).any():
+            before = Table(take(before.data, ~again), before.number[~again], before.count)
+        if before is not None:
+            number, data = np.concatenate([before.number, number]), appended(before.data, data)
+        time = last_time(data)
+        if (np.diff(time) < 0).any():
+            order = np.argsort(time, kind="stable")
+            data, number = take(data, order), number[order]
+        self._tables[type(data)] = Table(data, number, count)
 
     @property
     def longest_overhang(self) -> float:
@@ -650,7 +654,8 @@ class MeasurementLog:
             time, slack = last_time(table.data), self.overhang(table.data)
             which = np.flatnonzero((time >= begin - slack) & (time <= end + INSTANT))
             if len(which):
-                rows, number = take(table.data, which), table.number[which]
+                every = len(which) == len(table.number)
+                rows, number = (table.data, table.number) if every else (take(table.data, which), table.number[which])
                 measurements += measurements_of(rows, steps, prior, number, decisions)
         return measurements
 
