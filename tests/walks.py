@@ -105,7 +105,7 @@ def live_rows(live: LiveSmoother) -> Trajectory:
     from pdr_graph.estimation.live.finalization import TrajectoryRows
 
     past = live.graph.finalized
-    rows = TrajectoryRows.joined([*past.final, *past.left, live.output.rows(), live.output.predicted_rows()])
+    rows = TrajectoryRows.joined([*past.rows, live.output.rows(), live.output.predicted_rows()])
     return Trajectory(rows.time, rows.pose[:, :2], rows.pose[:, 2], covariance=rows.covariance)
 
 

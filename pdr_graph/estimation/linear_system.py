@@ -136,11 +136,6 @@ class LinearSystem:
             return self.equations.assembled(self._curved, curved=False).solution
         return Solution(self.state, self._factorized(0.0))
 
-    @property
-    def solved(self) -> LinearSystem | Solution:
-        """The solution alone if it is known, which frees the matrix; else the system."""
-        return vars(self).get("solution", self)
-
     def step(self, damping: float = 0.0) -> dict[str, Array]:
         """A step of the search ``(n, 3)`` of the variables of each symbol; damping: Levenberg and Marquardt's."""
         if damping or self._curved is not None:
@@ -162,6 +157,22 @@ class LinearSystem:
             with suppress(RuntimeError):
                 return Factorization(elimination, blocks, self._right)
         raise RuntimeError(INDETERMINATE_TEXT)
+
+
+class Linearization:
+    """All factors at one state, linearised when the solution is asked.
+
+    Covariances need it at the optimum itself: a centimetre before it, where the last move of a search began, another
+    step may be within the margin of a wall and add a row.
+    """
+
+    def __init__(self, equations: NormalEquations, at: Evaluation):
+        self._equations, self._at = equations, at
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The system without curvature, solved."""
+        return self._equations.assembled(self._at, curved=False).solution
 
 
 class Solution:

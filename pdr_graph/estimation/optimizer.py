@@ -11,7 +11,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
 from pdr_graph.estimation.factors.base import POSE, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.linear_system import LinearSystem, Solution
+from pdr_graph.estimation.linear_system import Linearization, NormalEquations, Solution
 from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 
@@ -27,24 +27,26 @@ ROUGHLY = 1e-2  # the same where only the association with rooms and corridors i
 class Optimum:
     """Result of the optimiser.
 
-    at: all factors at the optimum; system: linearised just before the last move; unseen: the negative log posterior of
-    a path that the search may have missed; assumed: hypotheses about sources that err; burden: of these, in addition to
-    the cost, by their evidence [nats], see `ambiguity.bank`.
+    at: all factors at the optimum; linearization: of the factors there; last: length of the search's last move, of any
+    pose along an axis [m]; unseen: the negative log posterior of a path that the search may have missed; assumed:
+    hypotheses about sources that err; burden: of these, in addition to the cost, by their evidence [nats], see
+    `ambiguity.bank`.
     """
 
     graph: WalkGraph
     at: Evaluation
-    system: LinearSystem | Solution
+    linearization: Linearization
     iterations: int
     converged: bool
+    last: float
     unseen: float = np.inf
     assumed: tuple[Hypothesis, ...] = ()
     burden: float = 0.0
 
     @property
     def solution(self) -> Solution:
-        """The solved linear system, for covariances."""
-        return self.system.solution if isinstance(self.system, LinearSystem) else self.system
+        """The solved linear system at the optimum, for covariances."""
+        return self.linearization.solution
 
     @property
     def state(self) -> State:
@@ -71,8 +73,9 @@ def near_start(graph: WalkGraph) -> Optimum:
 class Descent:
     """The search for the optimum near a start, a step at a time; batch and live.
 
-    at: all factors at the present state; system: linearised there, or just before the last move; iterations: steps so
-    far, with those that were not taken. Raises RuntimeError if the cost is not finite.
+    at: all factors at the present state; system: linearised there, or just before the last move; equations: of all such
+    systems; last: length of the last move, of any pose along an axis [m]; iterations: steps so far, with those that
+    were not taken. Raises RuntimeError if the cost is not finite.
     """
 
     def __init__(self, graph: WalkGraph, start: State | Evaluation, converged: float = CONVERGED):
@@ -82,16 +85,17 @@ class Descent:
             bad = sorted({block.name for block in self.at.blocks if not np.isfinite(block.cost)})
             raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
         self._least, self._damping, self._longest = converged, 0.0, SEARCH.longest_move if graph.walled else np.inf
-        self._equations = graph.normal_equations(self.at)
-        self.system, self._moved = self._equations.assembled(self.at), False
+        self.equations, self.last = graph.normal_equations(self.at), np.inf
+        self.system, self._moved = self.equations.assembled(self.at), False
 
     def step(self) -> None:
         """Take a step that lowers the cost; one that would raise it is not taken, and the next is damped more."""
         if self._moved:
             del self.system  # as large as the next
-            self.system, self._moved = self._equations.assembled(self.at), False
+            self.system, self._moved = self.equations.assembled(self.at), False
         self.iterations += 1
         move, enough = self.system.step(self._damping), self._least * (1 + self.at.cost)
+        self.last = _longest(move)
         candidate = self.graph.evaluate(self.at.state.retracted(move, self._longest))
         if not self._damping and self.system.gain(move) <= enough:  # a last move, whose cost nobody needs to know
             self.at.forget_blocks()
@@ -119,7 +123,7 @@ def descended(graph: WalkGraph, steps: int) -> Evaluation:
     return search.at
 
 
-def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Optimum:
+def optimize(graph: WalkGraph, start: State | Evaluation, converged: float = CONVERGED) -> Optimum:
     """Optimise by Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
 
     converged: decrease of the cost, relative and absolute, below which the search ends.
@@ -127,14 +131,11 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     The loop and its linear algebra are not GTSAM's: that passes a copy of all values to each Python callback (quadratic
     in the length of the walk), and takes a Python call for each factor of each iteration.
     """
-    return _searched(graph, Descent(graph, start, converged))
-
-
-def _searched(graph: WalkGraph, search: Descent) -> Optimum:
-    """The end of a search."""
+    search = Descent(graph, start, converged)
     while not search.converged and search.iterations < MOST_ITERATIONS:
         search.step()
-    return Optimum(graph, search.at, search.system.solved, search.iterations, search.converged)
+    there = Linearization(search.equations, search.at)
+    return Optimum(graph, search.at, there, search.iterations, search.converged, search.last)
 
 
 def fully_optimized(optimum: Optimum) -> Optimum:
@@ -142,17 +143,14 @@ def fully_optimized(optimum: Optimum) -> Optimum:
 
     The curvature of levels makes the search converge slowly, so that a small decrease can be far from the optimum.
     """
-    last = _longest(optimum.solution.moves)
-    if last <= AT_OPTIMUM:
+    if optimum.last <= AT_OPTIMUM:
         return optimum
-    search = Descent(optimum.graph, optimum.at, EXACTLY)
-    following = _longest(search.system.step())
-    if following <= AT_OPTIMUM * max(1 - following / last, 0.0):
+    following = _longest(Descent(optimum.graph, optimum.at).system.step())
+    if following <= AT_OPTIMUM * max(1 - following / optimum.last, 0.0):
         return optimum
-    further = _searched(optimum.graph, search)
-    iterations = optimum.iterations + further.iterations
-    converged = optimum.converged or further.converged
-    return replace(optimum, at=further.at, system=further.system, iterations=iterations, converged=converged)
+    further = optimize(optimum.graph, optimum.at, EXACTLY)
+    both = {"iterations": optimum.iterations + further.iterations, "converged": optimum.converged or further.converged}
+    return replace(optimum, at=further.at, linearization=further.linearization, last=further.last, **both)
 
 
 def _longest(moves: Mapping[str, Array]) -> float:

@@ -7,17 +7,23 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from derivatives import linear_graph, perturbed
+from derivatives import assert_gtsam_agrees, perturbed
 from simulated import scenario_walk
+from test_factor_equations import beside_beacons
+from test_factors import received
 from test_ranging import ranged
-from walks import drawn_from_the_model
+from walks import drawn_from_the_model, in_corridors
 
 import pdr_graph as pdr
+from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.plan_hypotheses import joint_solutions
 from pdr_graph.estimation.factors.base import Loss, extract
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
+from pdr_graph.estimation.factors.gtsam_export import FactorError
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.estimation.optimizer import fully_optimized, optimize
 from pdr_graph.floor.cells import BEACON
+from pdr_graph.geometry import differences, nearest, pose_rotation
 from pdr_graph.io.tables import drawn_beacons
 
 
@@ -63,9 +69,7 @@ def test_the_demo_with_its_outliers(with_plan):
 
     The caller's own graph has another optimum, more than a metre away.
     """
-    made, steps = scenario_walk("arcade")
-    [plan] = made.scenario.plans.values()
-    graph = WalkGraph(steps, made.user_fixes, floor=plan if with_plan else None)
+    graph = demo(with_plan)
     estimate = pdr.smooth(graph)
     assert any("outlier" in fix.reason for fix in estimate.fixes)
     assert_stays(estimate)
@@ -84,6 +88,62 @@ def test_ranges_with_detours(with_fixes):
     assert_stays(estimate)
 
 
+def demo(with_plan):
+    """The demo walk: two of its fixes are outliers, and it passes walls."""
+    made, steps = scenario_walk("arcade")
+    [plan] = made.scenario.plans.values()
+    return WalkGraph(steps, made.user_fixes, floor=plan if with_plan else None)
+
+
+def with_ranges():
+    """A walk by ranges, some of which took detours, and fixes."""
+    steps, fixes, truth = drawn_from_the_model(120, 2)
+    return WalkGraph(steps, fixes, measurements=[ranged(truth, 2)[0]])
+
+
+WALKS = {
+    "demo": lambda: demo(with_plan=False),
+    "demo between walls": lambda: demo(with_plan=True),
+    "ranges": with_ranges,
+    "receiver": received,
+    "beacons": beside_beacons,
+    "corridors": lambda: in_corridors("turns"),
+}
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_the_stated_covariance_is_that_of_gtsam(name):
+    """Poses and calibrations by GTSAM's marginals of each solution; a trajectory's is the mixture of all solutions."""
+    graph = WALKS[name]()
+    first, *others = joint_solutions(graph)
+    optima, estimate = [fully_optimized(first), *others], pdr.smooth(graph)
+    row = nearest(estimate.trajectory.time, graph.keyframe_time)
+    on_row = np.abs(estimate.trajectory.time[row] - graph.keyframe_time) < 1e-6
+    mixture, share = 0.0, probabilities(optima, paths(optima))
+    for weight, optimum in zip(share / share.sum(), optima, strict=True):
+        marginals, poses = marginals_of(optimum), optimum.state.poses
+        R = pose_rotation(poses[:, 2])
+        apart = differences(poses, estimate.graph.optimum.poses)
+        own = R @ marginals["x"] @ R.transpose(0, 2, 1)
+        mixture = mixture + weight * (own + apart[:, :, None] * apart[:, None, :])
+    assert estimate.trajectory.covariance[row[on_row]] == pytest.approx(mixture[on_row], rel=1e-3, abs=1e-6)
+
+
+def marginals_of(optimum):
+    """GTSAM's covariances ``(n, 3, 3)`` of the variables of each symbol; all are those of the optimum itself."""
+    graph, state = optimum.graph.smoothed(optimum.state), optimum.state
+    marginals = gtsam.Marginals(graph.to_gtsam(), graph.optimal_values())
+    covariance = {
+        symbol: np.array([marginals.marginalCovariance(key) for key in state.keys(symbol).tolist()])
+        for symbol, rows in state.arrays.items()
+        if len(rows)
+    }
+    for symbol, theirs in covariance.items():
+        ours = optimum.solution.joint((symbol, np.arange(len(theirs))))
+        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-9), symbol
+    return covariance
+
+
 @pytest.mark.thorough
 def test_beacons_one_of_which_was_moved():
     """In the mall, without any fix."""
@@ -96,22 +156,13 @@ def test_beacons_one_of_which_was_moved():
     assert_stays(estimate)
 
 
-def test_cost_and_gradient_are_ours_under_the_loss_of_ranges():
-    """At the optimum and anywhere near it; the Hessians differ, since GTSAM has the loss in the residual."""
+def test_cost_gradient_and_information_are_ours_under_the_loss_of_ranges():
+    """At the optimum and anywhere near it, although the loss has a sign, which GTSAM's losses have not."""
     steps, _, truth = drawn_from_the_model(60, 3)
     estimate = pdr.smooth(WalkGraph(steps, measurements=[ranged(truth, 3)[0]]))
     start = estimate.graph.start
     for state in (start, perturbed(start, "x", 4, 0, 0.1), start.rotated(0.1, np.ones(2))):
-        assert_equal_export(estimate.graph, state)
-
-
-def assert_equal_export(graph, state):
-    """The exported factors have the cost and the gradient by the poses that the graph has at a state."""
-    at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
-    assert at.cost == pytest.approx(exported.error(values))
-    ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
-    for key in state.keys("x").tolist():
-        assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+        assert_gtsam_agrees(estimate.graph, state)
 
 
 @pytest.mark.parametrize("method", [OPTIMISERS["Levenberg-Marquardt"], incremental], ids=["at once", "ISAM2"])
@@ -125,8 +176,18 @@ def test_gtsam_finds_the_same_walk(method):
     assert np.hypot(*(ours.state.poses - extract(theirs, "x"))[:, :2].T).max() < 1e-3
 
 
+class Cauchy(Loss):
+    """A loss that is not exported by name, of a factor with two rows: ρ = ln(1 + s²) / 2, w = 1 / (1 + s²)."""
+
+    def weight(self, deviation):
+        return 1 / (1 + deviation**2)
+
+    def cost(self, deviation):
+        return np.log1p(deviation**2) / 2
+
+
 class Cubic(Loss):
-    """A loss that GTSAM does not have, of a factor with two rows: ρ = |s|³ / 3, w = |s|."""
+    """A loss whose weight rises: ρ = |s|³ / 3, w = |s|."""
 
     def weight(self, deviation):
         return np.abs(deviation)
@@ -135,17 +196,29 @@ class Cubic(Loss):
         return np.abs(deviation) ** 3 / 3
 
 
-def test_a_loss_of_several_rows_that_gtsam_does_not_have(monkeypatch):
-    """The norm of a position's two residuals has that loss."""
+def fixes_under(loss, monkeypatch):
+    """The graph of a walk whose fixes have another loss, and a state with a fix far off."""
     from pdr_graph.estimation.factors import fixes as fixes_module
 
     steps, fixes, _ = drawn_from_the_model(40, 1)
     graph = WalkGraph(steps, fixes)
-    monkeypatch.setattr(fixes_module, "RobustLoss", lambda *args, **more: Cubic())
+    monkeypatch.setattr(fixes_module, "RobustLoss", lambda *args, **more: loss)
     made = fixes_module.FactorBlock.uniform
     alone = classmethod(lambda cls, *args, native=None, **more: made(*args, **more))
     monkeypatch.setattr(fixes_module.FactorBlock, "uniform", alone)
-    assert_equal_export(graph, perturbed(graph.start, "x", 3, 1, 2.0))
+    return graph, perturbed(graph.start, "x", 3, 1, 2.0)
+
+
+def test_a_loss_of_several_rows_that_gtsam_does_not_have(monkeypatch):
+    """The norm of a position's two residuals has that loss."""
+    assert_gtsam_agrees(*fixes_under(Cauchy(), monkeypatch))
+
+
+def test_a_loss_whose_weight_rises_is_refused(monkeypatch):
+    """No rows have its cost and its weighted information at once."""
+    graph, state = fixes_under(Cubic(), monkeypatch)
+    with pytest.raises(FactorError, match="weight of a loss rises"):
+        graph.to_gtsam().linearize(state.to_values())
 
 
 def test_only_an_estimate_has_an_optimum():

@@ -65,7 +65,7 @@ def along(graph, y):
 def trial(live, graph, y, decisions=None):
     """The trial of a path along an aisle, beside a graph."""
     alternative = along(graph, y)
-    return try_path(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds)
+    return try_path(graph.frozen(), lambda: (alternative, decisions or {}), SCHEDULE.rounds)
 
 
 def test_the_other_aisle_costs_more(in_aisle):
@@ -80,13 +80,13 @@ def test_a_path_that_has_left_the_window_is_no_alternative(in_aisle):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(in_aisle.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    assert try_path(in_aisle.graph.copy(), lambda: (past, {}), SCHEDULE.rounds) is None
+    assert try_path(in_aisle.graph.frozen(), lambda: (past, {}), SCHEDULE.rounds) is None
 
 
-def test_out_of_the_shops_the_aisle_is_found(in_aisle):
+def test_out_of_the_shops_the_aisle_is_found():
     """A walk through the shop beside the aisle, which takes all fixes for outliers, pays the shop's price."""
-    graph = in_aisle.graph.copy()
-    decided = in_aisle.graph.decisions
+    graph = (in_aisle := walking(AISLES)).graph
+    decided = graph.decisions
     graph.decide({"fixes": decided["fixes"] | {"held": np.zeros(STEPS // EVERY, dtype=bool)}})
     graph.move_to(along(graph, SHOP))
     assert np.abs(graph.window.pose[:, 1] - SHOP).max() < 0.1, "a control: it stays there"

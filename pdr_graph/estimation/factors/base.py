@@ -64,7 +64,7 @@ class Loss:
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base | None:
         """GTSAM's noise model of factor ``n`` with this loss, None if GTSAM has none; noise: its Gaussian model.
 
-        The export puts a loss that GTSAM does not have into the residual.
+        The export puts a loss that GTSAM does not have into the residual; its weight must not rise with the deviation.
         """
         return noise if type(self) is Loss else None
 

@@ -1,7 +1,9 @@
 """Export of a walk's factors to GTSAM, for its own optimisers and to check ours.
 
 Factors that exist in GTSAM are GTSAM's own; the others are ``gtsam.CustomFactor`` behind a guard. A loss which GTSAM
-does not have is part of the residual. So cost and gradient are those of the walk's graph.
+does not have is part of the residual, see `_LinearizedBlock.with_loss`. So each factor has the cost, the gradient and
+the information matrix that it has in our linear system, and GTSAM's marginals at the optimum are the covariances of
+that walk. The covariance of an estimate's trajectory also spans the other walks that explain the measurements.
 """
 
 from __future__ import annotations
@@ -17,8 +19,7 @@ from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, St
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.types import Array
 
-NOWHERE_FAR = 1e-6  # [σ] of a deviation, where a loss is half its weighted square
-
+ROUNDING = 1e-9  # of a cost, relative and absolute
 
 _unit_noise = cache(gtsam.noiseModel.Unit.Create)  # by number of rows
 
@@ -91,17 +92,21 @@ class _LinearizedBlock:
         return residual, by
 
     def with_loss(self, number: int, rows: int) -> tuple[Array, list[Array]]:
-        """As `factor`, for r' = r √(2 ρ(s)) / s: half its square is the loss ρ of the deviation s, the norm of r."""
+        """As `factor`, under a loss ρ of the deviation s whose weight w never rises with |s|; the last row is added.
+
+        The rows are √w r with derivatives √w J, as in our linear system; the last, √(2 ρ − w s²) with derivative 0,
+        completes the cost. So information and gradient are ours, although the derivative of a single row is not its
+        own: the same holds for GTSAM's robust noise models.
+        """
         residual, by = self.factor(number, rows)
         if (n := self._place.get(number)) is None:
             return residual, by
-        deviation, weight = abs(float(self._deviation[n])), float(self._weight[n])
-        if deviation < NOWHERE_FAR:
-            return np.sqrt(weight) * residual, [np.sqrt(weight) * block for block in by]
-        scale = np.sqrt(2 * max(float(self._cost[n]), 0.0)) / deviation
-        along = residual / deviation  # its slope is ρ' / √(2 ρ), with the weight w = ρ' / s
-        more = weight / scale - scale if scale else 0.0
-        return scale * residual, [scale * block + more * np.outer(along, along @ block) for block in by]
+        root, missing = np.sqrt(self._weight[n]), 2 * self._cost[n] - self._weight[n] * self._deviation[n] ** 2
+        if missing < -ROUNDING * (1 + self._cost[n]):
+            raise FactorError(f"the weight of a loss rises to {self._weight[n]:.3g} at {self._deviation[n]:.3g} sigma")
+        residual *= root
+        residual[-1] = np.sqrt(max(missing, 0.0))
+        return residual, [root * block for block in by]
 
 
 def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) -> gtsam.CustomFactor:
@@ -111,14 +116,13 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
     variables = [
         _Variable(int(state.keys(symbol, which)[n]), symbol, int(which[n])) for symbol, which in block.variables
     ]
-    unit = _unit_noise(rows)
-    robust = block.loss.noise(n, unit)
+    noise = block.loss.noise(n, _unit_noise(rows))
 
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.block(values, position, variables)
-        return now.factor(number, rows) if robust else now.with_loss(number, rows)
+        return now.factor(number, rows) if noise else now.with_loss(number, rows + 1)
 
-    return guarded(block.name, robust or unit, [variable.key for variable in variables], linearized)
+    return guarded(block.name, noise or _unit_noise(rows + 1), [variable.key for variable in variables], linearized)
 
 
 def guarded(
