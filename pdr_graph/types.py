@@ -817,7 +817,27 @@ class Estimate(OneLineRepr):
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields but the graph, which is as large as the walk: who made the estimate has it."""
-        return {name: value for name, value in vars(self).items() if name != "graph"}
+        return {name: value for name, value in vars(self).items() if name not in ("graph", "_between")}
+
+    def at(self, time: float | Array) -> Trajectory:
+        """Poses with covariance at any times [s] from start to end, a row for each; at the time of a row, that row.
+
+        Between rows it is the marginal of the graph: the step is split there. An estimate without its graph (of the
+        filter, of a live walk, or copied) is linear between rows: off by 4 cm half-way through a turning step.
+        Raises ValueError for times outside the walk.
+        """
+        from pdr_graph.estimation.between_steps import interpolated  # estimators stand on this module
+
+        return interpolated(self.trajectory, self._between, np.atleast_1d(np.asarray(time, dtype=float)))
+
+    @cached_property
+    def _between(self) -> Any:
+        """Poses and covariances by the graph at its optimum, see `poses_between`; None without it."""
+        if self.graph is None:
+            return None
+        from pdr_graph.estimation.between_steps import by_graph
+
+        return by_graph(self.graph)
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pdr_graph.errors import count, expect
+from pdr_graph.estimation.between_steps import interpolated
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.registry import kind_of
@@ -207,6 +208,30 @@ class Navigator:
         It takes the same steps, fixes and headings, and uses neither plan nor beacons nor the graph.
         """
         return self._filter.pose(self._tail, self._floors.label)
+
+    def at(self, time: float) -> Pose:
+        """The smoothed pose of the walk at a time [s], by all data so far.
+
+        After the last keyframe it is predicted, in the window it is the marginal of the graph, and before the window
+        linear between the finalised rows that `finalized` has not returned. Raises ValueError for other times.
+        """
+        track, window, output, modes = self.trajectory, self._window, self._graph.output, ()
+        if not len(track) or not track.time[0] <= time <= track.time[-1]:
+            known = f"{track.time[0]:.3f} to {track.time[-1]:.3f} s" if len(track) else "none before the first steps"
+            raise ValueError(f"Navigator.at: found {time:.3f} s, poses are known for {known}")
+        if time > window.times[-1]:
+            ways = output.mixture(self._tail, time)
+            belief, modes = output.expected(ways), modes_of(ways)
+            pose, covariance = belief.mean[:3], belief.covariance[:3, :3]
+        elif time >= window.times[0] and window.intervals:
+            (pose,), (covariance,) = output.poses_at(np.array([time]))
+        else:
+            row = interpolated(track, None, np.array([time]))
+            pose, covariance = np.append(row.position[0], row.heading), np.asarray(row.covariance)[0]
+        x, y, heading = pose.tolist()
+        label = track.floor[int(np.searchsorted(track.time, time))]
+        placed = output.is_placed(time)
+        return Pose(time, x, y, float(wrap_angle(heading)), label, covariance, modes, placed=placed)
 
     def _current_pose(self) -> Pose | None:
         alone = self._alone
