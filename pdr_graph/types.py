@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
 from math import isfinite
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -400,6 +400,10 @@ class Trajectory(Rows):
     def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
         """A selection of rows as a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
         return take(self, which)
+
+
+Between: TypeAlias = Callable[[Array], tuple[Array, Array]]
+"""Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]."""
 
 
 @dataclass(frozen=True)
@@ -823,21 +827,15 @@ class Estimate(OneLineRepr):
         """Poses with covariance at any times [s] from start to end, a row for each; at the time of a row, that row.
 
         Between rows it is the marginal of the graph: the step is split there. An estimate without its graph (of the
-        filter, of a live walk, or copied) is linear between rows: off by 4 cm half-way through a turning step.
+        filter, of a live walk, or copied) is linear between rows, see `interpolated`.
         Raises ValueError for times outside the walk.
         """
-        from pdr_graph.estimation.between_steps import interpolated  # estimators stand on this module
-
-        return interpolated(self.trajectory, self._between, np.atleast_1d(np.asarray(time, dtype=float)))
+        return interpolated(self.trajectory, np.atleast_1d(np.asarray(time, dtype=float)), self._between)
 
     @cached_property
-    def _between(self) -> Any:
-        """Poses and covariances by the graph at its optimum, see `poses_between`; None without it."""
-        if self.graph is None:
-            return None
-        from pdr_graph.estimation.between_steps import by_graph
-
-        return by_graph(self.graph)
+    def _between(self) -> Between | None:
+        """Poses and covariances by the graph at its optimum; None without it."""
+        return None if self.graph is None else self.graph.between()
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:
@@ -853,6 +851,53 @@ class Estimate(OneLineRepr):
         state, kinds = "converged" if self.converged else "not converged", self.reports.items()
         counts = [f"{len(rows)} {kind}" for kind, rows in kinds if rows]
         return [count(len(self.trajectory), "pose"), *time_span(self.trajectory), *counts, state]
+
+
+def _wrapped(angle: Array) -> Array:
+    """Angles in [-π, π). [rad]"""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _pose_differences(poses: Array, others: Array) -> Array:
+    """Differences ``(n, 3)`` of poses x, y, heading."""
+    apart = poses - others
+    apart[:, 2] = _wrapped(apart[:, 2])
+    return apart
+
+
+def interpolated(track: Trajectory, time: Array, between: Between | None = None) -> Trajectory:
+    """Rows of a track at times ``(n,)`` [s] between its first and its last row.
+
+    between: poses and covariances at any times, in the output axes. Rows may have more than these: other solutions,
+    widened covariances; the difference is linear between two rows, so that the result at a row is that row. Without it
+    all is linear: half-way through a step of 0.7 m that turns by 0.5 rad, a position is then off by 4 cm.
+
+    Raises ValueError for other times.
+    """
+    n, (start, end) = len(track), track.time[[0, -1]].tolist() if len(track) else (np.nan, np.nan)
+    if not ((time >= start) & (time <= end)).all():
+        found = f"times from {time.min():.3f} to {time.max():.3f} s"
+        raise ValueError(f"at: found {found}, expected those of the walk, {start:.3f} to {end:.3f} s")
+    before = np.clip(np.searchsorted(track.time, time, side="right") - 1, 0, max(n - 2, 0))
+    after = np.minimum(before + 1, n - 1)
+    elapsed = track.time[after] - track.time[before]
+    share = np.divide(time - track.time[before], elapsed, out=np.zeros(len(time)), where=elapsed > 0)
+    rows = np.column_stack([track.position, track.heading])
+    pose = rows[before] + share[:, None] * _pose_differences(rows[after], rows[before])
+    covariance = track.covariance
+    if covariance is not None:
+        covariance = covariance[before] + share[:, None, None] * (covariance[after] - covariance[before])
+    if between is not None and len(time):
+        (here, i, j), (P, P_i, P_j) = (
+            column.reshape(3, len(time), *column.shape[1:])
+            for column in between(np.concatenate([time, track.time[before], track.time[after]]))
+        )
+        pose += _pose_differences(here, i) - share[:, None] * _pose_differences(j, i)
+        if covariance is not None:
+            covariance += P - P_i - share[:, None, None] * (P_j - P_i)
+    label = np.searchsorted(track.time, time).tolist()
+    floor = tuple(track.floor[row] for row in label)
+    return Trajectory(time, pose[:, :2], _wrapped(pose[:, 2]), floor, covariance)
 
 
 def take(data: Table, which: int | slice | Mask | Index) -> Table:

@@ -10,18 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE
 from pdr_graph.estimation.factors.chain import Evaluation, Pieces, bridge, preintegrate, step_residuals
-from pdr_graph.estimation.linear_system import NormalEquations, Solution, one_thread
-from pdr_graph.geometry import differences, pose_rotation, wrap_angle
-from pdr_graph.types import INSTANT, Array, Index, Trajectory
-
-if TYPE_CHECKING:
-    from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.linear_system import NormalEquations, Solution
+from pdr_graph.geometry import pose_rotation
+from pdr_graph.types import INSTANT, Array, Between, Index
 
 Joint = Callable[[Index], Array]
 """Joint covariances ``(n, 9, 9)`` of x_i, x_j and c of intervals ``(n,)``, poses in their own axes."""
@@ -85,46 +81,8 @@ def joint_of(at: Evaluation, solution: Solution) -> Joint:
     return lambda i: solution.joint((POSE, i), (POSE, i + 1), (CALIBRATION, at.chain.segment[i]))
 
 
-def interpolated(track: Trajectory, between: Callable[[Array], tuple[Array, Array]] | None, time: Array) -> Trajectory:
-    """Rows of a track at times ``(n,)`` [s] between its first and its last row.
-
-    between: poses and covariances at any times, see `poses_between`. Rows may have more than these: other solutions,
-    widened covariances; the difference is linear between two rows, so that the result at a row is that row. Without it
-    all is linear: half-way through a step of 0.7 m that turns by 0.5 rad, a position is then off by 4 cm.
-
-    Raises ValueError for other times.
-    """
-    n, (start, end) = len(track), track.time[[0, -1]].tolist() if len(track) else (np.nan, np.nan)
-    if not ((time >= start) & (time <= end)).all():
-        found = f"times from {time.min():.3f} to {time.max():.3f} s"
-        raise ValueError(f"at: found {found}, expected those of the walk, {start:.3f} to {end:.3f} s")
-    before = np.clip(np.searchsorted(track.time, time, side="right") - 1, 0, max(n - 2, 0))
-    after = np.minimum(before + 1, n - 1)
-    elapsed = track.time[after] - track.time[before]
-    share = np.divide(time - track.time[before], elapsed, out=np.zeros(len(time)), where=elapsed > 0)
-    rows = np.column_stack([track.position, track.heading])
-    pose = rows[before] + share[:, None] * differences(rows[after], rows[before])
-    covariance = track.covariance
-    if covariance is not None:
-        covariance = covariance[before] + share[:, None, None] * (covariance[after] - covariance[before])
-    if between is not None and len(time):
-        (here, i, j), (P, P_i, P_j) = (
-            column.reshape(3, len(time), *column.shape[1:])
-            for column in between(np.concatenate([time, track.time[before], track.time[after]]))
-        )
-        pose += differences(here, i) - share[:, None] * differences(j, i)
-        if covariance is not None:
-            covariance += P - P_i - share[:, None, None] * (P_j - P_i)
-    label = np.searchsorted(track.time, time).tolist()
-    floor = tuple(track.floor[row] for row in label)
-    return Trajectory(time, pose[:, :2], wrap_angle(pose[:, 2]), floor, covariance)
-
-
-@one_thread
-def by_graph(graph: WalkGraph) -> Callable[[Array], tuple[Array, Array]]:
-    """Poses and covariances at times by a smoothed graph, see `poses_between`; it keeps 650 bytes per keyframe."""
-    assert graph.optimum is not None, "asked of the graph of an estimate"
-    at = graph.evaluate(graph.optimum)
-    joint = joint_of(at, NormalEquations(at).assembled(at).solution)(np.arange(len(graph.segment)))
+def between_of(at: Evaluation, c: Sequence[float]) -> Between:
+    """`poses_between` of a walk at its optimum; keeps 650 bytes per keyframe. c: (R_s, R_d, b) of its bridges."""
+    joint = joint_of(at, NormalEquations(at).assembled(at).solution)(np.arange(len(at.chain.segment)))
     at.forget_blocks()
-    return lambda time: poses_between(at, joint.__getitem__, graph.prior.mean, time)
+    return lambda time: poses_between(at, joint.__getitem__, c, time)

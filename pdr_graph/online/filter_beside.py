@@ -24,7 +24,7 @@ from pdr_graph.types import Array, Contradiction, Fixes, Headings, Steps, Trajec
 
 REGION_99 = 9.21  # 99 % quantile of χ² for two degrees of freedom
 COMPARED = 5.0  # [s] between comparisons
-SUSTAINED = 30.0  # [s] of disagreement from which it is said
+SUSTAINED = 10.0  # [s] of disagreement from which it is said
 MORE_INFORMATION = 0.25  # share by which the same heading must know more, to be used again
 SAID = "the Kalman filter beside the smoother is {:.0f} m away since {:.0f} s, outside both 99 % regions"
 PAST = "the Kalman filter beside the smoother was {:.0f} m away from {:.0f} to {:.0f} s, outside both 99 % regions"

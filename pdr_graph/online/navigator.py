@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.between_steps import interpolated
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.registry import kind_of
@@ -66,6 +65,7 @@ from pdr_graph.types import (
     Headings,
     Steps,
     Trajectory,
+    interpolated,
     last_time,
     take,
 )
@@ -226,7 +226,7 @@ class Navigator:
         elif time >= window.times[0] and window.intervals:
             (pose,), (covariance,) = output.poses_at(np.array([time]))
         else:
-            row = interpolated(track, None, np.array([time]))
+            row = interpolated(track, np.array([time]))
             pose, covariance = np.append(row.position[0], row.heading), np.asarray(row.covariance)[0]
         x, y, heading = pose.tolist()
         label = track.floor[int(np.searchsorted(track.time, time))]
