@@ -89,8 +89,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5566),
-    "online.navigator": (66, 12682),
+    "estimation.smoother": (31, 5652),
+    "online.navigator": (67, 13069),
 }
 
 
