@@ -20,12 +20,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache, cached_property
 from math import isfinite
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -404,6 +404,10 @@ class Trajectory(Rows):
     def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
         """A selection of rows as a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
         return take(self, which)
+
+
+Between: TypeAlias = Callable[[Array], tuple[Array, Array]]
+"""Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]."""
 
 
 @dataclass(frozen=True)
@@ -819,7 +823,21 @@ class Estimate(OneLineRepr):
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields but the graph, which is as large as the walk: who made the estimate has it."""
-        return {name: value for name, value in vars(self).items() if name != "graph"}
+        return {name: value for name, value in vars(self).items() if name not in ("graph", "_between")}
+
+    def at(self, time: float | Array) -> Trajectory:
+        """Poses with covariance at any times [s] from start to end, a row for each; at the time of a row, that row.
+
+        Between rows it is the marginal of the graph: the step is split there. An estimate without its graph (of the
+        filter, of a live walk, or copied) is linear between rows, see `interpolated`.
+        Raises ValueError for times outside the walk.
+        """
+        return interpolated(self.trajectory, np.atleast_1d(np.asarray(time, dtype=float)), self._between)
+
+    @cached_property
+    def _between(self) -> Between | None:
+        """Poses and covariances by the graph at its optimum; None without it."""
+        return None if self.graph is None else self.graph.between()
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:
@@ -879,6 +897,53 @@ def rows_of(column: Any, index: Index) -> Any:
     if isinstance(column, np.ndarray):
         return column[index]
     return tuple(column[i] for i in index.tolist()) if isinstance(column, tuple) else take(column, index)
+
+
+def _wrapped(angle: Array) -> Array:
+    """Angles in [-π, π). [rad]"""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _pose_differences(poses: Array, others: Array) -> Array:
+    """Differences ``(n, 3)`` of poses x, y, heading."""
+    apart = poses - others
+    apart[:, 2] = _wrapped(apart[:, 2])
+    return apart
+
+
+def interpolated(track: Trajectory, time: Array, between: Between | None = None) -> Trajectory:
+    """Rows of a track at times ``(n,)`` [s] between its first and its last row.
+
+    between: poses and covariances at any times, in the output axes. Rows may have more than these: other solutions,
+    widened covariances; the difference is linear between two rows, so that the result at a row is that row. Without it
+    all is linear: half-way through a step of 0.7 m that turns by 0.5 rad, a position is then off by 4 cm.
+
+    Raises ValueError for other times.
+    """
+    n, (start, end) = len(track), track.time[[0, -1]].tolist() if len(track) else (np.nan, np.nan)
+    if not ((time >= start) & (time <= end)).all():
+        found = f"times from {time.min():.3f} to {time.max():.3f} s"
+        raise ValueError(f"at: found {found}, expected those of the walk, {start:.3f} to {end:.3f} s")
+    before = np.clip(np.searchsorted(track.time, time, side="right") - 1, 0, max(n - 2, 0))
+    after = np.minimum(before + 1, n - 1)
+    elapsed = track.time[after] - track.time[before]
+    share = np.divide(time - track.time[before], elapsed, out=np.zeros(len(time)), where=elapsed > 0)
+    rows = np.column_stack([track.position, track.heading])
+    pose = rows[before] + share[:, None] * _pose_differences(rows[after], rows[before])
+    covariance = track.covariance
+    if covariance is not None:
+        covariance = covariance[before] + share[:, None, None] * (covariance[after] - covariance[before])
+    if between is not None and len(time):
+        (here, i, j), (P, P_i, P_j) = (
+            column.reshape(3, len(time), *column.shape[1:])
+            for column in between(np.concatenate([time, track.time[before], track.time[after]]))
+        )
+        pose += _pose_differences(here, i) - share[:, None] * _pose_differences(j, i)
+        if covariance is not None:
+            covariance += P - P_i - share[:, None, None] * (P_j - P_i)
+    label = np.searchsorted(track.time, time).tolist()
+    floor = tuple(track.floor[row] for row in label)
+    return Trajectory(time, pose[:, :2], _wrapped(pose[:, 2]), floor, covariance)
 
 
 def take(data: Table, which: int | slice | Mask | Index) -> Table:

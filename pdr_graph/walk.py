@@ -283,7 +283,8 @@ class Result(OneLineRepr):
 
     missing: what could not be estimated, a line each; graph: None without steps, and of live walks; step_count: number
     of steps without a graph; issues: warnings in addition to those of the estimate; causal: returns causal tracks by
-    name; live: the current poses of a live walk.
+    name; live: the current poses of a live walk; beside: numbers of poses of the filter beside it, and of those that
+    disagree.
     """
 
     evidence: Evidence
@@ -294,6 +295,7 @@ class Result(OneLineRepr):
     issues: tuple[str, ...] = ()
     causal: Callable[[], Mapping[str, Trajectory]] = dict
     live: Trajectory | None = None
+    beside: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def steps(self) -> Steps | None:

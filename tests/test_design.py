@@ -64,8 +64,8 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2960),  # declared columns of data types and kinds
-    "apps": (3, 170),
+    ".": (15, 2972),  # the pose of an estimate at any time
+    "apps": (3, 189),  # the filter beside a replay
     "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
     "apps/evaal": (4, 531),
@@ -73,7 +73,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1450),  # the view for Rerun
     "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
-    "estimation": (18, 3162),
+    "estimation": (18, 3399),  # the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
     "estimation/factors": (15, 2760),  # the checks of these columns
     "estimation/live": (10, 1824),
@@ -85,12 +85,12 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 566),
     "lab/simulation": (9, 1344),
-    "online": (7, 940),
+    "online": (7, 1036),  # the filter beside the smoother
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (30, 5590),
-    "online.navigator": (66, 12710),
+    "estimation.smoother": (31, 5652),
+    "online.navigator": (67, 13069),
 }
 
 
@@ -270,7 +270,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 30
+TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 32
 
 
 def passed(call):

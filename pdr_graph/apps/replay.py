@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import resource
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -25,6 +25,7 @@ from pdr_graph.gait.step_counter import one_by_one
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.io.tables import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
+from pdr_graph.online.filter_beside import disagree
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal
 from pdr_graph.plausibility import check_beacons_on_plan
@@ -140,7 +141,8 @@ def replay_recording(
 
                 shown = track(events[done:], "replay", console=Console(stderr=True))
             view = None if rerun is None else RerunView(rerun, evidence.building, evidence.other_fixes)
-            causal = walked(nav, shown, latency, None if view is None else partial(view.show, nav))
+            beside = list[tuple[Pose, Pose]]()
+            causal = walked(nav, shown, latency, None if view is None else partial(view.show, nav), beside)
             stage.seconds["replay"] = round(time.perf_counter() - began, 4)
             with stage("finish"):
                 result = _finished(nav, evidence, outside)
@@ -148,9 +150,13 @@ def replay_recording(
             view.path(result.estimate.trajectory)
             view.close()
         write_trajectory(staged / "causal.csv", causal, evidence.walk.clock_origin)
+        filtered = trajectory_of([pose for _, pose in beside])
+        write_trajectory(staged / "filtered.csv", filtered, evidence.walk.clock_origin)
         write_summary(staged / "latency.json", latency.describe())
-        resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
-        result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
+        begins = "causal.csv, filtered.csv and latency.json begin after them"
+        issues = *result.issues, *((f"{done} events were in the journal: {begins}",) if done else ())
+        live = causal if len(causal) else None
+        result = replace(result, issues=issues, live=live, beside=disagreement(beside))
         return write(staged, result, stage, report)
 
 
@@ -228,17 +234,24 @@ def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict
 
 
 def walked(
-    nav: LiveEstimator, events: Iterable[Event], latency: Latency, show: Callable[[Pose], None] | None = None
+    nav: LiveEstimator,
+    events: Iterable[Event],
+    latency: Latency,
+    show: Callable[[Pose], None] | None = None,
+    beside: list[tuple[Pose, Pose]] | None = None,
 ) -> Trajectory:
     """Push all events; returns the causal poses: the first, one at the detection of each step, and the last.
 
-    show: called with each. Between events the estimator reviews, as an app does beside the walk; that is not part of
-    the latency.
+    show: called with each; beside: gets each with the pose of the filter, where the navigator has one. Between events
+    the estimator reviews, as an app does beside the walk; that is not part of the latency.
     """
     poses, most = list[Pose](), nav.steps
 
     def add(pose: Pose) -> None:
         poses.append(pose)
+        filtered = getattr(nav, "filtered", None)  # another class of navigator need not have it
+        if beside is not None and filtered is not None:
+            beside.append((pose, filtered))
         if show is not None:
             show(pose)
 
@@ -258,6 +271,16 @@ def walked(
     if last is not None and poses and last.time > poses[-1].time:
         add(last)
     return trajectory_of(poses)
+
+
+def disagreement(beside: Sequence[tuple[Pose, Pose]]) -> dict[str, int]:
+    """Numbers of poses of the filter, and of those that disagree with the current pose, see `filter_beside`."""
+    apart = [
+        disagree(np.array([pose.x, pose.y]), pose.covariance[:2, :2], np.array([by.x, by.y]), by.covariance[:2, :2])
+        for pose, by in beside
+        if pose.placed
+    ]
+    return {"poses": len(beside), "disagree": sum(apart)}
 
 
 def _finished(nav: LiveEstimator, evidence: Evidence, outside: Fixes) -> Result:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
+from pdr_graph.estimation.between_steps import between_of
 from pdr_graph.estimation.factors.base import (
     AnyArray,
     Followed,
@@ -54,12 +55,12 @@ from pdr_graph.estimation.factors.start import (
 )
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
-from pdr_graph.estimation.linear_system import NormalEquations
+from pdr_graph.estimation.linear_system import NormalEquations, one_thread
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.gait.step_chunks import gap_ends
 from pdr_graph.priors import INITIAL, MOTION
-from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Steps
+from pdr_graph.types import Array, Between, Closures, Fixes, Headings, Index, Levels, Steps
 
 if TYPE_CHECKING:
     import gtsam
@@ -301,6 +302,12 @@ class WalkGraph:
     def also(self, measurements: Sequence[Measurement]) -> WalkGraph:
         """Add measurements that add no variables."""
         return self._replaced(_measurements=(*self._measurements, *measurements), _equations=[])
+
+    @one_thread
+    def between(self) -> Between:
+        """Poses and covariances at any times by the graph of an estimate, see `poses_between`."""
+        assert self.optimum is not None, "asked of the graph of an estimate"
+        return between_of(self.evaluate(self.optimum), self.prior.mean)
 
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""

@@ -27,7 +27,6 @@ from pdr_graph.types import Array, Index, Mask
 if TYPE_CHECKING:
     import gtsam
 
-    from pdr_graph.estimation.factors.chain import Evaluation
     from pdr_graph.estimation.graph import WalkGraph
 
 STAYS, LEAVES = 1e9, 0.0  # timestamps of the fixed-lag smoother: the window says who leaves, not a lag of its own
@@ -50,14 +49,16 @@ Identity = tuple[int, ...]  # of a factor in its block: its number, and the keys
 class IncrementalSmoother:
     """iSAM2 with the factors of a walk; begins with all of them, at its start.
 
+    least: information that each number of a variable has beyond the factors, for those that they do not determine.
     walk: whose factors it has; point: at which they are linearised; cost: of them there; estimate: of all variables;
     updates: number of updates of iSAM2.
     Raises RuntimeError, here and in all methods, if the factors do not determine all variables or are not finite.
     """
 
-    def __init__(self, walk: WalkGraph):
+    def __init__(self, walk: WalkGraph, least: float = 0.0):
         import gtsam
 
+        self._least = least
         self._scale = WALLED if walk.walled else 1.0
         self._smoother = gtsam.IncrementalFixedLagSmoother(1.0, _parameters(self._scale))
         self._slots = dict[tuple[Name, Identity], int]()
@@ -77,10 +78,7 @@ class IncrementalSmoother:
         import gtsam
 
         self.point = _continued(walk.start, self.point, self._known)
-        at = walk.evaluate(self.point)
-        now = _rows_of(at)
-        self.cost = at.cost
-        at.forget_blocks()
+        now = self._evaluated(walk, self.point)
         graph, removed, added, slots = gtsam.NonlinearFactorGraph(), list[int](), list[tuple[Name, Identity]](), {}
         for name, rows in now.items():
             same = rows.follow(self._rows.get(name))
@@ -100,11 +98,14 @@ class IncrementalSmoother:
                 if of not in known:
                     insert(values, symbol, key(symbol, of), variables[n])
                     stamps[key(symbol, of)] = STAYS
+                    if self._least:
+                        graph.add(_prior(symbol, key(symbol, of), variables[n], self._least))
         present = {symbol: np.sort(self.point.number(symbol)) for symbol in self.point.arrays}
         gone = _keys(self._known) - _keys(present)
         self.walk, self._slots, self._rows, self._known = walk, slots, now, _joined(self._known, present)
         self._run(graph, values, stamps, removed)
-        self._slots |= zip(added, map(int, self._smoother.getISAM2Result().getNewFactorsIndices()), strict=True)
+        index = self._smoother.getISAM2Result().getNewFactorsIndices()
+        self._slots |= {each: int(index[n]) for n, each in enumerate(added)}
         # iSAM2 has dropped the variables without a factor; those that the marginal still binds are marginalised
         if bound := [variable for variable in sorted(gone) if self._smoother.getISAM2().valueExists(variable)]:
             self._known = _without(self._known, gone - set(bound))
@@ -209,6 +210,20 @@ class IncrementalSmoother:
             longest = max(longest, float(shares[np.array(fixed, dtype=bool) == held].max(initial=0.0)))
         return longest / self._scale
 
+    def _evaluated(self, walk: WalkGraph, point: State) -> dict[Name, FactorRows]:
+        """The rows of all blocks of a walk at a point; their cost is stored."""
+        at, found = walk.evaluate(point), dict[Name, FactorRows]()
+        if not np.isfinite(at.cost):
+            raise RuntimeError("the cost is not finite")  # GTSAM would go on with it
+        self.cost = at.cost
+        for block in at.blocks:
+            name = block.name, tuple(symbol for symbol, _ in block.variables)
+            while name in found:  # marginals of the same kinds of variables
+                name = name[0] + "'", name[1]
+            found[name] = FactorRows(block, point)
+        at.forget_blocks()
+        return found
+
     def _factor(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
         """Factor ``n`` of a block for iSAM2."""
         import gtsam
@@ -229,10 +244,7 @@ class IncrementalSmoother:
         if self._fresh is None:
             point, self._fresh = self._state(values), self._rows
             if any(not np.array_equal(point[symbol], self.point[symbol]) for symbol in self.walk.start.arrays):
-                at = self.walk.evaluate(point)
-                self.cost = at.cost
-                self._fresh = _rows_of(at)
-                at.forget_blocks()
+                self._fresh = self._evaluated(self.walk, point)
         here = self._fresh[name]
         part = here.of(here.place[identity])
         self._rows[name].linearized(identity, part)
@@ -309,17 +321,6 @@ def _alike(now: Array, last: Array) -> Mask:
     return np.abs(now - last).max(axis=(1, 2)) < SAME * (1 + np.abs(now).max(axis=(1, 2)) / 20)
 
 
-def _rows_of(at: Evaluation) -> dict[Name, FactorRows]:
-    """The rows of all blocks of a walk at one state."""
-    found = dict[Name, FactorRows]()
-    for block in at.blocks:
-        name = block.name, tuple(symbol for symbol, _ in block.variables)
-        while name in found:  # marginals of the same kinds of variables
-            name = name[0] + "'", name[1]
-        found[name] = FactorRows(block, at.state)
-    return found
-
-
 def _keys(numbers: dict[str, Index]) -> set[int]:
     """The keys of variables."""
     return {key(symbol, number) for symbol, of_symbol in numbers.items() for number in of_symbol.tolist()}
@@ -347,6 +348,16 @@ def _continued(start: State, point: State, known: dict[str, Index]) -> State:
             there = number[place] == start.number(symbol)
             arrays[symbol] = np.where(there[:, None], point[symbol][order[place]], rows)
     return State(arrays, start.numbers)
+
+
+def _prior(symbol: str, variable_key: int, value: Array, information: float) -> gtsam.NonlinearFactor:
+    """A weak prior of a variable ``(3,)``."""
+    import gtsam
+
+    noise = gtsam.noiseModel.Isotropic.Precision(3, information)
+    if symbol == POSE:
+        return gtsam.PriorFactorPose2(variable_key, gtsam.Pose2(*value), noise)
+    return gtsam.PriorFactorVector(variable_key, value, noise)
 
 
 @cache

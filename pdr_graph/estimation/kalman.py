@@ -30,15 +30,21 @@ relinearised along its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from bisect import bisect_right, insort
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy, deepcopy
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import Any
 
 import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors.base import huber_cost, huber_weight
-from pdr_graph.estimation.factors.chain import SIGMA_STILL
-from pdr_graph.estimation.factors.start import FRAME_SIGMA, change_sigma
+from pdr_graph.estimation.factors.chain import DECIMALS, SIGMA_STILL, Pieces, intervals, whole_pieces
+from pdr_graph.estimation.factors.fixes import drift_of
+from pdr_graph.estimation.factors.start import FRAME_SIGMA, Prior, change_sigma
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.results import (
@@ -49,12 +55,17 @@ from pdr_graph.estimation.results import (
     time_on_steps,
     warnings,
 )
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import FIXES, KALMAN, PRICES, REPORTS, SEARCH
-from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
+from pdr_graph.priors import FIXES, KALMAN, MOTION, PRICES, RECEIVERS, REPORTS, SEARCH, STEP, TREADS
+from pdr_graph.types import Array, Estimate, Fixes, FixReport, Index, Steps, Trajectory
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
 EXACT = 1e-3  # [rad] least sigma for the weights of directions
+LATEST = 2.0  # [s] by which a measurement may come late: receivers state where they were a second ago
+LONGEST_CARRY = 60.0  # [s] over which turns carry a heading of earlier steps
+MOST_WAITING = 1000  # measurements that wait for the steps of their time
+NO_CHANGE = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -210,15 +221,374 @@ class Meeting:
 class Moment:
     """State of the filter at the start, or at the end of one piece.
 
-    predicted: before the measurements of this moment; posterior: after them. Hypothesis n of ``predicted`` came from
-    ``parent (h,)`` n of the moment before, by a movement whose derivative is ``motion (h, 6, 6)`` n.
+    time [s]; predicted: before the measurements of this moment; posterior: after them. Hypothesis n of ``predicted``
+    came from ``parent (h,)`` n of the moment before, by a movement whose derivative is ``motion (h, 6, 6)`` n.
     """
 
+    time: float
     parent: Index
     motion: Array
     predicted: GaussianMixture
     posterior: GaussianMixture
-    met: tuple[Meeting, ...]
+    met: tuple[Meeting, ...] = ()
+
+    @classmethod
+    def of(cls, time: float, mixture: GaussianMixture) -> Moment:
+        """The start of a filter at a time [s]."""
+        return cls(time, np.zeros(1, dtype=np.intp), np.eye(6)[None], mixture, mixture)
+
+
+FIX, HEADING, CHANGE = range(3)  # kinds of arrivals, in the order in which those of one moment are used
+
+
+@dataclass(frozen=True, order=True)
+class Arrival:
+    """What waits for the steps of its time.
+
+    time [s]; kind: FIX, HEADING or CHANGE; number: of the fix; value: ``(2,)`` [m] of a fix, [rad] of a heading, change
+    of pace of a calibration that begins, see `pace_changes`; sigma [m, rad]; source: of a fix.
+    """
+
+    time: float
+    kind: int
+    number: int
+    value: Any = field(compare=False)
+    sigma: float = field(default=0.0, compare=False)
+    source: str = field(default="", compare=False)
+
+
+class CalibrationWatch:
+    """Says, from the steps so far, after which of them a new calibration begins: after MOTION.steps_per_segment steps,
+    a gap, or a change of pace, which is known MOTION.pace_steps steps later.
+    """
+
+    def __init__(self) -> None:
+        self._steps, self._paced = 0, deque[tuple[float, float]](maxlen=2 * MOTION.pace_steps)
+        self._began = False
+
+    def after(self, duration: float, length: float, on_stairs: bool, is_gap: bool) -> float | None:
+        """The change of pace if a calibration begins after this step, see `pace_changes`; None if none begins."""
+        self._steps += 1
+        pace = 0.0 if is_gap or self._steps >= MOTION.steps_per_segment else None
+        if length > 0 and not on_stairs:
+            self._paced.append((float(np.log(duration)), length / duration))
+            pace = self._change() or pace
+        self._steps = self._steps if pace is None else 0
+        return pace
+
+    def _change(self) -> float:
+        """The change of pace from the last steps but MOTION.pace_steps to these; 0 if it is the same pace."""
+        n, paced = MOTION.pace_steps, list(self._paced)
+        if len(paced) < n:
+            return 0.0
+        now, speed = (median(column) for column in zip(*paced[-n:], strict=True))
+        if not self._began:
+            self._began = True
+            return MOTION.run_change * (now - float(np.log(STEP.usual))) if speed > MOTION.run_speed else 0.0
+        if len(paced) < 2 * n:
+            return 0.0
+        before, slower = (median(column) for column in zip(*paced[:n], strict=True))
+        if abs(now - before) < MOTION.pace_change:
+            return 0.0
+        for _ in range(n):
+            self._paced.popleft()
+        return (MOTION.run_change if (speed > MOTION.run_speed) != (slower > MOTION.run_speed) else 1.0) * (
+            now - before
+        )
+
+
+@dataclass
+class SourceHistory:
+    """What the filter remembers of a receiver.
+
+    drifts: of its last fixes with about the error of the next, see `drift`; place ``(2,)`` [m]: the first of those
+    within RECEIVERS.still, track: dead-reckoned there [m]; away: farthest from there since [m].
+    """
+
+    drifts: deque[float]
+    place: Array
+    track: complex
+    away: float = 0.0
+
+
+class KalmanFilter:
+    """The filter of a walk under way: takes steps, fixes and headings; nothing comes back from a graph.
+
+    prior: of the calibration; start: of the walk, by default anywhere in any direction; watched: calibrations begin as
+    `CalibrationWatch` says, False: as told by `begin_calibration`.
+
+    It follows steps LATEST after they ended: so a fix that comes late by less is used at its time, exactly. One that is
+    later is skipped, and a later heading is carried on by the turns since. A measurement of the future waits for its
+    steps. Cost of a moment and memory do not depend on the length of the walk.
+
+    moment: after the steps that it has followed, None before; located: True after the first fix; skipped: number of
+    fixes that came too late; walked: distance [m].
+    """
+
+    def __init__(self, prior: Prior, start: GaussianMixture | None = None, watched: bool = True):
+        self.prior = prior
+        self._begin = by_direction(start_mixture(prior, np.zeros(2), (FAR, FAR))) if start is None else start
+        self.moment: Moment | None = None
+        self.located, self.skipped, self.walked = start is not None, 0, 0.0
+        self._waiting, self._fixes, self._refused = list[Arrival](), 0, 0
+        self._watch = CalibrationWatch() if watched else None
+        self._change = NO_CHANGE  # variances of the change of the calibration before the next piece
+        self._sources = dict[str, SourceHistory]()
+        self._track, self._heading = 0j, 0.0  # dead-reckoned
+        self._held = list[Steps]()  # steps that it has not followed yet
+        self._turned = deque[tuple[float, float, float]]()  # time [s], turn [rad] and its variance since the start
+
+    @property
+    def time(self) -> float:
+        """End of the steps that it has followed, NaN before the first steps. [s]"""
+        return np.nan if self.moment is None else self.moment.time
+
+    @property
+    def mixture(self) -> GaussianMixture:
+        """The present hypotheses."""
+        return self._begin if self.moment is None else self.moment.posterior
+
+    @property
+    def state(self) -> tuple[Array, Array]:
+        """Most probable state ``(6,)``, and the covariance ``(6, 6)`` of all hypotheses about it."""
+        return self.mixture.about(self.mixture.mean[self.mixture.best])
+
+    def add_fixes(self, fixes: Fixes, number: Index | None = None) -> None:
+        """Add fixes; number: ``(f,)`` of each, for its `Meeting`."""
+        numbers = np.arange(len(fixes)) if number is None else number
+        rows = zip(
+            fixes.time.tolist(), numbers.tolist(), fixes.position, fixes.sigma.tolist(), fixes.source, strict=True
+        )
+        for time, n, place, sigma, source in rows:
+            if time <= self.time:
+                self.skipped += 1
+            else:
+                self._wait(Arrival(time, FIX, n, place, sigma, source))
+
+    def add_heading(self, time: float, heading: float, sigma: float) -> None:
+        """Add a heading at a time [s]; heading, sigma [rad]."""
+        self._wait(Arrival(time, HEADING, 0, heading, sigma))
+
+    def begin_calibration(self, time: float, pace: float) -> None:
+        """A new calibration begins at a time [s]; pace: change of pace, see `pace_changes`."""
+        self._wait(Arrival(time, CHANGE, 0, pace))
+
+    def _wait(self, arrival: Arrival) -> None:
+        insort(self._waiting, replace(arrival, time=round(arrival.time, DECIMALS)))
+        del self._waiting[:-MOST_WAITING]
+
+    def extend(self, steps: Steps) -> None:
+        """Take the next steps; follow those that ended more than LATEST before, several at once."""
+        self._held.append(steps)
+        if self._held[0].end < steps.end - 2 * LATEST:
+            early = [part for part in self._held if part.end < steps.end - LATEST]
+            self._held = self._held[len(early) :]
+            self._follow(early)
+
+    def present(self, tail: Steps | None = None) -> KalmanFilter:
+        """The filter at the end of all steps so far, and of provisional ones, beside this one."""
+        other = copy(self)
+        other._turned, other._sources, other._watch = self._turned.copy(), deepcopy(self._sources), None
+        other._follow([*self._held, *([] if tail is None else [tail])])
+        return other
+
+    def _follow(self, parts: Sequence[Steps]) -> None:
+        """Follow consecutive steps."""
+        if parts:
+            deque(self.advance(concatenate_steps(parts)), maxlen=0)
+
+    def advance(self, steps: Steps) -> Iterator[Moment]:
+        """Follow the next steps; yields the state at the start of the walk, and at the end of each piece."""
+        start, end, whole = round(steps.start, DECIMALS), round(steps.end, DECIMALS), whole_pieces(steps)
+        if self.moment is None:
+            yield self._measured(Moment.of(start, self._begin))
+        begin = self.time
+        if not end > begin:
+            return
+        moments = np.unique([*(arrival.time for arrival in self._waiting if begin < arrival.time < end), end])
+        pieces = intervals(whole, min(start, begin), begin, moments)
+        ends = np.union1d(whole[(whole[:, 0] > begin) & (whole[:, 0] < end), 0], moments).tolist()
+        changes = self._changes(steps)
+        for i, moment in enumerate(moments.tolist()):
+            here = pieces.between(i, i + 1)
+            *before, last = self._predicted(here, ends[pieces.first[i] : pieces.last[i] + 1], changes)
+            yield from before
+            self._reckon(here, moment)
+            yield self._measured(last)
+
+    def _predicted(self, pieces: Pieces, ends: list[float], changes: Mapping[float, Array]) -> list[Moment]:
+        """Predict through the pieces up to ``ends (k,)`` [s]: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn +
+        b time, c a random walk. There are no measurements between, so all pieces are computed at once, ``(k, h, …)``.
+
+        changes: variances ``(3,)`` of the changes of the calibration at the ends of pieces.
+        """
+        mixture, length = self.mixture, pieces.length[:, None]
+        turn, time = 2 * (pieces.to_end - pieces.to_middle)[:, :, None]
+        theta, R_s, R_d, b = mixture.mean[:, 2:].T
+        turned = R_d * turn + b * time
+        heading = theta + np.cumsum(turned, axis=0)
+        course, stride = heading - turned / 2, R_s * length
+        ahead, aside = np.empty((2, *course.shape, 2))
+        ahead[..., 0], ahead[..., 1] = np.cos(course), np.sin(course)
+        aside[..., 0], aside[..., 1] = -ahead[..., 1], ahead[..., 0]
+        left = stride[..., None] * aside
+
+        mean = np.empty((*course.shape, 6))
+        mean[..., :2] = mixture.mean[:, :2] + np.cumsum(stride[..., None] * ahead, axis=0)
+        mean[..., 2], mean[..., 3:] = heading, mixture.mean[:, 3:]
+        F = np.zeros((*course.shape, 6, 6))
+        F[..., range(6), range(6)] = 1.0
+        F[..., :2, 2], F[..., :2, 3] = left, length[..., None] * ahead
+        F[..., :2, 4], F[..., :2, 5] = left * turn[..., None] / 2, left * time[..., None] / 2
+        F[..., 2, 4], F[..., 2, 5] = turn, time
+        G = np.zeros((*turned.shape, 3, 3))  # by the errors of length, sway and turn
+        G[..., :2, 0], G[..., :2, 1], G[..., :2, 2], G[..., 2, 2] = ahead, aside, left / 2, 1.0
+        variance = pieces.variance + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0])
+        Q = np.zeros_like(F)
+        Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
+
+        rows, P, moments, calibration = np.arange(len(mixture)), mixture.covariance, [], np.arange(3, 6)
+        for m, (end, motion) in enumerate(zip(ends, F, strict=True)):
+            if self._change.any():
+                P = P.copy()
+                P[:, calibration, calibration] += self._change
+            P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
+            after = GaussianMixture(mean[m], P, mixture.log_weight, rows)
+            moments.append(Moment(end, rows, motion, after, after))
+            self._change = changes.get(end, NO_CHANGE)
+        return moments
+
+    def _changes(self, steps: Steps) -> dict[float, Array]:
+        """Variances ``(3,)`` of the changes of the calibration, by the time at which a step ends [s]."""
+        if self._watch is None:
+            return {}
+        ends, on_stairs = np.round(steps.time, DECIMALS).tolist(), (steps.sigma_length == TREADS.sigma).tolist()
+        columns = steps.duration.tolist(), steps.length.tolist(), on_stairs, steps.is_gap.tolist()
+        begun = [self._watch.after(*row) for row in zip(*columns, strict=True)]
+        return {end: self._by_pace(pace) for end, pace in zip(ends, begun, strict=True) if pace is not None}
+
+    def _by_pace(self, pace: float) -> Array:
+        """Variances ``(3,)`` of the change of the calibration with this change of pace."""
+        return np.square(change_sigma(self.prior.change, np.array([pace]))[0])
+
+    def _reckon(self, pieces: Pieces, time: float) -> None:
+        """Add the pieces up to a time [s] to dead reckoning and to the turns."""
+        course = self._heading + pieces.to_middle[0]
+        self._track += complex(pieces.length @ np.exp(1j * course))
+        self._heading += float(pieces.to_end[0, -1])
+        self.walked += float(pieces.length.sum())
+        variance = self._turned[-1][2] if self._turned else 0.0
+        self._turned.append((time, self._heading, variance + float(pieces.variance[:, 2].sum())))
+        while self._turned[0][0] < time - LONGEST_CARRY:
+            self._turned.popleft()
+
+    def _measured(self, moment: Moment) -> Moment:
+        """Correct with the arrivals up to a moment, which wait no longer; this is the present moment then."""
+        count = bisect_right(self._waiting, moment.time, key=lambda arrival: arrival.time)
+        due, self._waiting = self._waiting[:count], self._waiting[count:]
+        for arrival in due:
+            if arrival.kind == FIX:
+                moment = self._fixed(moment, arrival)
+            elif arrival.kind == HEADING:
+                H, variance = self._carried(arrival, moment.time)
+                mixture = heading_corrected(moment.posterior, H, arrival.value, variance)
+                moment = replace(moment, posterior=mixture)
+            else:
+                self._change = self._by_pace(arrival.value)
+        self.moment = replace(moment, posterior=thinned(moment.posterior)) if due else moment
+        return self.moment
+
+    def _carried(self, heading: Arrival, now: float) -> tuple[Array, float]:
+        """Measurement matrix ``(1, 6)`` and variance [rad²] at ``now`` [s] of a heading, which may be earlier."""
+        H, variance = OF_HEADING, heading.sigma**2
+        if self._turned and heading.time < now:
+            times, turns, variances = zip(*self._turned, strict=True)
+            H = H.copy()
+            H[0, 4:] = np.interp(heading.time, times, turns) - turns[-1], heading.time - now
+            variance += variances[-1] - float(np.interp(heading.time, times, variances))
+        return H, variance
+
+    def _independent_share(self, fix: Arrival) -> float:
+        """The share of the information of a fix that is independent of earlier fixes of its receiver; 0 if the receiver
+        holds its position while the steps lead away.
+        """
+        if not fix.source:
+            return 1.0
+        history = self._sources.setdefault(
+            fix.source, SourceHistory(deque(maxlen=MOST_WAITING), fix.value, self._track)
+        )
+        if np.hypot(*(fix.value - history.place)) >= RECEIVERS.still:
+            history.place, history.track, history.away = fix.value, self._track, 0.0
+        history.away = max(history.away, abs(self._track - history.track))
+        if history.away > RECEIVERS.away:
+            return 0.0
+        drifted = drift_of(fix.time, self.walked)
+        history.drifts.append(drifted)
+        while history.drifts[0] <= drifted - 1.0:
+            history.drifts.popleft()
+        while len(self._sources) > MOST_WAITING:
+            del self._sources[next(iter(self._sources))]
+        return 1.0 / (2 * len(history.drifts) - 1)  # as many later fixes will have about its error
+
+    def _fixed(self, moment: Moment, fix: Arrival) -> Moment:
+        """Correct with a fix."""
+        overhang, share = max(moment.time - fix.time, 0.0), self._independent_share(fix)
+        if overhang > FIXES.longest_overhang or not share:
+            return moment
+        place, sigma = fix.value, float(np.hypot(fix.sigma, FIXES.walking_speed * overhang))
+        if not self.located:
+            moment = replace(moment, predicted=moved(moment.predicted, place), posterior=moved(moment.posterior, place))
+        self.located, self._fixes = True, self._fixes + 1
+        bank = moment.posterior
+        updated, row, sigmas, weight = corrected(bank, place, sigma, share)
+        best = updated.best
+        distance = float(np.hypot(*(place - bank.mean[row[best], :2])))
+        meeting = Meeting(fix.number, distance, float(sigmas[best]), float(weight[best]), reset=False)
+        self._refused = self._refused + 1 if meeting.weight == 0.0 else 0
+        if self._refused == KALMAN.patience:
+            moment, self._refused = _lost(moment), 0
+            updated = corrected(moment.posterior, place, sigma, share)[0]
+            meeting = replace(meeting, weight=1.0, reset=True)
+        elif self._fixes == 2:  # perhaps the first was wrong, and this is where the walk is
+            lost = _lost(moment)
+            elsewhere = corrected(lost.posterior, place, sigma, share)[0]
+            cost = np.where(weight > 0, huber_cost(np.minimum(sigmas, FIXES.outlier)), PRICES.wrong_fix)
+            log_weight = elsewhere.log_weight + np.logaddexp.reduce(updated.log_weight + cost) - PRICES.wrong_fix
+            elsewhere = replace(elsewhere, log_weight=log_weight, origin=elsewhere.origin + len(moment.predicted))
+            parent, motion = np.append(moment.parent, lost.parent), np.concatenate([moment.motion, lost.motion])
+            predicted = joined(moment.predicted, lost.predicted)
+            moment = replace(moment, parent=parent, motion=motion, predicted=predicted)
+            updated = joined(updated, elsewhere)
+            updated = updated.take(np.arange(len(updated)))
+        return replace(moment, posterior=updated, met=(*moment.met, meeting))
+
+
+def _lost(moment: Moment) -> Moment:
+    """The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle."""
+    winner = moment.posterior.origin[[moment.posterior.best]]
+    lost = moment.predicted.take(winner)
+    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
+    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
+    return replace(
+        moment,
+        parent=moment.parent[winner],
+        motion=moment.motion[winner],
+        predicted=anywhere,
+        posterior=by_direction(anywhere),
+    )
+
+
+def moved(mixture: GaussianMixture, by: Array) -> GaussianMixture:
+    """The mixture moved by ``(2,)`` [m]."""
+    return replace(mixture, mean=mixture.mean + np.append(by, np.zeros(4)))
+
+
+def start_mixture(prior: Prior, place: Array, sigmas: tuple[float, float]) -> GaussianMixture:
+    """A start at ``place (2,)`` [m] with heading 0; sigmas: of position [m] and heading [rad]."""
+    mean, covariance = np.append(place, [0.0, *prior.mean]), np.zeros((6, 6))
+    covariance[:3, :3] = np.diag(np.square([sigmas[0], sigmas[0], sigmas[1]]))
+    covariance[3:, 3:] = prior.covariance
+    return GaussianMixture(mean[None], covariance[None], np.zeros(1), np.zeros(1, dtype=np.intp))
 
 
 def kalman_filter(graph: WalkGraph) -> Estimate:
@@ -227,24 +597,28 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
     expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
-    states, met, last = list[tuple[Array, Array]](), list[Meeting](), np.zeros(1)
+    times, states, met, last = list[float](), list[tuple[Array, Array]](), list[Meeting](), np.zeros(1)
     for moment in moments(graph):  # only the smoother needs all moments at once
         mixture = moment.posterior
+        times.append(moment.time)
         states.append(mixture.about(mixture.mean[mixture.best]))
         met += moment.met
         last = mixture.log_weight
     means, covariances = (np.array(column) for column in zip(*states, strict=True))
-    return _estimate(graph, means, covariances, met, last)
+    return _estimate(graph, np.array(times), means, covariances, met, last)
 
 
-def _estimate(graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: Array) -> Estimate:
-    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece.
+def _estimate(
+    graph: WalkGraph, times: Array, means: Array, covariances: Array, met: list[Meeting], last: Array
+) -> Estimate:
+    """The estimate from states ``(m, 6)`` and covariances ``(m, 6, 6)`` at ``times (m,)`` [s].
 
     met: how fixes were used; last: ``(h,)`` log of the probabilities at the end.
     """
-    rows = np.concatenate([[0], graph.pieces.row_end + 1])
+    rows = np.searchsorted(times, np.round(row_times(graph.steps), DECIMALS))
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
-    of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
+    last_interval = np.append(np.flatnonzero(np.diff(graph.segment)), len(graph.segment) - 1)
+    of_segment = np.searchsorted(times, graph.keyframe_time[last_interval + 1])
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
     probability, walks = float(np.exp(last.max())), int(np.sum(last > np.log(REPORTS.least_reported)))
     refused = sum(meeting.weight == 0.0 for meeting in met)
@@ -272,43 +646,34 @@ def _estimate(graph: WalkGraph, means: Array, covariances: Array, met: list[Meet
     return replace(estimate, probability=stated_probability(estimate, graph.floor))
 
 
-def moments(graph: WalkGraph) -> Iterator[Moment]:
-    """Run the filter; yields the start, then the end of each piece."""
-    keyframes, fixes = np.arange(1, len(graph.pieces.last) + 1), graph.positions
-    used = np.flatnonzero(fixes.used)
-    used = used[np.argsort(fixes.keyframe[used], kind="stable")]
-    fixes_at = np.split(used, np.searchsorted(fixes.keyframe[used], keyframes))
-    later = graph.headings.keyframe[1:]  # `_start` uses the first
-    headings_at = np.split(1 + np.arange(len(later)), np.searchsorted(later, keyframes))
-    heading, sigma = graph.headings.headings.heading, graph.headings.headings.sigma
-    moment, refused = _start(graph), 0
-    for keyframe in range(len(fixes_at)):
-        if keyframe > 0:
-            *before, moment = _predicted(moment.posterior, graph, keyframe - 1)
-            yield from before
-        for n in fixes_at[keyframe].tolist():
-            moment, refused = _fixed(moment, graph, n, refused)
-        mixture = moment.posterior
-        for n in headings_at[keyframe].tolist():
-            mixture = heading_corrected(mixture, OF_HEADING, float(heading[n]), float(sigma[n] ** 2))
-        moment = replace(moment, posterior=thinned(mixture))
-        yield moment
+def moments(graph: WalkGraph, watched: bool = True) -> Iterator[Moment]:
+    """Run the filter; yields the start, then the end of each piece.
+
+    watched: calibrations begin as in a live walk; False: as in the graph.
+    """
+    walk, fixes, headings = KalmanFilter(graph.prior, _start(graph), watched), graph.positions, graph.headings
+    used, times = np.flatnonzero(fixes.used), graph.keyframe_time
+    reached = replace(fixes.fixes, time=times[fixes.keyframe], sigma=fixes.sigma)
+    walk.add_fixes(reached[used], used)
+    table = headings.headings
+    for n in range(1, len(table)):  # `_start` uses the first
+        time = float(times[headings.keyframe[n]])
+        walk.add_heading(time, float(table.heading[n]), float(table.sigma[n]))
+    for n in np.flatnonzero(np.diff(graph.segment)) + 1 if not watched else ():
+        walk.begin_calibration(float(times[n]), float(graph.chain.pace[graph.segment[n]]))
+    return walk.advance(graph.steps)
 
 
-def _start(graph: WalkGraph) -> Moment:
+def _start(graph: WalkGraph) -> GaussianMixture:
     """The initial state: near the first fix with a wide covariance, in the compass direction or in any.
 
     Without fixes at (0, 0), and without a compass with heading 0: the start defines the frame.
     """
     fixes = graph.positions
     fixed, has_heading = fixes.used.any(), len(graph.headings.headings) > 0
-    place = FAR if fixed else FRAME_SIGMA
-    mean, covariance = np.zeros(6), np.zeros((6, 6))
-    mean[:2] = fixes.fixes.position[fixes.used][0] if fixed else 0.0
-    mean[3:], covariance[3:, 3:] = graph.prior.mean, graph.prior.covariance
-    covariance[:3, :3] = np.diag(np.square([place, place, FAR if fixed or has_heading else FRAME_SIGMA]))
-    single = np.zeros(1, dtype=np.intp)
-    bank = GaussianMixture(mean[None], covariance[None], np.zeros(1), single)
+    place = fixes.fixes.position[fixes.used][0] if fixed else np.zeros(2)
+    sigmas = FAR if fixed else FRAME_SIGMA, FAR if fixed or has_heading else FRAME_SIGMA
+    bank = start_mixture(graph.prior, place, sigmas)
     if has_heading:
         # The first heading measures θ + R_d turn + b time up to its keyframe
         pieces, headings = graph.pieces, graph.headings.headings
@@ -317,82 +682,7 @@ def _start(graph: WalkGraph) -> Moment:
         H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
         on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
         bank = heading_corrected(bank, H, float(headings.heading[0]), float(headings.sigma[0] ** 2 + on_the_way))
-    return Moment(single, np.eye(6)[None], bank, by_direction(bank) if fixed or has_heading else bank, ())
-
-
-def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
-    """Predict through each piece of interval ``i``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a
-    random walk. There are no measurements between, so all pieces are computed at once, ``(k, h, …)``.
-    """
-    pieces, here = graph.pieces, slice(graph.pieces.first[i], graph.pieces.last[i] + 1)
-    length, (turn, time) = pieces.length[here, None], 2 * (pieces.to_end - pieces.to_middle)[:, here, None]
-    theta, R_s, R_d, b = bank.mean[:, 2:].T
-    turned = R_d * turn + b * time
-    heading = np.cumsum(np.concatenate([theta[None], turned]), axis=0)
-    course = heading[:-1] + turned / 2
-    ahead = np.stack([np.cos(course), np.sin(course)], axis=2)
-    aside = ahead[..., ::-1] * [-1, 1]
-    left = (R_s * length)[..., None] * aside
-
-    mean = np.tile(bank.mean, (len(length), 1, 1))
-    mean[..., :2] += np.cumsum((R_s * length)[..., None] * ahead, axis=0)
-    mean[..., 2] = heading[1:]
-    F = np.tile(np.eye(6), (*turned.shape, 1, 1))
-    by_c = [left, length[..., None] * ahead, left * turn[..., None] / 2, left * time[..., None] / 2]
-    F[..., :2, 2:] = np.stack(by_c, axis=3)
-    F[..., 2, 4], F[..., 2, 5] = turn, time
-    G = np.zeros((*turned.shape, 3, 3))  # by the errors of length, sway and turn
-    G[..., :2, 0], G[..., :2, 1], G[..., :2, 2], G[..., 2, 2] = ahead, aside, left / 2, 1.0
-    variance = pieces.variance[here] + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0])
-    Q = np.zeros_like(F)
-    Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
-
-    changes, segment = np.zeros(3), graph.segment[i]
-    if i > 0 and segment != graph.segment[i - 1]:
-        changes = np.square(change_sigma(graph.prior.change, graph.chain.pace[[segment]])[0])
-    rows, P, moments_of_pieces = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), changes)), []
-    for m, motion in enumerate(F):
-        P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
-        after = GaussianMixture(mean[m], P, bank.log_weight, rows)
-        moments_of_pieces.append(Moment(rows, motion, after, after, ()))
-    return moments_of_pieces
-
-
-def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
-    """Correct with fix ``n``. refused: number of fixes rejected in a row before it; its new value is returned."""
-    fixes = graph.positions
-    second = np.flatnonzero(fixes.used)[1:2]
-    place, sigma = fixes.fixes.position[n], float(fixes.sigma[n])
-    share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
-    bank = moment.posterior
-    updated, row, sigmas, weight = corrected(bank, place, sigma, share)
-    best = updated.best
-    distance = float(np.hypot(*(place - bank.mean[row[best], :2])))
-    meeting = Meeting(n, distance, float(sigmas[best]), float(weight[best]), reset=False)
-    refused = refused + 1 if meeting.weight == 0.0 else 0
-    if refused == KALMAN.patience:
-        moment, refused = _lost(moment), 0
-        updated, meeting = corrected(moment.posterior, place, sigma, share)[0], replace(meeting, weight=1.0, reset=True)
-    elif n in second:  # perhaps the first was wrong, and this is where the walk is
-        lost = _lost(moment)
-        elsewhere = corrected(lost.posterior, place, sigma, share)[0]
-        cost = np.where(weight > 0, huber_cost(np.minimum(sigmas, FIXES.outlier)), PRICES.wrong_fix)
-        log_weight = elsewhere.log_weight + np.logaddexp.reduce(updated.log_weight + cost) - PRICES.wrong_fix
-        elsewhere = replace(elsewhere, log_weight=log_weight, origin=elsewhere.origin + len(moment.predicted))
-        parent, motion = np.append(moment.parent, lost.parent), np.concatenate([moment.motion, lost.motion])
-        moment = Moment(parent, motion, joined(moment.predicted, lost.predicted), moment.posterior, moment.met)
-        updated = joined(updated, elsewhere)
-        updated = updated.take(np.arange(len(updated)))
-    return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
-
-
-def _lost(moment: Moment) -> Moment:
-    """The prediction, which rejected fixes did not change, with an unknown pose and directions around the circle."""
-    winner = moment.posterior.origin[[moment.posterior.best]]
-    lost = moment.predicted.take(winner)
-    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
-    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
-    return Moment(moment.parent[winner], moment.motion[winner], anywhere, by_direction(anywhere), moment.met)
+    return by_direction(bank) if fixed or has_heading else bank
 
 
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
@@ -414,7 +704,7 @@ def kalman_smoother(graph: WalkGraph) -> Estimate:
     graph: the same measurements as for ``smooth``; its walls are not used. Rejected fixes stay rejected.
     """
     expect("kalman_smoother, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
-    run = list(moments(graph))
+    run = list(moments(graph, watched=False))
     hypothesis = run[-1].posterior.best
     mean, P = run[-1].posterior.mean[hypothesis], run[-1].posterior.covariance[hypothesis]
     means, covariances = [mean], [P]
@@ -429,7 +719,8 @@ def kalman_smoother(graph: WalkGraph) -> Estimate:
         covariances.append(P)
     met = [meeting for moment in run for meeting in moment.met]
     last = run[-1].posterior.log_weight
-    estimate = _estimate(graph, np.array(means[::-1]), np.array(covariances[::-1]), met, last)
+    times = np.array([moment.time for moment in run])
+    estimate = _estimate(graph, times, np.array(means[::-1]), np.array(covariances[::-1]), met, last)
     track = estimate.trajectory
     fixes = graph.positions.fixes
     distance = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)

@@ -11,7 +11,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
 from pdr_graph.estimation.factors.base import POSE, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.linear_system import Linearization, NormalEquations, Solution
+from pdr_graph.estimation.linear_system import Linearization, Solution
 from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 

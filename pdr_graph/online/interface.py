@@ -17,10 +17,12 @@ from shapely import affinity
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors.registry import KINDS
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import confidence_ellipse, horizontal_sigma, protection_level, wrap_angle
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import (
     SENSORS,
     Array,
@@ -199,6 +201,16 @@ class Pose(OneLineRepr):
         place = f"({self.x:.2f}, {self.y:.2f}) m ± {self.sigma:.2f} m"
         floor = [f"floor {self.floor!r}"] if self.floor else []
         return [f"{self.time:.2f} s", place, f"heading {self.heading:.2f} rad", *floor]
+
+
+def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
+    """The ways of a mixture with their probabilities, the most probable first."""
+    modes = []
+    for n in np.argsort(-ways.log_weight, kind="stable").tolist():
+        probability, (x, y, heading) = float(np.exp(ways.log_weight[n])), ways.mean[n, :3].tolist()
+        if probability >= REPORTS.least_reported or not modes:
+            modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
+    return tuple(modes)
 
 
 def trajectory_of(poses: Sequence[Pose]) -> Trajectory:

@@ -246,6 +246,11 @@ class Journal(Generic[Navigator]):
         return self.navigator.pose
 
     @property
+    def filtered(self) -> Pose | None:
+        """The pose of the Kalman filter beside the smoother; None before there is one."""
+        return getattr(self.navigator, "filtered", None)  # another class of navigator need not have it
+
+    @property
     def steps(self) -> int:
         """Number of steps so far."""
         return self.navigator.steps

@@ -12,7 +12,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,7 +24,6 @@ from pdr_graph.estimation.factors.registry import kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window, rewound
@@ -41,7 +40,8 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import horizontal_sigma, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, MOST_SOURCES, EventChecks
-from pdr_graph.online.interface import Event, Mode, Pose, Samples, Scan, event_types, trajectory_of_rows
+from pdr_graph.online.filter_beside import FilterBeside, belief_of_rows
+from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, modes_of, trajectory_of_rows
 from pdr_graph.online.status import (
     RIDES_NOW,
     Status,
@@ -53,7 +53,7 @@ from pdr_graph.online.status import (
     state_of,
     warnings_of,
 )
-from pdr_graph.priors import FIXES, INITIAL, REPORTS, STAND
+from pdr_graph.priors import FIXES, INITIAL, STAND
 from pdr_graph.types import (
     LONLAT,
     START,
@@ -65,6 +65,7 @@ from pdr_graph.types import (
     Headings,
     Steps,
     Trajectory,
+    interpolated,
     last_time,
     take,
 )
@@ -129,6 +130,7 @@ class Navigator:
         prior, executor = prior or prior_of(self.walker.profile), shared_thread() if executor == "thread" else executor
         lag = np.inf if lag is None else lag
         self._graph = LiveSmoother(prior, lag, self.building, start_floor or "", executor, paths)
+        self._filter = FilterBeside(prior)
         self._alone: FixesAlone | None = None
         self._away, self._rides = Away(), RideWatch()
         self._display, self._stand = Display(), Stand()
@@ -198,6 +200,38 @@ class Navigator:
         if self._pose is None:
             self._pose = self._current_pose()
         return self._pose
+
+    @property
+    def filtered(self) -> Pose | None:
+        """The current pose of the Kalman filter beside the smoother; None before its first fix.
+
+        It takes the same steps, fixes and headings, and uses neither plan nor beacons nor the graph.
+        """
+        return self._filter.pose(self._tail, self._floors.label)
+
+    def at(self, time: float) -> Pose:
+        """The smoothed pose of the walk at a time [s], by all data so far.
+
+        After the last keyframe it is predicted, in the window it is the marginal of the graph, and before the window
+        linear between the finalised rows that `finalized` has not returned. Raises ValueError for other times.
+        """
+        track, window, output, modes = self.trajectory, self._window, self._graph.output, ()
+        if not len(track) or not track.time[0] <= time <= track.time[-1]:
+            known = f"{track.time[0]:.3f} to {track.time[-1]:.3f} s" if len(track) else "none before the first steps"
+            raise ValueError(f"Navigator.at: found {time:.3f} s, poses are known for {known}")
+        if time > window.times[-1]:
+            ways = output.mixture(self._tail, time)
+            belief, modes = output.expected(ways), modes_of(ways)
+            pose, covariance = belief.mean[:3], belief.covariance[:3, :3]
+        elif time >= window.times[0] and window.intervals:
+            (pose,), (covariance,) = output.poses_at(np.array([time]))
+        else:
+            row = interpolated(track, np.array([time]))
+            pose, covariance = np.append(row.position[0], row.heading), np.asarray(row.covariance)[0]
+        x, y, heading = pose.tolist()
+        label = track.floor[int(np.searchsorted(track.time, time))]
+        placed = output.is_placed(time)
+        return Pose(time, x, y, float(wrap_angle(heading)), label, covariance, modes, placed=placed)
 
     def _current_pose(self) -> Pose | None:
         alone = self._alone
@@ -281,6 +315,7 @@ class Navigator:
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
+                *self._filter.issues(),
             ),
             unknown=self.unknown,
             sensors=self._gait.health,
@@ -308,10 +343,12 @@ class Navigator:
             self._append_steps(part)
         self._graph.finish()
         if (final := self._graph.final) is not None:
-            warnings, doubts = (*final.warnings, *self._rides.notes), self._rides.contradictions
+            self._filter.judge(partial(belief_of_rows, final.trajectory))
+            warnings = (*final.warnings, *self._rides.notes, *self._filter.warnings())
+            doubts = *self._rides.contradictions, *self._filter.contradictions()
             return replace(final, warnings=warnings, contradictions=(*final.contradictions, *doubts))
         estimate = self._estimate()
-        warnings = (*warnings_of(self._graph, self.building, estimate), *self._rides.notes)
+        warnings = (*warnings_of(self._graph, self.building, estimate), *self._rides.notes, *self._filter.warnings())
         return replace(estimate, dead_reckoning=dead_reckoning_of(self._chunks, estimate.fixes), warnings=warnings)
 
     def _estimate(self) -> Estimate:
@@ -333,6 +370,7 @@ class Navigator:
                 *contradiction_of_fixes(self._away_by),
                 *movement_contradictions(self._stepless, self._on_steps),
                 *self._rides.contradictions,
+                *self._filter.contradictions(),
             ),
             placed=smoother.graph.finalized.anchored,
             assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
@@ -380,6 +418,7 @@ class Navigator:
         self._pose, self._provisional, self._tail = None, provisional, provisional
         for heading in headings:
             self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
+            self._filter.add_heading(heading.time, heading.heading, heading.sigma, heading.stretch)
         if certain is not None:
             self._extend(certain)
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)
@@ -405,6 +444,7 @@ class Navigator:
             first = float(steps.time[0]) if len(steps) else steps.start
             start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
             self._graph.graph.append(start, np.array([-(2**31)]))
+            self._filter.add(start)
         self._certain += int((~steps.is_gap).sum())
         self._on_steps += time_on_steps(steps)
         self._stepless += steps.stepless
@@ -416,6 +456,8 @@ class Navigator:
         steps = with_goings(steps, goings)
         self._chunks.append(steps)
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
+        self._filter.filter.extend(steps)
+        self._filter.compare(steps.end, partial(self._graph.output.belief, None))
 
     @property
     def _now(self) -> float:
@@ -462,6 +504,7 @@ class Navigator:
             self._accepted += len(data)
             self._floors.add_fixes(data)
         self._graph.append(data)
+        self._filter.add(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
             self._alone, riding = after_fixes(self._alone, data[n]), self._rides.since is not None
             for part in self._rides.fix(float(data.time[n]), data.position[n], float(data.sigma[n])):
@@ -490,21 +533,12 @@ class Navigator:
         if self._place is None and self.frame is not None:
             self._locate(self.frame, fixes.position[0])
         self._accepted += len(fixes)
+        self._filter.add(fixes)
         for n in range(len(fixes)):
             self._floors.add_fixes(fixes[n])
 
 
 FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
-
-
-def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
-    """The ways of a mixture with their probabilities, the most probable first."""
-    modes = []
-    for n in np.argsort(-ways.log_weight, kind="stable").tolist():
-        probability, (x, y, heading) = float(np.exp(ways.log_weight[n])), ways.mean[n, :3].tolist()
-        if probability >= REPORTS.least_reported or not modes:
-            modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
-    return tuple(modes)
 
 
 class Stand:

@@ -84,11 +84,11 @@ def test_the_size_of_chunks_hardly_matters(size, lag):
 
 @pytest.mark.parametrize("late", [10.0, 30.0, 50.0, np.random.default_rng(0).uniform(0, 50, 13)], ids=str)
 def test_a_late_fix_is_as_good_as_one_in_time(late):
-    """Also where some overtake others."""
+    """Also where some overtake others. 2 cm: iSAM2 linearises anew where a variable has moved beyond its threshold."""
     steps, fixes, _ = drawn(0, 200)
     assert np.ndim(late) == 0 or (np.diff(fixes.time + late) < 0).any()
     with headings_free():
-        assert apart(live_track(steps, fixes, late=late), one_by_one()).max() < 0.01
+        assert apart(live_track(steps, fixes, late=late), one_by_one()).max() < 0.02
 
 
 def test_fixes_from_before_the_window_are_counted_and_not_used():
@@ -138,11 +138,11 @@ def test_a_jump_of_all_fixes_restarts_the_walk():
     live, before = LiveSmoother(lag=LAG), None
     for now in pushing(live, steps, jumped):
         if steps.time[now - 1] > 140.0 and before is None:
-            before = [rows.pose.copy() for rows in live.graph.finalized.final]
+            before = [rows.pose.copy() for rows in live.graph.finalized.rows]
     assert live.ambiguity.restarts
     assert live.sure
     assert len(before) > 5
-    for pose, rows in zip(before, live.graph.finalized.final, strict=False):
+    for pose, rows in zip(before, live.graph.finalized.rows, strict=False):
         assert pose == pytest.approx(rows.pose)
     live.finish()
     track = live_rows(live)

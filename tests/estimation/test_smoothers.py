@@ -404,8 +404,11 @@ def test_in_the_linear_case_it_equals_the_graph():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_smoothing_never_increases_the_covariance_and_leaves_the_last_row(seed):
-    """In any direction of (x, y, θ): the filter's covariance less the smoother's has no negative eigenvalue."""
-    steps, fixes, _ = drawn_from_the_model(200, seed)
+    """In any direction of (x, y, θ): the filter's covariance less the smoother's has no negative eigenvalue.
+
+    Within one calibration: later ones begin after so many steps in the filter, and are of equal length in the smoother.
+    """
+    steps, fixes, _ = drawn_from_the_model(MOTION.steps_per_segment - 1, seed)
     causal, smoothed = (method(WalkGraph(steps, fixes)).trajectory for method in (kalman_filter, kalman_smoother))
     assert np.linalg.eigvalsh(causal.covariance - smoothed.covariance).min() > -1e-5, "hypotheses of a millionth aside"
     assert smoothed.position[-1] == pytest.approx(causal.position[-1])

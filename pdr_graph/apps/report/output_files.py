@@ -220,6 +220,7 @@ def live_scores(result: Result) -> dict[str, Any]:
             "sigma": _median_sigma(live),
             "error": _error(live, truth),
             "hindsight": {"error": _error(track, truth)},
+            "filter": dict(result.beside),
         }
     }
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
+Drift = TypeVar("Drift", float, Array)
 MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 
@@ -504,7 +505,12 @@ def drift(steps: Steps, time: Array) -> Array:
 
     Signal paths change with the place, and little where nobody moves.
     """
-    return time / RECEIVERS.standing + distance_walked(steps, time) / RECEIVERS.along
+    return drift_of(time, distance_walked(steps, time))
+
+
+def drift_of(time: Drift, walked: Drift) -> Drift:
+    """Drift of a receiver's errors by a time [s] after ``walked`` [m], see `drift`."""
+    return time / RECEIVERS.standing + walked / RECEIVERS.along
 
 
 def alike(drifted: Array) -> tuple[Index, Index]:

@@ -8,6 +8,7 @@ anew, by the batch or by an answer, iSAM2 begins again from the factors and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from pdr_graph.estimation.factors.start import (
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.incremental import IncrementalSmoother
-from pdr_graph.estimation.linear_system import NormalEquations
+from pdr_graph.estimation.linear_system import RESCUING, NormalEquations
 from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory
 from pdr_graph.estimation.live.window import (
     CLOSE,
@@ -290,11 +291,11 @@ class LiveGraph:
         walk = isam.walk.also(isam.marginals())
         if not walk.evaluate(isam.estimate).cost <= walk.evaluate(isam.point).cost + LEAST_RISE:
             self.rebuilds += 1
-            self._begin(searched(walk.at(isam.point)))
+            self._begin(searched(self.frozen()))
 
     def _begin(self, walk: WalkGraph) -> None:
         """Begin iSAM2 with a walk, which has the marginal of what has left."""
-        self._isam, self._at = IncrementalSmoother(walk), None
+        self._isam, self._at = _begun(walk), None
         self.marginals = [kind for kind in walk.measurements if isinstance(kind, MarginalFactor)]
         self._factors, self._version = walk, self.log.version
 
@@ -466,6 +467,14 @@ class LiveGraph:
             return WalkGraph.of(steps, [*data, *raw], **options).decided(of_kinds)
 
         return build
+
+
+def _begun(walk: WalkGraph) -> IncrementalSmoother:
+    """iSAM2 with a walk; variables that its factors do not determine are held a little where they are."""
+    for least in RESCUING[:-1]:
+        with suppress(RuntimeError):
+            return IncrementalSmoother(walk, least)
+    return IncrementalSmoother(walk, RESCUING[-1])
 
 
 def searched(walk: WalkGraph) -> WalkGraph:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.estimation.between_steps import joint_of, poses_between
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized
 from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
 from pdr_graph.estimation.factors.registry import made_from
@@ -444,6 +445,13 @@ class LiveOutput:
             end = graph.covariance(-1)[None]
             parts.append(TrajectoryRows(np.array(window.times[-1:]), window.pose[-1:], end, [window.floor]))
         return TrajectoryRows.joined(parts)
+
+    def poses_at(self, time: Array) -> tuple[Array, Array]:
+        """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` at times ``(n,)`` [s] between keyframes of the window."""
+        graph = self.graph
+        joint = joint_of(graph.at, graph.solution)
+        pose, covariance = poses_between(graph.at, joint, graph.window.prior.mean, time)
+        return pose, covariance + graph.excess.at(time)
 
     def predicted_rows(self, tail: Steps | None = None) -> TrajectoryRows:
         """Predicted rows of the steps since the last keyframe; the last row is the current pose."""
