@@ -21,7 +21,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.finalization import marginalized
+from pdr_graph.estimation.incremental import IncrementalSmoother
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING, interpolate, unit
@@ -527,15 +527,16 @@ def test_the_sigma_of_an_encounter_follows_the_path_loss():
 # The window
 
 
-def test_the_marginal_is_the_schur_complement():
+def test_the_marginal_of_isam2_is_the_schur_complement():
     """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab, and what is optimal with it is what was optimal with all."""
     steps, fixes, _ = drawn_from_the_model(120, 0)
     graph = WalkGraph(steps, fixes)
     at, gone = optimize(graph, graph.start).at, 7  # the first keyframes; the rest follows in order
     poses = len(at.state.poses)
     count = poses + len(at.state.c)
-    marginal, absorbed = marginalized(at, np.arange(count) < gone)
-    assert not absorbed, "priors of measurements; there are none"
+    isam = IncrementalSmoother(graph.at(at.state))
+    isam.leave([("x", n) for n in range(gone)])
+    (marginal,) = isam.marginals()
     assert set(zip(marginal.symbol, marginal.number.tolist(), strict=True)) == {("x", gone), ("c", 0)}
     assert marginal.root.shape[1] == 6
 
