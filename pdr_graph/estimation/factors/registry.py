@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, Locating, Measurement, Remembered
+from pdr_graph.estimation.factors.base import INTERFACES, AnyArray, Locating, Measurement, Remembered
 from pdr_graph.types import Fixes, Index, Steps
 
 if TYPE_CHECKING:
@@ -46,6 +46,10 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
     for kind in kinds:
         if not kind.name or not callable(getattr(kind, "of", None)):
             raise TypeError(f"{place}: found {kind.__name__} without a name or of(…), expected both")
+        for interface in (each for each in INTERFACES if not issubclass(kind, each)):
+            if ignored := [name for name in vars(interface) if name[0] != "_" and name in dir(kind)]:
+                expected = f"expected a subclass of {interface.__name__}"
+                raise TypeError(f"{place}: found {kind.__name__}.{ignored[0]}, {expected}")
     former = next((known for known in KINDS if known.__name__ == data_type.__name__), None)
     if former is not None and _definitions(former, *KINDS[former]) != _definitions(data_type, *kinds):
         raise ValueError(f"{place}: another type of this name is registered, of {former.__module__}")
@@ -125,6 +129,11 @@ def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Any]:
 def ways_of(network: PathNetwork | None) -> list[Any]:
     """The factor of ways outdoors, none of which the walk follows yet; none without a network."""
     return [] if network is None else [ON_PLAN[WAYS_OUTDOORS].about(network)]
+
+
+def ways_among(measurements: Iterable[Measurement]) -> Any:
+    """The ways outdoors among these kinds; None if there are none."""
+    return next((kind for kind in measurements if isinstance(kind, ON_PLAN[WAYS_OUTDOORS])), None)
 
 
 def measurements_of_walk(tables: Sequence[Any], steps: Steps, prior: Prior) -> list[Measurement]:
