@@ -260,7 +260,7 @@ def differences(old, new, options):
             continue
         ignored = VARYING | set(options.ignored)
         one, other = values(was[name], {}, ignored), values(now[name], renamed, ignored)
-        changed = [place for place in {**one, **other} if one.get(place) != other.get(place)]
+        changed = [place for place in {**one, **other} if repr(one.get(place)) != repr(other.get(place))]
         texts = [place for place in changed if place.startswith("text ")]
         numbers = {
             place: difference(one.get(place), other.get(place), place) for place in changed if place not in texts

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE
 from pdr_graph.estimation.factors.chain import Evaluation, Pieces, bridge, preintegrate, step_residuals
-from pdr_graph.estimation.linear_system import NormalEquations, Solution
+from pdr_graph.estimation.linear_system import NormalEquations, Covariances
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import INSTANT, Array, Between, Index
 
@@ -76,7 +76,7 @@ def split(pieces: Pieces, time: Array) -> tuple[Pieces, Index]:
     return replace(parts, to_end=to_end, to_middle=to_end - turn_and_time / 2), np.minimum(which, len(end) - 1)
 
 
-def joint_of(at: Evaluation, solution: Solution) -> Joint:
+def joint_of(at: Evaluation, solution: Covariances) -> Joint:
     """The joint covariances of the intervals of a walk at the optimum."""
     return lambda i: solution.joint((POSE, i), (POSE, i + 1), (CALIBRATION, at.chain.segment[i]))
 

@@ -19,18 +19,12 @@ from pdr_graph.errors import count, expect
 from pdr_graph.estimation.between_steps import between_of
 from pdr_graph.estimation.factors.base import (
     AnyArray,
-    Followed,
-    Initialized,
     Locating,
     Measurement,
-    Multimodal,
     OnPlan,
-    Priced,
     Refined,
     Remembered,
-    Restarted,
     Stage,
-    Staged,
     State,
     initial_state,
 )
@@ -44,13 +38,21 @@ from pdr_graph.estimation.factors.chain import (
     pace_changes,
     whole_pieces,
 )
-from pdr_graph.estimation.factors.registry import corridors_of, kind_of, made_from, measurements_of_walk, ways_of
+from pdr_graph.estimation.factors.registry import (
+    corridors_of,
+    kind_of,
+    made_from,
+    measurements_of_walk,
+    ways_among,
+    ways_of,
+)
 from pdr_graph.estimation.factors.start import (
     WALKER_KIND,
     Prior,
     by_another_walker,
     calibration_prior,
     first_heading_prior,
+    restarted,
     start_prior,
 )
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
@@ -65,7 +67,7 @@ from pdr_graph.types import Array, Between, Closures, Fixes, Headings, Index, Le
 if TYPE_CHECKING:
     import gtsam
 
-    from pdr_graph.estimation.factors import Directions, Positions
+    from pdr_graph.estimation.factors import Directions, Positions, Ways
     from pdr_graph.floor.paths import PathNetwork
 
 MOST_EQUATIONS = 3  # places of blocks that are kept
@@ -141,7 +143,7 @@ class WalkGraph:
         floor_of_pieces = [self.floors[r] for r in row.tolist()]
         self.floor_sequence = None if floor is None else FloorSequence.of(floor, floor_of_pieces)
         prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
-        kinds = [kind.initialized(poses) if isinstance(kind, Initialized) else kind for kind in kinds]
+        kinds = [kind.initialized(poses) if isinstance(kind, Locating) else kind for kind in kinds]
         calibrations = calibration_prior(prior_of_segment, self.prior.change, self.prior.another)
         priors = calibrations, self._start_prior(float(poses[0, 2]))
         self._measurements = (
@@ -233,12 +235,12 @@ class WalkGraph:
     @property
     def walls(self) -> Any:
         """The walls along the walk, the first kind on the plan; None if no plan is used."""
-        return next((kind for kind in self.measurements if kind.on_plan), None)
+        return next((kind for kind in self.measurements if isinstance(kind, OnPlan)), None)
 
     @property
-    def ways(self) -> Any:
+    def ways(self) -> Ways | None:
         """The ways outdoors that the walk may follow; None if there are none."""
-        return next((kind for kind in self._measurements if isinstance(kind, Followed)), None)
+        return ways_among(self._measurements)
 
     @property
     def unplaced(self) -> bool:
@@ -312,14 +314,15 @@ class WalkGraph:
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""
         start = self.start.rotated(angle, pivot(self.start.poses, self.positions))
-        return self._replaced(_measurements=self._restarted(start), start=start, _associated=not self.walled)
+        kinds = restarted(self._measurements, start)
+        return self._replaced(_measurements=kinds, start=start, _associated=not self.walled)
 
     def associated_at(self, start: State, stray: Array | float | None = None, alike: float = 1.0) -> WalkGraph:
         """Start the search at ``start`` and associate rooms and corridors along it.
 
         stray, alike: error of ``start``, see `OnPlan.associated`.
         """
-        measurements = self._restarted(start)
+        measurements = restarted(self._measurements, start)
         if self.walled:
             at = self.chain.evaluate(start)
             measurements = tuple(_associated(kind, at, stray, alike) for kind in measurements)
@@ -327,12 +330,12 @@ class WalkGraph:
 
     def without_plan(self) -> WalkGraph:
         """Remove all factors of the floor plan."""
-        kept = tuple(measurement for measurement in self._measurements if not measurement.on_plan)
+        kept = tuple(measurement for measurement in self._measurements if not isinstance(measurement, OnPlan))
         return self._replaced(_measurements=kept, walled=False, _associated=True)
 
     def staged(self, stage: Stage) -> WalkGraph:
         """All factors in their version for a stage of the search."""
-        kinds = (kind.staged(stage) if isinstance(kind, Staged) else kind for kind in self.measurements)
+        kinds = (kind.staged(stage) if isinstance(kind, Refined) else kind for kind in self.measurements)
         return self._replaced(_measurements=tuple(kinds))
 
     def alternatives(self) -> list[WalkGraph]:
@@ -340,7 +343,7 @@ class WalkGraph:
         graphs = []
         for n, measurement in enumerate(self.measurements):
             before, after = self.measurements[:n], self.measurements[n + 1 :]
-            for version in measurement.alternatives() if isinstance(measurement, Multimodal) else ():
+            for version in measurement.alternatives() if isinstance(measurement, Refined) else ():
                 graphs.append(self._replaced(_measurements=(*before, version, *after)))
         return graphs
 
@@ -392,9 +395,9 @@ class WalkGraph:
     def classified_as(self, other: WalkGraph) -> WalkGraph:
         """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for plan and walker."""
         graph = self._replaced(chain=other.chain, prior=other.prior)
-        kept = tuple(measurement for measurement in other.measurements if not measurement.on_plan)
+        kept = tuple(measurement for measurement in other.measurements if not isinstance(measurement, OnPlan))
         if other.ways is None or self.floor_sequence is None:
-            return graph._with_variables((*kept, *(kind for kind in self._measurements if kind.on_plan)))
+            return graph._with_variables((*kept, *(kind for kind in self._measurements if isinstance(kind, OnPlan))))
         beside = replace(self.floor_sequence, outdoors=other.ways.outdoors(other.chain))
         plan = walls_on_plan(beside, self.prior), *corridors_of(beside, self.prior)
         graph = graph._replaced(floor_sequence=beside)._with_variables((*kept, *plan))
@@ -403,11 +406,7 @@ class WalkGraph:
     def same_association(self, other: WalkGraph) -> bool:
         """True if both graphs have the same rooms and corridors."""
         pairs = zip(self.measurements, other.measurements, strict=True)
-        return all(a.same_association(b) for a, b in pairs if isinstance(a, Priced))
-
-    def _restarted(self, start: State) -> tuple[Measurement, ...]:
-        kinds = self._measurements
-        return tuple(kind.restarted(start.poses) if isinstance(kind, Restarted) else kind for kind in kinds)
+        return all(a.same_association(b) for a, b in pairs if isinstance(a, OnPlan))
 
     def _with_variables(self, measurements: tuple[Measurement, ...]) -> WalkGraph:
         """Replace the measurements; variables that they add are at their initial values."""

@@ -13,9 +13,9 @@ the marginal as a factor like the others (`MarginalFactor`).
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -174,7 +174,7 @@ class IncrementalSmoother:
     # Inside
 
     def _run(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float], removed: list[int]
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: Mapping[Any, float], removed: list[int]
     ) -> None:
         """One update of iSAM2."""
         self._fresh = None

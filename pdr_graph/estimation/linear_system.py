@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations
 from threading import Lock
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -198,6 +198,14 @@ class Solution:
         """
         first = first_variables(self._state)
         return self._factorization.joint(np.stack([first[symbol] + rows for symbol, rows in groups], axis=1))
+
+
+class Covariances(Protocol):
+    """What gives joint covariances: a `Solution`, or iSAM2."""
+
+    def joint(self, *groups: tuple[str, Index]) -> Array:
+        """Joint covariances ``(n, 3 d, 3 d)`` of n groups of d variables, see `Solution.joint`."""
+        ...
 
 
 def first_variables(state: State) -> dict[str, int]:
@@ -507,7 +515,7 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
 COVARIANCES_AT_ONCE = 2000  # pieces: all of a long walk would take most of its memory
 
 
-def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> Array:
+def covariance_of_ends(at: Evaluation, solution: Covariances, which: Index) -> Array:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a

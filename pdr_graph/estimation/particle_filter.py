@@ -18,12 +18,11 @@ sigmas. A kind that knows a shorter way has its own `pose_costs`.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,9 @@ from pdr_graph.estimation.factors.base import (
     FactorBlock,
     Linearized,
     Measurement,
-    Structural,
+    OnPlan,
+    PoseCosts,
+    WeighsPoses,
     initial_state,
 )
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Increments, Pieces
@@ -45,41 +46,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.priors import MOTION, PARTICLES, REGIONS, WALLS
 from pdr_graph.types import Array, Index, keyframes_of, repeated
 
-
-class PoseCosts(Protocol):
-    """Measurements of one kind at a keyframe."""
-
-    def costs(self, state: Array) -> Iterable[Array]:
-        """Negative log-likelihoods ``(n,)`` of states ``(6, n)`` x, y, θ, R_s, R_d, b.
-
-        Each is PARTICLES.outlier_price at most.
-        """
-        ...
-
-    def place_sought(self, state: Array) -> tuple[Array, float] | None:
-        """Position ``(2,)`` and sigma [m] that is far from all states ``(6, n)``, where some of them may belong."""
-        ...
-
-
 KeyframeMeasurements = Sequence[PoseCosts]  # the measurements at a keyframe, kind by kind
-
-
-class WeighsPoses(Structural):
-    """A kind that weighs poses otherwise than by its residuals."""
-
-    @abstractmethod
-    def pose_costs(self, keyframe: int) -> PoseCosts | None:
-        """The instances at a keyframe; None without any."""
-        ...
-
-
-class LimitsSteps(Structural):
-    """A kind that says that the walker stood during an interval, though steps err by more."""
-
-    @abstractmethod
-    def standing_variance(self, interval: int) -> float:
-        """Largest variance [m²] per axis of the displacement in an interval between keyframes; infinite if unknown."""
-        ...
 
 
 def pose_costs(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
@@ -87,7 +54,7 @@ def pose_costs(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMe
     costs = [
         kind.pose_costs(keyframe) if isinstance(kind, WeighsPoses) else _by_residuals(kind, keyframe)
         for kind in measurements
-        if not kind.on_plan
+        if not isinstance(kind, OnPlan)
     ]
     return tuple(one for one in costs if one is not None)
 
@@ -561,7 +528,7 @@ def advance_through(particles: ParticleFilter, graph: WalkGraph, begin: int) -> 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:
     """The pieces of an interval; where a kind says that the walker stood, they err no more."""
     pieces = graph.pieces.between(interval, interval + 1)
-    limits = [kind.standing_variance(interval) for kind in graph.measurements if isinstance(kind, LimitsSteps)]
+    limits = [kind.standing_variance(interval) for kind in graph.measurements if isinstance(kind, WeighsPoses)]
     stood = min(limits, default=np.inf)
     if not np.isfinite(stood):
         return pieces

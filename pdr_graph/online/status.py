@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors.base import Followed
+from pdr_graph.estimation.factors.registry import ways_among
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.results import (
     calibration_warnings,
@@ -139,7 +139,7 @@ def contradictions_of(
     rows: the walk so far; reports: of its measurements.
     """
     found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
-    for ways in (each for each in graph.at.measurements if isinstance(each, Followed)):
+    if (ways := ways_among(graph.at.measurements)) is not None:
         found = (*found, *ways.contradictions(graph.at, graph.solution))
         outdoors = np.zeros(len(rows)) if plan is None else distance_to_box(rows.position, *plan.corners)
         rows = rows[outdoors == 0]  # ways beside the plan are no evidence against it

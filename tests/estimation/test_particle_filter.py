@@ -16,6 +16,7 @@ import pdr_graph as pdr
 from pdr_graph import Headings, WalkGraph, kalman_filter
 from pdr_graph.estimation import particle_filter as filter_module
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
+from pdr_graph.estimation.factors.base import WeighsPoses
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.chain import intervals, whole_pieces
 from pdr_graph.estimation.factors.fixes import FixCosts
@@ -26,7 +27,6 @@ from pdr_graph.estimation.particle_filter import (
     COMPILED,
     ParticleFilter,
     Walls,
-    WeighsPoses,
     particle_filter,
     pose_costs,
     stepped,

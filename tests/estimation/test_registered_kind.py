@@ -336,6 +336,11 @@ class Taken(AnchorlineFactor):
     name = "walls"
 
 
+class Structural(AnchorlineFactor):
+    def refined(self, at):
+        """Of an interface that it does not inherit: nothing would call it."""
+
+
 @pytest.mark.parametrize(
     ("data", "kind", "error", "reason"),
     [
@@ -343,6 +348,7 @@ class Taken(AnchorlineFactor):
         (Timeless, AnchorlineFactor, TypeError, "expected a frozen dataclass with time"),
         (Anchorline, Anchorline, TypeError, "expected subclasses of Measurement"),
         (Anchorline, Nameless, TypeError, "without a name"),
+        (Anchorline, Structural, TypeError, "found Structural.refined, expected a subclass of Refined"),
         (Ranges, AnchorlineFactor, ValueError, "another type of this name is registered"),
         (pdr.Fixes, AnchorlineFactor, ValueError, "another type of this name is registered"),
         (Anchorline, Taken, ValueError, "is registered"),

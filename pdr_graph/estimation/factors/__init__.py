@@ -27,6 +27,7 @@ register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
 register(Velocities, LearnedVelocityFactor)
 
-# What fixes and headings are in a graph, which starts from them
+# What fixes, headings and ways outdoors are in a graph, which starts from them and follows these
 Positions: TypeAlias = FixFactor
 Directions: TypeAlias = HeadingFactor
+Ways: TypeAlias = PathFactor

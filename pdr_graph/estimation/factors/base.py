@@ -2,8 +2,8 @@
 
 A `Measurement` is all instances of one kind on one walk: the times at which it needs keyframes, the variables it adds,
 its residuals with derivatives and weights, and its reports. Batch smoother, live smoother, filter, GTSAM export,
-reports and journal loop over a list of them and name none. What else a kind may do is an interface by structure
-(`Structural`, at the end of this file).
+reports and journal loop over a list of them and name none. A kind that does more inherits some of the seven interfaces
+at the end of this file, of which a subclass defines only the methods that it needs.
 
 A loss is a function of the deviation s of a factor, in sigmas; its weight w(s) = ρ'(s) / s is the share of the factor's
 information that is used. Huber's never reaches 0 and has one minimum. Geman and McClure's tends to 0 far off, and is
@@ -17,14 +17,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Contradiction, Fixes, Index, Mask, keyframes_of, row_columns
+from pdr_graph.types import Array, Fixes, Index, Mask, keyframes_of, row_columns
 
 if TYPE_CHECKING:
     import gtsam
@@ -365,15 +365,16 @@ class Measurement(ABC):
     """A measurement kind: all its instances on one walk. Subclasses are frozen.
 
     name: in reports, decisions and blocks; determines_position: True if it measures absolute positions; overhang: time
-    [s] by which an instance may lie before or after the steps; on_plan: True if it uses the floor plan.
+    [s] by which an instance may lie before or after the steps; price: cost of the association with rooms or ways, in
+    addition to the residuals [half a squared sigma].
     A kind that is made from data has ``of(data, steps, prior, number)`` too, see `register`. What else a kind may do is
-    in `factors.base`.
+    an interface below, which it inherits.
     """
 
     name: ClassVar[str] = ""
     determines_position: ClassVar[bool] = False
     overhang: ClassVar[float] = 0.0
-    on_plan: ClassVar[bool] = False
+    price: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the columns are those that are declared, if there is a KEYFRAME."""
@@ -421,17 +422,10 @@ def poses_at(time: Array, keyframe_time: Array, poses: Array) -> Array:
     return interpolate(time, keyframe_time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
 
 
-class Structural(ABC):  # noqa: B024, its subclasses have the methods
-    """Base of the interfaces: their subclasses are all classes that have their methods."""
-
-    @classmethod
-    def __subclasshook__(cls, other: type) -> Any:
-        if cls is Structural:
-            return NotImplemented
-        return all(hasattr(other, name) for name in cls.__abstractmethods__)
+# What else a kind may do
 
 
-class Itemized(Structural):
+class Itemized(Measurement):
     """A kind with a report for each instance; other kinds have summaries."""
 
     @property
@@ -440,7 +434,7 @@ class Itemized(Structural):
         """Numbers and times ``(n,)`` [s] of the instances that have a report, in the order of the reports."""
 
 
-class OnPlan(Structural):
+class OnPlan(Measurement):
     """A kind whose instances belong to rooms or corridors of the floor plan."""
 
     @abstractmethod
@@ -451,146 +445,68 @@ class OnPlan(Structural):
         with the same error.
         """
 
-
-class Followed(Structural):
-    """A kind whose instances are the ways outdoors that a walk follows; which these are depends on how sure it is.
-
-    followed: ``(r,)`` keyframes on ways.
-    """
-
-    followed: Index
-
-    @abstractmethod
-    def matched(self, at: Evaluation, sigma: Array, askew: Array) -> Self:
-        """Find the ways along the walk ``at``. sigma, askew: ``(k + 1,)`` of its keyframes [m, rad]."""
-
-    @abstractmethod
-    def contradictions(self, at: Evaluation, solution: Any) -> Sequence[Contradiction]:
-        """What the ways show of sources, at the solved optimum ``at``."""
-
-    @abstractmethod
-    def warnings(self) -> tuple[str, ...]:
-        """Where other ways fit about as well."""
-
-    @abstractmethod
-    def widened(self, time: Array, position: Array, covariance: Array) -> Array:
-        """Covariances ``(n, 2, 2)`` about places ``(n, 2)`` at times ``(n,)``, in which other ways are counted."""
-
-    @abstractmethod
-    def outdoors(self, at: Chain) -> Mask:
-        """True ``(m,)`` for the pieces of a walk that are on ways, or about to be."""
-
-
-class Displaced(Structural):
-    """A kind whose sources may be off to one side throughout, by an offset that is estimated."""
-
-    @abstractmethod
-    def offsets(self, at: Evaluation) -> Sequence[tuple[str, str, int]]:
-        """Name of each source, and the symbol and the row of its offset, x and y first [m]."""
-
-
-class Priced(Structural):
-    """A kind whose association with regions of the plan has a price."""
-
-    @abstractmethod
     def same_association(self, other: Measurement) -> bool:
-        """True if ``other``, a version of the same kind, has the same rooms or corridors."""
-        ...
-
-    @property
-    @abstractmethod
-    def price(self) -> float:
-        """Cost of the association in addition to the residuals, in units of half a squared sigma."""
+        """True if ``other``, a version of the same kind, is associated alike: the search need not try both."""
+        return True
 
 
-class Staged(Structural):
-    """A kind that is tighter or looser in some stages of the search."""
-
-    @abstractmethod
-    def staged(self, stage: Stage) -> Self:
-        """The version for a stage of the search."""
-        ...
-
-
-class Multimodal(Structural):
-    """A kind one of whose local optima hides another."""
-
-    @abstractmethod
-    def alternatives(self) -> Sequence[Self]:
-        """Versions from whose optima the search must also start."""
-        ...
-
-
-class Initialized(Structural):
-    """A kind whose unknown variables start from the initial walk."""
-
-    @abstractmethod
-    def initialized(self, poses: Array) -> Self:
-        """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
-        ...
-
-
-class Restarted(Structural):
-    """A kind that depends on where the search starts."""
-
-    @abstractmethod
-    def restarted(self, poses: Array) -> Self:
-        """Adapt to a search that starts at other poses ``(k + 1, 3)``."""
-        ...
-
-
-class Locating(Structural):
+class Locating(Measurement):
     """A kind from which positions can be read before the walk is solved."""
 
     @abstractmethod
     def rough_fixes(self) -> Fixes:
         """Positions to start from where the walk has no fix."""
-        ...
+
+    def initialized(self, poses: Array) -> Self:
+        """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
+        return self
 
 
-class Refined(Structural):
-    """A kind that is modelled better once a first optimum is known."""
+class Refined(Measurement):
+    """A kind that has other versions for parts of the search, and for a walk under way.
 
-    @abstractmethod
+    The search has a rough and a final stage, and a second pass from a first optimum.
+    """
+
+    def staged(self, stage: Stage) -> Self:
+        """The version for a stage of the search, tighter or looser."""
+        return self
+
+    def alternatives(self) -> Sequence[Self]:
+        """Versions from whose optima the search must also start, where one optimum hides another."""
+        return ()
+
     def refined(self, at: Evaluation) -> Measurement:
         """The second pass: outliers lose weight, common errors are modelled. ``self`` if nothing changes."""
-        ...
+        return self
 
-
-class Gated(Structural):
-    """A kind whose instances may be outliers of a walk under way."""
-
-    @abstractmethod
     def reclassified(self, at: Evaluation) -> Self:
-        """Lower the weight of instances far from the walk, and restore it for those that are near again."""
-        ...
+        """Live: lower the weight of instances far from the walk, and restore it for those that are near again."""
+        return self
 
     @property
-    @abstractmethod
     def diverged(self) -> bool:
         """True if its last instances agree with one another and all lie far from the walk: the estimate diverged."""
+        return False
 
-    @abstractmethod
     def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
         """True if instances that were used before are now inconsistent with the others."""
-        ...
+        return False
 
 
-class Remembered(Structural):
+class Remembered(Measurement):
     """A kind that decides about its instances, in a way that a walk under way must remember."""
 
-    @abstractmethod
     def decisions(self) -> dict[str, AnyArray]:
         """Decisions about its instances, for `continued`; empty if there are none."""
-        ...
+        return {}
 
-    @abstractmethod
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Apply earlier decisions to the instances that are still there."""
-        ...
+        return self
 
 
-class Doubted(Structural):
+class Doubted(Measurement):
     """A kind that may err beyond what it states."""
 
     @abstractmethod
@@ -599,7 +515,39 @@ class Doubted(Structural):
 
         by_others: returns the walk by the other sources alone; None if these do not determine its place.
         """
+
+
+class PoseCosts(Protocol):
+    """Measurements of one kind at a keyframe."""
+
+    def costs(self, state: Array) -> Iterable[Array]:
+        """Negative log-likelihoods ``(n,)`` of states ``(6, n)`` x, y, θ, R_s, R_d, b.
+
+        Each is PARTICLES.outlier_price at most.
+        """
         ...
+
+    def place_sought(self, state: Array) -> tuple[Array, float] | None:
+        """Position ``(2,)`` and sigma [m] that is far from all states ``(6, n)``, where some of them may belong."""
+        ...
+
+
+class WeighsPoses(Measurement):
+    """A kind that weighs particles otherwise than by its residuals."""
+
+    @abstractmethod
+    def pose_costs(self, keyframe: int) -> PoseCosts | None:
+        """The instances at a keyframe; None without any."""
+
+    def standing_variance(self, interval: int) -> float:
+        """Largest variance [m²] per axis of the displacement in an interval between keyframes; infinite if unknown.
+
+        Finite where the walker stood, though steps err by more.
+        """
+        return np.inf
+
+
+INTERFACES = (Itemized, OnPlan, Locating, Refined, Remembered, Doubted, WeighsPoses)
 
 
 def decisions_of(kind: Measurement) -> dict[str, AnyArray]:

@@ -25,7 +25,16 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, RobustLoss, Variables
+from pdr_graph.estimation.factors.base import (
+    PLANE,
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Locating,
+    Remembered,
+    RobustLoss,
+    Variables,
+)
 from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.priors import BEACONS, PRICES
@@ -50,7 +59,7 @@ STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a wi
 
 
 @dataclass(frozen=True, eq=False)
-class BeaconRssiFactor(Measurement):
+class BeaconRssiFactor(Locating, Remembered, Doubted):
     """Mean levels of ``m`` beacons on stretches of the walk, ``l`` of them.
 
     listed: the levels, with the listed positions; position: ``(m, 2)`` as used, NaN where unknown [m]; prior:

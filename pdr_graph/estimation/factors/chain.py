@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Linearized, Measurement, Priced, State
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Linearized, Measurement, State
 from pdr_graph.geometry import nearest, peaks, pose_rotation, wrap_angle
 from pdr_graph.priors import MOTION, RECEIVERS, STEP, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
@@ -481,8 +481,8 @@ class Evaluation:
 
     @property
     def surprise(self) -> float:
-        """The negative log posterior: the cost plus the price of the rooms and corridors on the way."""
-        return self.cost + sum(kind.price for kind in self.measurements if isinstance(kind, Priced))
+        """The negative log posterior: the cost plus the price of the rooms and ways."""
+        return self.cost + sum(kind.price for kind in self.measurements)
 
     @cached_property
     def ends(self) -> Array:

@@ -16,7 +16,8 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import percent
-from pdr_graph.estimation.factors.base import AnyArray, Displaced, FactorBlock, Linearized, Measurement, RobustLoss
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Linearized, OnPlan, Remembered, RobustLoss
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Lines, Network, nearest_segments
@@ -99,7 +100,7 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class CorridorFactor(Measurement):
+class CorridorFactor(OnPlan):
     """Directions of straight runs.
 
     floor_sequence: the floor of each piece; keyframe: ``(r,)`` in each run; direction: its heading.
@@ -110,7 +111,6 @@ class CorridorFactor(Measurement):
     direction: Headings
 
     name: ClassVar[str] = "corridors"
-    on_plan: ClassVar[bool] = True
 
     @classmethod
     def about(cls, floor_sequence: FloorSequence) -> CorridorFactor:
@@ -190,7 +190,7 @@ def straight_runs(track: Array, network: Lines) -> list[Run]:
 
 
 @dataclass(frozen=True, eq=False)
-class PathFactor(Measurement):
+class PathFactor(Remembered):
     """Distances of keyframes from the ways that a walk followed outdoors, and directions along these ways:
 
         r = n (p − a) / (w √m)
@@ -229,12 +229,6 @@ class PathFactor(Measurement):
         """Points ``(r, 2)`` of the ways [m]."""
         return self.route[self.row, 1:3]
 
-    def same_association(self, other: Measurement) -> bool:
-        """True if all keyframes follow the same ways."""
-        assert isinstance(other, PathFactor)
-        same = np.array_equal(self.followed, other.followed)
-        return same and bool(np.allclose(self.route[self.row, 3:], other.route[other.row, 3:]))
-
     def decisions(self) -> dict[str, AnyArray]:
         """The ways that the walk followed, for a walk under way."""
         return {"route": self.route} if len(self.route) else {}
@@ -266,7 +260,7 @@ class PathFactor(Measurement):
         """Sources that are off to one side throughout, as the ways show."""
         found = list[Contradiction]()
         for kind in at.measurements if len(self) else ():
-            for name, symbol, row in kind.offsets(at) if isinstance(kind, Displaced) else ():
+            for name, symbol, row in kind.offsets(at) if isinstance(kind, GnssBias) else ():
                 offset = at.state[symbol][row, :2]
                 covariance = solution.joint((symbol, np.array([row])))[0, :2, :2]
                 size, sigma = float(np.hypot(*offset)), float(np.sqrt(np.trace(covariance) / 2))
@@ -375,7 +369,7 @@ class Turn:
 
 
 @dataclass(frozen=True, eq=False)
-class TurnFactor(Measurement):
+class TurnFactor(OnPlan):
     """Turns of a walk at intersections, ``t`` of them.
 
     floor_sequence: the floor of each piece; before, after: ``(t,)`` keyframes on either side; least, most: ``(t,)``
@@ -394,7 +388,6 @@ class TurnFactor(Measurement):
     edge: Array
 
     name: ClassVar[str] = "turns"
-    on_plan: ClassVar[bool] = True
 
     @classmethod
     def about(cls, floor_sequence: FloorSequence) -> Self:

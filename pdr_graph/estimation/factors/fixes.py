@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, RobustLoss
+from pdr_graph.estimation.factors.base import (
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Itemized,
+    Refined,
+    Remembered,
+    RobustLoss,
+    WeighsPoses,
+)
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate, pose_rotation
 from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
@@ -45,7 +54,7 @@ ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just
 
 
 @dataclass(frozen=True, eq=False)
-class FixFactor(Measurement):
+class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
     """Positions with independent errors: r = (p − z) / σ. [gps-dr] Sec. 4
 
     fixes: all of them, ``f``; steps: of their walk; number: ``(f,)`` permanent numbers.

@@ -42,7 +42,16 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, RobustLoss, Variables
+from pdr_graph.estimation.factors.base import (
+    PLANE,
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Refined,
+    Remembered,
+    RobustLoss,
+    Variables,
+)
 from pdr_graph.estimation.factors.fixes import FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_points, pose_rotation, rotation, wrap_angle
@@ -60,7 +69,7 @@ BEFORE = 2 * SECOND + 3 * RECEIVERS.lag  # [s] from the keyframe to the fix: lon
 
 
 @dataclass(frozen=True, eq=False)
-class GnssBias(Measurement):
+class GnssBias(Refined, Remembered, Doubted):
     """Offset and lag of each receiver along the walk; none before the second pass.
 
     fixes, steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s];

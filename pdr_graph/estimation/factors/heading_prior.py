@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, RobustLoss
+from pdr_graph.estimation.factors.base import (
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Itemized,
+    Remembered,
+    RobustLoss,
+    WeighsPoses,
+)
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.priors import COMPASS, PARTICLES, PRICES
@@ -39,7 +47,7 @@ class HeadingReport:
 
 
 @dataclass(frozen=True, eq=False)
-class HeadingFactor(Measurement):
+class HeadingFactor(Itemized, Remembered, Doubted, WeighsPoses):
     """Walking directions: r = wrap(θ − z + off) / σ, under Huber's loss. [heading] Sec. 3
 
     headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``; off: by which those of the compass

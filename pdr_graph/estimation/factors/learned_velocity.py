@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement, RobustLoss, Variables
+from pdr_graph.estimation.factors.base import Doubted, FactorBlock, Refined, RobustLoss, Variables
 from pdr_graph.estimation.factors.gnss_bias import QUARTER
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor
@@ -63,7 +63,7 @@ class VelocityReport:
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedVelocityFactor(Measurement):
+class LearnedVelocityFactor(Refined, Doubted):
     """Displacements by a network, see above.
 
     moved: ``(k, 2)`` of each interval [m], NaN where the network has none; sigma: ``(k, 2)`` [m]; frame: ``(s,)`` of

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import GAUSSIAN, FactorBlock, Measurement, RobustLoss, Stage
+from pdr_graph.estimation.factors.base import GAUSSIAN, FactorBlock, Refined, RobustLoss, Stage, WeighsPoses
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.priors import LOSSES
@@ -24,7 +24,7 @@ FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # without robust loss, wi
 
 
 @dataclass(frozen=True, eq=False)
-class LoopClosureFactor(Measurement):
+class LoopClosureFactor(Refined, WeighsPoses):
     """Pairs of moments at one place, with any headings: r = (p_j − p_i) / σ.
 
     ``BetweenFactorPose2`` uses the logarithm, which weighs the same distance up to π/2 times as much if the headings
@@ -77,6 +77,9 @@ class LoopClosureFactor(Measurement):
         value = (j - i)[:, :2] / sigma[:, None]
         variables = [("x", keyframe[:, 0]), ("x", keyframe[:, 1])]
         return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)]
+
+    def pose_costs(self, keyframe: int) -> None:
+        """A pose at one moment does not determine how far it is from that at another."""
 
     def standing_variance(self, interval: int) -> float:
         """Variance of a closure of both ends of an interval [m²]: a pause.

@@ -25,8 +25,11 @@ import numpy as np
 from pdr_graph.estimation.factors.base import (
     AnyArray,
     FactorBlock,
+    Itemized,
+    Locating,
     Loss,
-    Measurement,
+    Refined,
+    Remembered,
     RobustLoss,
     Variables,
     huber_cost,
@@ -75,7 +78,7 @@ class LongErrors(Loss):
 
 
 @dataclass(frozen=True, eq=False)
-class RangeFactor(Measurement):
+class RangeFactor(Itemized, Refined, Remembered, Locating):
     """Ranges to anchors: r = (|a − (p + R(θ) w(τ))| + b − z) / σ, with where the walker was τ before, w.
 
     ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` permanent numbers; keyframe: ``(n,)``
@@ -177,12 +180,8 @@ class RangeFactor(Measurement):
         """Model detours in the second pass."""
         return self if self.detours else replace(self, detours=True)
 
-    def decisions(self) -> dict[str, AnyArray]:
-        """None: a detour is weighed anew at every state."""
-        return {}
-
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Model detours at once, since a live walk starts near its optimum."""
+        """Model detours at once, since a live walk starts near its optimum; a detour is weighed anew at every state."""
         return replace(self, detours=True)
 
     def rough_fixes(self) -> Fixes:

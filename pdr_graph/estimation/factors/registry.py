@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, Locating, Measurement, Remembered
+from pdr_graph.estimation.factors.base import INTERFACES, AnyArray, Locating, Measurement, Remembered
 from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, row_columns
 
 if TYPE_CHECKING:
@@ -53,6 +53,10 @@ def register(data_type: type, *kinds: type[Measurement]) -> None:
         if len(bound) > 1 or declarations(kind).get("keyframe") == "":
             expected = "expected one field(metadata=KEYFRAME), or ROW for several"
             raise TypeError(f"{place}: {kind.__name__}: found keyframes {bound}, {expected}")
+        for interface in (each for each in INTERFACES if not issubclass(kind, each)):
+            if ignored := [name for name in vars(interface) if name[0] != "_" and name in dir(kind)]:
+                expected = f"expected a subclass of {interface.__name__}"
+                raise TypeError(f"{place}: found {kind.__name__}.{ignored[0]}, {expected}")
     lists, reference = declared(data_type, TABLE), getattr(data_type, "reference", None)
     if "time" in lists or declared(data_type, KEYFRAME):
         raise TypeError(f"{place}: found time declared TABLE, or a KEYFRAME, expected times of rows, and no keyframes")
@@ -138,6 +142,11 @@ def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Any]:
 def ways_of(network: PathNetwork | None) -> list[Any]:
     """The factor of ways outdoors, none of which the walk follows yet; none without a network."""
     return [] if network is None else [ON_PLAN[WAYS_OUTDOORS].about(network)]
+
+
+def ways_among(measurements: Iterable[Measurement]) -> Any:
+    """The ways outdoors among these kinds; None if there are none."""
+    return next((kind for kind in measurements if isinstance(kind, ON_PLAN[WAYS_OUTDOORS])), None)
 
 
 def measurements_of_walk(tables: Sequence[Any], steps: Steps, prior: Prior) -> list[Measurement]:

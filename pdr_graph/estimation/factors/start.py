@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
+from pdr_graph.estimation.factors.base import AnyArray, Doubted, FactorBlock, Measurement, Remembered, State
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
@@ -78,7 +78,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationFactor(Measurement):
+class CalibrationFactor(Remembered, Doubted):
     """Prior and slow change of stride, turn and gyro coefficients.
 
     r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with λ(R_s) for R_s (`scaled`), of relative sigma
@@ -107,12 +107,8 @@ class CalibrationFactor(Measurement):
         return (Proposal(claim, (self,), another_walker=True),)
 
     def decisions(self) -> dict[str, AnyArray]:
-        """Whether the walker is another; empty if not."""
+        """Whether the walker is another, of whom `WalkGraph.decided` makes the graph; empty if not."""
         return {ANOTHER_WALKER: np.array([True])} if self.assumed else {}
-
-    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """The same: `WalkGraph.decided` makes the graph of another walker."""
-        return self
 
     @cached_property
     def _priors(self) -> tuple[Array, Array, Array]:
@@ -187,10 +183,6 @@ class StartFactor(Measurement):
 
     name: ClassVar[str] = "start"
 
-    def restarted(self, poses: Array) -> Self:
-        """Centre the prior on the heading of the new start."""
-        return replace(self, pose=np.append(self.pose[:2], poses[0, 2]))
-
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One factor, of x_0: r = (R₀ᵀ (p − p₀), wrap(θ − θ₀)) / σ."""
         first, pose = np.zeros(1, dtype=np.intp), at.state.poses[0]
@@ -236,6 +228,15 @@ def calibration_prior(
 def by_another_walker(kinds: Iterable[Measurement]) -> tuple[Measurement, ...]:
     """The kinds, that of the calibration marked as having the prior of another walker."""
     return tuple(replace(kind, assumed=True) if isinstance(kind, CalibrationFactor) else kind for kind in kinds)
+
+
+def restarted(kinds: Iterable[Measurement], start: State) -> tuple[Measurement, ...]:
+    """The kinds, the prior of the first heading centred on that of another start of the search."""
+    heading = start.poses[0, 2]
+    return tuple(
+        replace(kind, pose=np.append(kind.pose[:2], heading)) if isinstance(kind, StartFactor) else kind
+        for kind in kinds
+    )
 
 
 def first_heading_prior(heading: float) -> StartFactor:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement, OnPlan, Refined, Stage
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import NOWHERE
@@ -49,7 +49,7 @@ class StepFactor(Measurement):
 
 
 @dataclass(frozen=True, eq=False)
-class WallFactor(Measurement):
+class WallFactor(OnPlan, Refined):
     """Walls: steps keep clear of them, and bodies stay out of them.
 
     floor_sequence: the floor of each piece; fields: distances to the walls of a region; field_of: ``(m,)`` index of the
@@ -65,7 +65,6 @@ class WallFactor(Measurement):
     price: float = 0.0
 
     name: ClassVar[str] = "walls"
-    on_plan: ClassVar[bool] = True
 
     def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Associate each piece with the walls of its region along the walk ``at``; stray, alike: see `OnPlan`."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import Findings, paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.factors.base import Gated, State, decisions_of, poses_at
+from pdr_graph.estimation.factors.base import Refined, State, decisions_of, poses_at
 from pdr_graph.estimation.factors.chain import Evaluation, whole_pieces
 from pdr_graph.estimation.factors.fixes import sourced
 from pdr_graph.estimation.factors.registry import kind_of_type, made_from
@@ -308,8 +308,8 @@ class LiveAmbiguity:
         unexpected: numbers of fixes that become outliers, before they draw the walk across walls.
         """
         measurements, decisions = self.graph.factors.measurements, self.graph.decisions
-        gated = [kind for kind in measurements if isinstance(kind, Gated)]
-        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in gated])
+        refined = (kind for kind in measurements if isinstance(kind, Refined))
+        contradicted = any(kind.contradicts(decisions.get(kind.name, {})) for kind in refined)
         fixes = made_from(Fixes, measurements)
         rejected = [] if fixes is None else [fixes.rejected(unexpected)]
         if self.graph.store_decisions([*measurements, *rejected]) and len(unexpected):
@@ -319,16 +319,15 @@ class LiveAmbiguity:
     def reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
         graph, at = self.graph, self.graph.at
-        gated = [kind for kind in at.measurements if isinstance(kind, Gated)]
-        others = [kind for kind in at.measurements if not isinstance(kind, Gated)]
-        after = [kind.reclassified(at) for kind in gated]
-        changed = any(not same_decisions(decisions_of(a), decisions_of(b)) for a, b in zip(gated, after, strict=True))
-        graph.store_decisions([*after, *others])
+        kinds = [kind.reclassified(at) if isinstance(kind, Refined) else kind for kind in at.measurements]
+        pairs = zip(at.measurements, kinds, strict=True)
+        changed = any(not same_decisions(decisions_of(old), decisions_of(new)) for old, new in pairs if old is not new)
+        graph.store_decisions(kinds)
         if changed:
             graph.log.version += 1
             graph.solve()
-        gated = after
-        if any(kind.diverged for kind in gated) and graph.window.times[-1] >= self.next_batch:
+        diverged = any(kind.diverged for kind in kinds if isinstance(kind, Refined))
+        if diverged and graph.window.times[-1] >= self.next_batch:
             self.restart()
 
     def doubt_new_fixes(self) -> None:
