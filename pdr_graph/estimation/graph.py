@@ -187,6 +187,8 @@ class WalkGraph:
         graph.steps, graph.chain, graph._measurements, graph.start = steps, chain, tuple(measurements), start
         graph.prior, graph.floor_sequence, graph.priors, graph._equations = prior, floor_sequence, priors, equations
         graph.walled, graph._associated, graph.optimum = floor_sequence is not None, True, None
+        fixes = made_from(Fixes, measurements)
+        graph.fixes = Fixes.none() if fixes is None else fixes.fixes
         return graph
 
     @classmethod

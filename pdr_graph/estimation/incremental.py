@@ -384,5 +384,5 @@ def _parameters(scale: float) -> gtsam.ISAM2Params:
     parameters.relinearizeSkip = 1
     parameters.findUnusedFactorSlots = True  # or the slots of removed factors are never used again
     parameters.enablePartialRelinearizationCheck = False
-    parameters.setFactorization("CHOLESKY")
+    parameters.setFactorization("QR")
     return parameters

@@ -295,7 +295,9 @@ class LiveGraph:
 
     def _begin(self, walk: WalkGraph) -> None:
         """Begin iSAM2 with a walk, which has the marginal of what has left."""
-        self._isam, self._at = _begun(walk), None
+        self._isam, self._at = isam, _ = _begun(walk), None
+        if not self.at.cost <= isam.cost + LEAST_RISE:  # far from the optimum still: the next updates are damped too
+            isam.estimate, self._at = isam.point, None
         self.marginals = [kind for kind in walk.measurements if isinstance(kind, MarginalFactor)]
         self._factors, self._version = walk, self.log.version
 
