@@ -869,7 +869,14 @@ def declared(record_type: type, column: dict[str, str]) -> list[str]:
 
 def keyframes_of(kind: Any) -> Index | None:
     """The keyframe ``(n,)`` of each instance of a measurement kind; None if no field is declared KEYFRAME."""
-    return next((getattr(kind, name) for name in declared(type(kind), KEYFRAME)), None)
+    name = _keyframe(type(kind))
+    return getattr(kind, name) if name else None
+
+
+@cache
+def _keyframe(record_type: type) -> str:
+    """The name of the field that is declared KEYFRAME, "" without."""
+    return next(iter(declared(record_type, KEYFRAME)), "")
 
 
 def row_columns(record: Any) -> dict[str, Any]:
@@ -879,10 +886,9 @@ def row_columns(record: Any) -> dict[str, Any]:
     """
     keyframe, columns = keyframes_of(record), dict[str, Any]()
     rows = len(record) if keyframe is None else len(keyframe)
-    for name, declaration in declarations(type(record)).items():
+    for name in _of_rows(type(record)):
         values = getattr(record, name)
-        holds_rows = isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))
-        if declaration == TABLE[COLUMN] or not holds_rows:
+        if not (isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))):
             continue
         if len(values) == rows:
             columns[name] = values
@@ -890,6 +896,12 @@ def row_columns(record: Any) -> dict[str, Any]:
             hint = "what belongs to the table as a whole is declared field(metadata=TABLE)"
             raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}; {hint}")
     return columns
+
+
+@cache
+def _of_rows(record_type: type) -> list[str]:
+    """The names of the fields that are not declared TABLE."""
+    return [name for name, declaration in declarations(record_type).items() if declaration != TABLE[COLUMN]]
 
 
 def rows_of(column: Any, index: Index) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE
 from pdr_graph.estimation.factors.chain import Evaluation, Pieces, bridge, preintegrate, step_residuals
-from pdr_graph.estimation.linear_system import NormalEquations, Covariances
+from pdr_graph.estimation.linear_system import Covariances, NormalEquations
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import INSTANT, Array, Between, Index
 

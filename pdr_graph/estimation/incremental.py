@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STAYS, LEAVES = 1e9, 0.0  # timestamps of the fixed-lag smoother: the window says who leaves, not a lag of its own
 THRESHOLD = {  # of relinearisation: moves below change no pose by some centimetres
-    POSE: np.array([0.3, 0.3, 0.015]),  # [m, m, rad]
+    POSE: np.array([0.2, 0.2, 0.01]),  # [m, m, rad]
     CALIBRATION: np.array([0.02, 0.008, 8e-4]),  # R_s, R_d, b [-, -, rad/s]
 }
 THRESHOLD_OF_OTHERS = np.array([0.4, 0.4, 0.4])  # offsets [m], lags [s], beacons [m, dB]
@@ -87,7 +87,7 @@ class IncrementalSmoother:
                 if slot is not None and same[n]:
                     slots[name, identity] = slot
                 elif rows.most[n]:
-                    graph.add(self._factor(name, rows, n))
+                    graph.add(rows.native(n) or self._custom(name, rows, n))
                     added.append((name, identity))
         removed = sorted(slot for each, slot in self._slots.items() if each not in slots)
         values, stamps = gtsam.Values(), dict[int, float]()
@@ -224,8 +224,8 @@ class IncrementalSmoother:
         at.forget_blocks()
         return found
 
-    def _factor(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
-        """Factor ``n`` of a block for iSAM2."""
+    def _custom(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
+        """Factor ``n`` of a block for iSAM2, where GTSAM has none."""
         import gtsam
 
         identity, rows = factors.identity[n], factors.most[n]
@@ -265,6 +265,7 @@ class FactorRows:
         keys = [state.keys(symbol, rows).tolist() for symbol, rows in block.variables]
         self.identity: list[Identity] = list(zip(block.number.tolist(), *keys, strict=True))
         self.place = dict(zip(self.identity, range(len(self.identity)), strict=True))
+        self._native, self._constants = block.native, block.constants
         self._rows = np.column_stack([block.residual, *block.jacobian()])
         self._bounds: list[int] = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
         counts = np.diff(self._bounds) if block.most_rows is None else block.most_rows
@@ -275,6 +276,13 @@ class FactorRows:
             self._rows *= np.sqrt(block.weight)[block.row_of, None]
         self._each = block.rows_each
         self._last = list[Array | None]([None] * len(block))  # as iSAM2 linearised them
+
+    def native(self, n: int) -> gtsam.NonlinearFactor | None:
+        """GTSAM's own version of a factor, which needs no callback; None if it has none."""
+        if self._native is None or self._constants is None:
+            return None
+        self._last[n] = self._constants[n]
+        return self._native(n)
 
     def of(self, n: int) -> Array:
         """The rows ``(r, 1 + 3 v)`` of a factor."""
@@ -300,6 +308,9 @@ class FactorRows:
             old = before.place.get(identity, -1)
             rows = self._last[n] = before._last[old] if old >= 0 else None
             if rows is not None and self._outlier[n] == before._outlier[old]:
+                if self._native is not None and self._constants is not None:
+                    same[n] = np.array_equal(self._constants[n], rows)
+                    continue
                 here = self.of(n)
                 if here.shape == rows.shape:
                     there.append(n)

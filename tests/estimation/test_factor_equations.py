@@ -10,12 +10,21 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from plans import plan
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.estimation.factors import base as losses
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
+from pdr_graph.estimation.factors.chain import (
+    increment,
+    increment_covariance,
+    intervals,
+    preintegrate,
+    whole_pieces,
+)
 from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
@@ -554,3 +563,20 @@ def test_the_marginal_of_isam2_is_the_schur_complement():
     joint = np.linalg.inv(information(at.blocks))[3 * gone :, 3 * gone :]
     left = np.linalg.inv(information([*at.blocks, *marginal.factors(at)], without=gone))
     assert left == pytest.approx(joint, rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10**6), share=st.tuples(st.floats(0, 1), st.floats(0, 1)))
+def test_the_increment_of_a_few_pieces_is_the_preintegrated_one(seed, share):
+    """Δ, its derivative by the calibration, and its covariance; the times lie within pieces."""
+    random, steps = np.random.default_rng(seed), walk_with_a_pause(seed, 12)
+    whole, c = whole_pieces(steps), random.normal((1.0, 1.0, 0.0), (0.2, 0.1, 0.02))
+    begin, end = (steps.start + of * (steps.end - steps.start) for of in sorted(share))
+    if end - begin < 1e-3:
+        return
+    pieces = intervals(whole, steps.start, begin, np.array([end]))
+    expected = preintegrate(pieces, c[None])
+    delta, by_c, covariance = increment(whole, steps.start, begin, end, c)
+    assert delta == pytest.approx(expected.delta[-1], abs=1e-12)
+    assert by_c == pytest.approx(expected.by_c[-1], abs=1e-11)
+    assert covariance == pytest.approx(increment_covariance(pieces, expected)[0], abs=1e-11)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Fixes, Index, Mask, keyframes_of, row_columns
+from pdr_graph.types import Array, Fixes, Index, Mask
 
 if TYPE_CHECKING:
     import gtsam
@@ -266,7 +266,8 @@ class FactorBlock:
     prior: these are priors of variables that the kind adds.
     curvature: returns a root ``(n, k, 3 v)`` of the second derivatives of the residuals times these, unweighted,
     without those that would make the cost concave; the search adds them to JᵀJ, covariances are without them.
-    native: returns GTSAM's own version of factor n, where GTSAM has such a factor.
+    native: returns GTSAM's own version of factor n, where GTSAM has one; constants: ``(n, k)`` all that this has
+    beside its variables and its loss.
     """
 
     name: str
@@ -281,6 +282,7 @@ class FactorBlock:
     prior: bool = False
     curvature: Callable[[], Array] | None = None
     native: Callable[[int], gtsam.NonlinearFactor] | None = None
+    constants: Array | None = None
 
     @classmethod
     def uniform(
@@ -323,6 +325,7 @@ class FactorBlock:
             jacobian=lambda: [by[rows] for by in self.jacobian()],
             number=self.number[which],
             native=None if native is None else lambda n: native(int(which[n])),
+            constants=None if self.constants is None else self.constants[which],
         )
 
     @cached_property
@@ -375,11 +378,6 @@ class Measurement(ABC):
     determines_position: ClassVar[bool] = False
     overhang: ClassVar[float] = 0.0
     price: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless the columns are those that are declared, if there is a KEYFRAME."""
-        if (keyframe := keyframes_of(self)) is not None and row_columns(self) and keyframe.ndim != 1:
-            raise ValueError(f"{type(self).__name__}: found keyframes of shape {keyframe.shape}, expected (n,), or ROW")
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""

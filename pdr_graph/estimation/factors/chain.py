@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -283,6 +284,45 @@ def increment_covariance(pieces: Pieces, increments: Increments) -> Array:
     """Covariance ``(k, 3, 3)`` of the whole increment of each interval, see `bridge`."""
     x, y = increments.delta[:, :2].T
     return _covariance_with(pieces, x, y)(x, y)[pieces.last]
+
+
+def increment(whole: Array, start: float, begin: float, end: float, c: Array) -> tuple[Array, Array, Array]:
+    """The increment of the parts of pieces ``whole`` between two times [s], by plain numbers: for a few pieces.
+
+    start: of the first whole piece [s]; c: ``(3,)``. Returns Δ ``(3,)``, its derivative by c ``(3, 3)`` and its
+    covariance ``(3, 3)``, as `preintegrate` and `increment_covariance` do.
+    """
+    R_s, R_d, b = c.tolist()
+    first, last = np.searchsorted(whole[:, 0], (begin, end), side="right").tolist()
+    rows = whole[first : last + (last == first or whole[last - 1, 0] < end) * (last < len(whole))].tolist()
+    before = float(whole[first - 1, 0]) if first else start
+    x = y = by_turn_x = by_turn_y = by_time_x = by_time_y = turned = elapsed = 0.0
+    xx = xy = yy = 0.0
+    swings = list[tuple[float, float, float]]()  # position half-way through each piece, and the variance of its turn
+    for until, length, turn, along, across, of_turn, *_ in rows:
+        share = (min(until, end) - max(before, begin)) / (until - before)
+        seconds = min(until, end) - max(before, begin)
+        before, moved, turn = until, length * share, turn * share
+        middle_turn, middle_time = turned + turn / 2, elapsed + seconds / 2
+        course = R_d * middle_turn + b * middle_time
+        move_x, move_y = moved * cos(course), moved * sin(course)
+        swings.append((R_s * (x + move_x / 2), R_s * (y + move_y / 2), of_turn * share))
+        x, y, turned, elapsed = x + move_x, y + move_y, turned + turn, elapsed + seconds
+        by_turn_x, by_turn_y = by_turn_x - middle_turn * move_y, by_turn_y + middle_turn * move_x
+        by_time_x, by_time_y = by_time_x - middle_time * move_y, by_time_y + middle_time * move_x
+        a, s = along * share + SIGMA_STILL**2, across * share + SIGMA_STILL**2
+        u, v = (cos(course), sin(course)) if moved else (1.0, 0.0)
+        xx, xy, yy = xx + a * u * u + s * v * v, xy + (a - s) * u * v, yy + a * v * v + s * u * u
+    x_theta = y_theta = theta = 0.0
+    for middle_x, middle_y, of_turn in swings:
+        left, ahead = R_s * y - middle_y, R_s * x - middle_x  # a turn moves the end by (−left, ahead)
+        xx, xy, yy = xx + of_turn * left * left, xy - of_turn * left * ahead, yy + of_turn * ahead * ahead
+        x_theta, y_theta, theta = x_theta - of_turn * left, y_theta + of_turn * ahead, theta + of_turn
+    by_c = np.array(
+        [[x, R_s * by_turn_x, R_s * by_time_x], [y, R_s * by_turn_y, R_s * by_time_y], [0, turned, elapsed]]
+    )
+    covariance = np.array([[xx, xy, x_theta], [xy, yy, y_theta], [x_theta, y_theta, theta]])
+    return np.array([R_s * x, R_s * y, R_d * turned + b * elapsed]), by_c, covariance
 
 
 def _covariance_with(pieces: Pieces, x: Array, y: Array) -> Callable[[Array, Array], Array]:

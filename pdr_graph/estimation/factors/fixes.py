@@ -160,8 +160,8 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
 
         value = (pose[:, :2] - position) / sigma[:, None]
         variables = [("x", self.keyframe[which])]
-        number = self.number[which]
-        return [FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, native=native)]
+        more = {"loss": loss, "native": native, "constants": np.column_stack([position, sigma])}
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], **more)]
 
     def pose_costs(self, keyframe: int) -> FixCosts | None:
         """The used fixes at a keyframe, as if independent; not the rough fixes of another kind, which weighs itself."""

@@ -193,4 +193,5 @@ def heading_block(name: str, at: Evaluation, keyframe: Index, headings: Headings
 
     value = wrap_angle(at.state.poses[keyframe, 2] - headings.heading) / sigma
     variables = [("x", keyframe)]
-    return FactorBlock.uniform(name, value[:, None], variables, jacobian, number, loss=loss, native=native)
+    more = {"loss": loss, "native": native, "constants": np.column_stack([headings.heading, sigma])}
+    return FactorBlock.uniform(name, value[:, None], variables, jacobian, number, **more)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdr_graph.estimation.factors.base import INTERFACES, AnyArray, Locating, Measurement, Remembered
-from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, row_columns
+from pdr_graph.types import KEYFRAME, TABLE, Fixes, Index, Steps, declarations, declared, keyframes_of, row_columns
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.start import Prior
@@ -127,6 +127,8 @@ def measurements_of(
     number, made, source = np.arange(len(data)) if number is None else number, list[Measurement](), data
     for kind in KINDS[type(data)]:
         new: Measurement = kind.of(source, steps, prior, number)
+        if (keyframe := keyframes_of(new)) is not None and row_columns(new) and keyframe.ndim != 1:
+            raise ValueError(f"{kind.__name__}: found keyframes of shape {keyframe.shape}, expected (n,), or ROW")
         if decisions is not None and isinstance(new, Remembered):
             new = new.continued(decisions.get(kind.name, {}))
         made.append(new)

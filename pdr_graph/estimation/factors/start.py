@@ -205,7 +205,8 @@ class StartFactor(Measurement):
 
         # GTSAM's prior of a whole pose uses the logarithm, in which the cost of a position depends on the heading error
         number, exported = at.state.number("x")[first], None if held.all() else native
-        return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=exported)]
+        more = {"native": exported, "constants": np.append(self.pose, self.sigmas)[None]}
+        return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, **more)]
 
 
 @wording_of(CalibrationFactor.name)

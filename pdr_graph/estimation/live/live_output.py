@@ -17,7 +17,7 @@ import numpy as np
 
 from pdr_graph.estimation.between_steps import joint_of, poses_between
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized
-from pdr_graph.estimation.factors.chain import Evaluation, increment_covariance, intervals, preintegrate
+from pdr_graph.estimation.factors.chain import Evaluation, increment, intervals
 from pdr_graph.estimation.factors.registry import made_from
 from pdr_graph.estimation.kalman import (
     FAR,
@@ -149,24 +149,19 @@ def predict(
     moments = np.unique([*(moment for moment in moments if begin + INSTANT < moment <= end), end])
     if moments[-1] < begin + INSTANT:
         return mixture
-    pieces = intervals(whole, start, begin, moments)
     mean_c = mixture.mean[mixture.best, 3:]
-    increments = preintegrate(pieces, np.tile(mean_c, (len(moments), 1)))
-    spread = increment_covariance(pieces, increments)
     waiting = [receiver.seen(fix) for fix in fixes] if receiver is not None else list(fixes)
-    elapsed = np.diff(moments, prepend=begin)
-    for n, moment in enumerate(moments.tolist()):
-        last, R = pieces.last[n], pose_rotation(mixture.mean[:, 2])
-        delta, by_c = increments.delta[last], increments.by_c[last]
+    for before, moment in zip([begin, *moments.tolist()], moments.tolist(), strict=False):
+        R, (delta, by_c, spread) = pose_rotation(mixture.mean[:, 2]), increment(whole, start, before, moment, mean_c)
         mean, covariance = mixture.mean.copy(), mixture.covariance
         mean[:, :3] += np.einsum("hij,hj->hi", R, delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T)
         F = np.tile(np.eye(6), (len(mean), 1, 1))
         F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ QUARTER_TURN.T
         F[:, :3, 3:] = R @ by_c
         covariance = F @ covariance @ F.transpose(0, 2, 1)
-        covariance[:, :3, :3] += R @ spread[n] @ R.transpose(0, 2, 1)
+        covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
         if receiver is not None:
-            covariance[:, :2, :2] += receiver.drift * max(elapsed[n], 0.0) * np.eye(2)
+            covariance[:, :2, :2] += receiver.drift * (moment - before) * np.eye(2)
         mixture = replace(mixture, mean=mean, covariance=covariance)
         if len(mixture) == 1 and moment in turned:
             mixture = by_direction(mixture)

@@ -139,6 +139,7 @@ class StepBuffer:
     def __init__(self) -> None:
         self.whole, self.start, self.walked = np.empty((0, 8)), np.nan, 0.0
         self.chunks: list[Steps] = []
+        self._distance: tuple[Array, Array, Array] | None = None  # pieces, their ends [s], distance by then [m]
 
     @property
     def end(self) -> float:
@@ -183,9 +184,12 @@ class StepBuffer:
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
-        driven = np.where(self.whole[:, IS_GAP] > 0, FIXES.driven * np.diff(self.whole[:, END], prepend=self.start), 0)
-        distance = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
-        return np.asarray(self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), distance))
+        if self._distance is None or self._distance[0] is not self.whole:
+            end = self.whole[:, END]
+            driven = np.where(self.whole[:, IS_GAP] > 0, FIXES.driven * np.diff(end, prepend=self.start), 0)
+            distance = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
+            self._distance = self.whole, np.append(self.start, end), self.walked + distance
+        return np.asarray(np.interp(time, *self._distance[1:]))
 
     def rows(self, begin: float, end: float) -> Array:
         """The pieces after ``begin`` and until ``end`` [s] that end with a trajectory row."""
