@@ -8,7 +8,7 @@ fix           walls         fix                 g_m  offset and lag of a receive
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     import gtsam
 
     from pdr_graph.estimation.factors import Directions, Positions, Ways
+    from pdr_graph.estimation.factors.gtsam_export import GtsamIncrement
     from pdr_graph.floor.paths import PathNetwork
 
 MOST_EQUATIONS = 3  # places of blocks that are kept
@@ -291,6 +292,16 @@ class WalkGraph:
 
         return to_gtsam(self.chain, self.measurements, self.start)
 
+    def increments(self) -> Iterator[GtsamIncrement]:
+        """The factors of `to_gtsam` keyframe by keyframe, for ``update`` of an incremental smoother of one's own.
+
+        New variables begin at the start of the search: for a graph that was smoothed, at its optimum. A callback
+        evaluates the whole walk, 1 ms for 300 keyframes: for longer walks, take graphs of parts.
+        """
+        from pdr_graph.estimation.factors.gtsam_export import increments
+
+        return increments(self.chain, self.measurements, self.start)
+
     def error(self, values: gtsam.Values) -> float:
         """The cost at ``values``: half the sum of squared, robustly weighted residuals, as GTSAM counts it."""
         return self.evaluate(self.start.updated(values)).cost
@@ -422,15 +433,16 @@ class WalkGraph:
 
 
 def segments(pieces: Pieces, steps: Steps, changed: Array) -> Index:
-    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps and paces.
+    """The calibration segment of each keyframe interval: the next one begins after a hundred steps, at gaps and paces.
 
     changed: times at which the pace changes [s].
     """
-    walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
-    count = max(1, round(len(steps) / MOTION.steps_per_segment))
-    segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
-    bounds = np.round(np.sort(np.append(gap_ends(steps), changed)), DECIMALS)
-    return np.unique(segment + np.searchsorted(bounds, pieces.keyframe_time[:-1], side="right"), return_inverse=True)[1]
+    begin = pieces.keyframe_time[:-1]
+    span = np.searchsorted(np.round(np.sort(np.append(gap_ends(steps), changed)), DECIMALS), begin, side="right")
+    walked = np.searchsorted(steps.time, begin)
+    _, first, of = np.unique(span, return_index=True, return_inverse=True)
+    number = span + (walked - walked[first][of]) // MOTION.steps_per_segment / (len(steps) + 1)
+    return np.unique(number, return_inverse=True)[1]
 
 
 def _associated(

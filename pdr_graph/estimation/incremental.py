@@ -19,7 +19,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, RobustLoss, State, extract, insert, key
+from pdr_graph.estimation.factors.base import (
+    CALIBRATION,
+    NUMBER,
+    POSE,
+    FactorBlock,
+    RobustLoss,
+    State,
+    extract,
+    insert,
+    key,
+)
 from pdr_graph.estimation.factors.marginal import MarginalFactor
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask
@@ -40,7 +50,6 @@ AGAIN = 2.0  # thresholds beyond which the update is repeated at once; below, a 
 SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
 SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
 NONE = np.empty(0, dtype=np.intp)
-NUMBER = (1 << 56) - 1  # the bits of a key that are the number
 
 Name = tuple[str, tuple[str, ...]]  # of a block: its kind and the symbols of its variables
 Identity = tuple[int, ...]  # of a factor in its block: its number, and the keys of its variables

@@ -236,3 +236,51 @@ def test_copies_and_pickles_of_an_estimate_are_without_its_graph():
         assert other.graph is None
         assert other.cost == estimate.cost
     assert replace(estimate, cost=1.0).graph is estimate.graph
+
+
+def smoothers():
+    """Those of GTSAM that take increments, and how."""
+    params = gtsam.ISAM2Params()
+    params.setRelinearizeThreshold(0.001)  # [m, rad, 1], since walls begin and end to hold within a centimetre
+    params.relinearizeSkip = 1
+    params.setFactorization("QR")  # Cholesky takes numbers of other units for indeterminate
+    isam = gtsam.ISAM2(params)
+    endless, fixed = (gtsam.IncrementalFixedLagSmoother(lag, params) for lag in (1e9, 40.0))
+    return {
+        "ISAM2": (isam, lambda part: isam.update(part.factors, part.values)),
+        "endless lag": (endless, lambda part: endless.update(part.factors, part.values, part.timestamps)),
+        "lag of 40 s": (fixed, lambda part: fixed.update(part.factors, part.values, part.timestamps)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *(("demo", kind) for kind in ("ISAM2", "endless lag")),
+        *(("demo between walls", kind) for kind in ("ISAM2", "endless lag")),
+        *(("receiver", kind) for kind in ("ISAM2", "endless lag", "lag of 40 s")),
+    ],
+)
+def test_a_smoother_of_ones_own_that_takes_increments_ends_at_the_optimum(name, kind):
+    """The variables that are left are those of `smooth` to 2 cm; without a lag where outliers are still open."""
+    graph = pdr.smooth(WALKS[name]()).graph
+    smoother, update = smoothers()[kind]
+    times = []
+    for part in graph.increments():
+        update(part)
+        times.append(part.time)
+    for _ in range(5):  # of what has not left the lag, linearised at the optimum
+        smoother.update()
+    assert times == sorted(times)
+    assert times[-1] == graph.keyframe_time[-1]
+    estimate = graph.start.updated(smoother.calculateEstimate())
+    assert np.abs(estimate.poses[:, :2] - graph.optimum.poses[:, :2]).max() < 0.02
+
+
+def test_increments_are_the_whole_graph():
+    """Each factor and each variable once."""
+    graph = pdr.smooth(beside_beacons()).graph
+    parts = list(graph.increments())
+    assert sum(part.factors.size() for part in parts) == graph.to_gtsam().size()
+    keys = [each for part in parts for each in part.values.keys()]
+    assert sorted(keys) == sorted(graph.initial_values().keys())

@@ -106,6 +106,9 @@ POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
 PLANE = np.array([1.0, 1.0, 0.0])  # components of a variable that are a position, where the third is something else
 
 
+NUMBER = (1 << 56) - 1  # the bits of a key that are the number
+
+
 def key(symbol: str, number: int = 0) -> int:
     """GTSAM's key of a variable, as ``gtsam.symbol`` makes it: the symbol in the highest of eight bytes."""
     return ord(symbol) << 56 | number
@@ -192,12 +195,17 @@ class State:
         return values
 
     def updated(self, values: gtsam.Values) -> State:
-        """Copy the estimates of all variables from ``values``, which must have them all."""
-        arrays = {}
+        """Copy the estimates of all variables that ``values`` has."""
+        keys, arrays = np.array(sorted(values.keys()), dtype=np.int64), dict(self.arrays)
+        symbols, numbers = keys >> 56, keys & NUMBER
         for symbol, rows in self.arrays.items():
-            estimates = extract(values, symbol)
-            arrays[symbol] = np.empty_like(rows)
-            arrays[symbol][np.argsort(self.number(symbol))] = estimates
+            order = np.argsort(self.number(symbol))
+            present = numbers[symbols == ord(symbol)]
+            if len(present):
+                place = np.minimum(np.searchsorted(self.number(symbol)[order], present), len(order) - 1)
+                known = self.number(symbol)[order][place] == present
+                arrays[symbol] = rows.copy()
+                arrays[symbol][order[place[known]]] = extract(values, symbol)[known]
         return replace(self, arrays=arrays)
 
 

@@ -186,16 +186,16 @@ def whole_pieces(steps: Steps) -> Array:
 
 
 def _intervals(gap: Index) -> tuple[Index, Index]:
-    """Split the pieces between required keyframes into equal intervals: interval of each piece, first pieces.
+    """Split the pieces between required keyframes, as many at a time as fit: interval of each piece, first pieces.
+
+    The first intervals do not depend on what follows, so that a walk that goes on keeps them.
 
     gap: ``(m,)`` number of the span between required keyframes that each piece lies in, 0, 0, 1, …
     """
     size = np.bincount(gap)
     starts = np.concatenate([[0], np.cumsum(size)[:-1]])
-    parts = -(-size // MOTION.steps_per_keyframe)
-    offset = np.concatenate([[0], np.cumsum(parts)[:-1]])
-    within = np.arange(len(gap)) - starts[gap]
-    interval = offset[gap] + within * parts[gap] // size[gap]
+    offset = np.concatenate([[0], np.cumsum(-(-size // MOTION.steps_per_keyframe))[:-1]])
+    interval = offset[gap] + (np.arange(len(gap)) - starts[gap]) // MOTION.steps_per_keyframe
     return interval, np.flatnonzero(np.diff(interval, prepend=-1))
 
 

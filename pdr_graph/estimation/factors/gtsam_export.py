@@ -8,14 +8,16 @@ that walk. The covariance of an estimate's trajectory also spans the other walks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
+from itertools import chain as concatenated
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, State
+from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, State, insert
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.types import Array
 
@@ -35,6 +37,58 @@ def to_gtsam(chain: Chain, measurements: Sequence[Measurement], start: State) ->
         for n in range(len(block)):
             whole.add(block.native(n) if block.native else _custom(evaluated, position, block, n))
     return whole
+
+
+@dataclass(frozen=True)
+class GtsamIncrement:
+    """What a keyframe adds to a smoother of GTSAM: for ``update`` of `IncrementalFixedLagSmoother`, or of `ISAM2`.
+
+    time: of the keyframe [s]; factors; values: of variables that are new, at the start of the graph; timestamps: times
+    [s] of the variables of these factors, by key.
+    """
+
+    time: float
+    factors: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    timestamps: dict[int, float]
+
+
+def increments(chain: Chain, measurements: Sequence[Measurement], start: State) -> Iterator[GtsamIncrement]:
+    """The factors of `to_gtsam`, keyframe by keyframe: each comes with the last of its variables.
+
+    The first increment is that of all keyframes until a position is measured, which no smoother could place.
+    """
+    evaluated, since = _Evaluated(chain, measurements, start), dict[int, int]()
+    factors = [list[tuple[int, int]]() for _ in chain.time]  # block and factor, by keyframe
+    blocks = evaluated.last.blocks
+    bound = [np.stack([start.keys(symbol, rows) for symbol, rows in block.variables], axis=1) for block in blocks]
+    keyframe = {int(pose): k for k, pose in enumerate(start.keys(POSE).tolist())}
+    for of_factors in bound:  # a variable begins with the first factor that binds it to a keyframe
+        for keys in of_factors.tolist():
+            at = max((keyframe[each] for each in keys if each in keyframe), default=None)
+            for each in keys if at is not None else ():
+                since[each] = keyframe.get(each, min(at, since.get(each, at)))
+    for position, of_factors in enumerate(bound):
+        for n, keys in enumerate(of_factors.tolist()):
+            factors[max(since.get(each, 0) for each in keys)].append((position, n))
+    new = [list[tuple[str, int, Array]]() for _ in chain.time]
+    for symbol, rows in start.arrays.items():
+        for variable_key, row in zip(start.keys(symbol).tolist(), rows, strict=True):
+            new[since.get(variable_key, 0)].append((symbol, variable_key, row))
+    placing = {kind.name for kind in measurements if kind.determines_position}
+    placed = [k for k, of in enumerate(factors) if any(blocks[position].name in placing for position, _ in of)]
+    begin = placed[0] + 1 if placed else 1
+    for first, last in zip([0, *range(begin, len(new))], range(begin, len(new) + 1), strict=True):
+        time, graph = float(chain.time[last - 1]), gtsam.NonlinearFactorGraph()
+        values, timestamps = gtsam.Values(), dict[int, float]()
+        for symbol, variable_key, row in concatenated.from_iterable(new[first:last]):
+            insert(values, symbol, variable_key, row)
+            timestamps[variable_key] = time
+        for position, n in concatenated.from_iterable(factors[first:last]):
+            block = blocks[position]
+            graph.add(block.native(n) if block.native else _custom(evaluated, position, block, n))
+            timestamps |= dict.fromkeys((each for each in bound[position][n].tolist() if each not in keyframe), time)
+        yield GtsamIncrement(time, graph, values, timestamps)
 
 
 class _Evaluated:
