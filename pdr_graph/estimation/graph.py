@@ -32,6 +32,7 @@ from pdr_graph.estimation.factors.chain import (
     DECIMALS,
     Chain,
     Evaluation,
+    Path,
     Pieces,
     Priors,
     cut,
@@ -60,9 +61,22 @@ from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.linear_system import NormalEquations, one_thread
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.gait.step_chunks import gap_ends
+from pdr_graph.gait.step_chunks import concatenate_steps, gap_ends
 from pdr_graph.priors import INITIAL, MOTION
-from pdr_graph.types import Array, Between, Closures, Fixes, Headings, Index, Levels, Steps
+from pdr_graph.types import (
+    INSTANT,
+    Array,
+    Between,
+    Closures,
+    Fixes,
+    Headings,
+    Index,
+    Levels,
+    Steps,
+    concatenate,
+    last_time,
+    take,
+)
 
 if TYPE_CHECKING:
     import gtsam
@@ -108,7 +122,8 @@ class WalkGraph:
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps, self.floor, self.prior, self._others = steps, floor, (prior or Prior()).after(steps), tuple(others)
+        self.steps, self.floor, self._given, self._others = steps, floor, prior or Prior(), tuple(others)
+        self.prior = self._given.after(steps)
         self.paths = paths
         self.fixes = Fixes.none() if fixes is None else fixes
         tables = [table for table in (levels, closures, *measurements) if table is not None]
@@ -310,6 +325,31 @@ class WalkGraph:
         """The graph of an estimate: at its optimum, without what only the search needs."""
         return self._replaced(_measurements=self.measurements, start=optimum, optimum=optimum, _equations=[])
 
+    def extended(
+        self, steps: Steps | None = None, tables: Sequence[Any] = (), floors: Sequence[str] | None = None
+    ) -> WalkGraph:
+        """The walk with the steps that follow, and with further measurements of any time.
+
+        Chain and factors are those of the whole walk, however it is split. The search goes on from the present start:
+        keyframes between those that were there lie on its path, those after its end are dead-reckoned.
+
+        steps: which begin where those before ended; tables: rows of registered types; floors: labels of all rows of the
+        longer walk, as of the constructor. Raises ValueError if the steps do not follow, or of a part of a walk.
+        """
+        if not hasattr(self, "data"):
+            raise ValueError("WalkGraph.extended: found a part of a walk, expected a walk from its start")
+        if steps is not None and abs(steps.start - self.steps.end) > INSTANT:
+            expected = f"{self.steps.end:.3f} s, where those before end"
+            raise ValueError(f"WalkGraph.extended: found steps from {steps.start:.3f} s on, expected {expected}")
+        whole = self.steps if steps is None else concatenate_steps([self.steps, steps])
+        every = *self.data, *tables
+        data = [concatenate([rows for rows in every if type(rows) is kind]) for kind in dict.fromkeys(map(type, every))]
+        data = [take(rows, np.argsort(last_time(rows), kind="stable")) for rows in data]
+        options = {"floor": self.floor, "paths": self.paths, "prior": self._given, "others": self._others}
+        graph = WalkGraph.of(whole, data, floors=floors, **options)
+        start = Path.of(self.chain, self.start).placed(graph.chain, graph.start)
+        return graph.at(start)
+
     def at(self, state: State) -> WalkGraph:
         """Start the search at ``state``."""
         return self._replaced(start=state)
@@ -433,16 +473,15 @@ class WalkGraph:
 
 
 def segments(pieces: Pieces, steps: Steps, changed: Array) -> Index:
-    """The calibration segment of each keyframe interval: the next one begins after a hundred steps, at gaps and paces.
+    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps and paces.
 
     changed: times at which the pace changes [s].
     """
-    begin = pieces.keyframe_time[:-1]
-    span = np.searchsorted(np.round(np.sort(np.append(gap_ends(steps), changed)), DECIMALS), begin, side="right")
-    walked = np.searchsorted(steps.time, begin)
-    _, first, of = np.unique(span, return_index=True, return_inverse=True)
-    number = span + (walked - walked[first][of]) // MOTION.steps_per_segment / (len(steps) + 1)
-    return np.unique(number, return_inverse=True)[1]
+    walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
+    count = max(1, round(len(steps) / MOTION.steps_per_segment))
+    segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
+    bounds = np.round(np.sort(np.append(gap_ends(steps), changed)), DECIMALS)
+    return np.unique(segment + np.searchsorted(bounds, pieces.keyframe_time[:-1], side="right"), return_inverse=True)[1]
 
 
 def _associated(

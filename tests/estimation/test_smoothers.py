@@ -1,10 +1,13 @@
 """The batch smoother, and what the live smoother, the Kalman filter and its smoother have in common with it."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from plans import plan
 from walks import (
     dead_reckon,
@@ -12,6 +15,7 @@ from walks import (
     fixes_at,
     fixes_on,
     live_track,
+    part,
     pushed,
     pushing,
     square_walk,
@@ -26,6 +30,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import MOTION, changed
+from pdr_graph.types import Fixes
 
 
 def batch_track(steps, fixes=None, prior=None):
@@ -454,3 +459,38 @@ def test_both_have_the_rows_of_the_graph():
         assert np.array_equal(estimate.calibration.prior_sigma, batch.calibration.prior_sigma)
         assert [fix.time for fix in estimate.fixes] == [fix.time for fix in batch.fixes]
         assert np.abs(wrap_angle(estimate.trajectory.heading) - estimate.trajectory.heading).max() < 1e-12
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10**6), cuts=st.lists(st.integers(1, 219), max_size=4, unique=True))
+def test_any_split_of_a_walk_gives_the_chain_and_the_factors_of_the_whole(seed, cuts):
+    steps, fixes, _ = drawn_from_the_model(220, seed % 100, every=7)
+    whole, graph = WalkGraph(steps, fixes), None
+    for begin, end in itertools.pairwise([0, *sorted(cuts), len(steps)]):
+        chunk = part(steps, begin, end)
+        rows = fixes[(fixes.time <= chunk.end) & (fixes.time > (chunk.start if begin else -np.inf))]
+        rows = fixes[fixes.time > chunk.start] if end == len(steps) and begin else rows
+        graph = WalkGraph(chunk, rows) if graph is None else graph.extended(chunk, [rows] if len(rows) else [])
+    assert graph.chain.time == pytest.approx(whole.chain.time, abs=1e-12)
+    assert graph.chain.delta == pytest.approx(whole.chain.delta, abs=1e-12)
+    assert graph.chain.bridge.root == pytest.approx(whole.chain.bridge.root, rel=1e-12)
+    assert (graph.chain.segment == whole.chain.segment).all()
+    at, expected = graph.evaluate(whole.start), whole.evaluate(whole.start)
+    for block, other in zip(at.blocks, expected.blocks, strict=True):
+        assert block.residual == pytest.approx(other.residual, abs=1e-12)
+        assert [rows.tolist() for _, rows in block.variables] == [rows.tolist() for _, rows in other.variables]
+
+
+def test_a_walk_that_goes_on_begins_at_its_estimate():
+    """A measurement of the past has a keyframe on the way."""
+    steps, fixes, _ = drawn_from_the_model(200, 3)
+    early = fixes.time <= steps.time[99]
+    first = smooth(WalkGraph(part(steps, 0, 100), fixes[early])).graph
+    late = Fixes(np.array([steps.time[40] + 0.1]), np.zeros((1, 2)), np.array([1e3]), ("",))
+    graph = first.extended(part(steps, 100, 200), [fixes[~early], late])
+    _, before, after = np.intersect1d(first.chain.time, graph.chain.time, return_indices=True)
+    assert len(before) > len(fixes[early])
+    assert graph.start.poses[after] == pytest.approx(first.start.poses[before], abs=1e-9)
+    assert np.abs(graph.chain.time - late.time[0]).min() < 1e-6
+    with pytest.raises(ValueError, match="where those before end"):
+        first.extended(part(steps, 120, 200))

@@ -21,12 +21,13 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Linearized, Measurement, State
-from pdr_graph.geometry import nearest, peaks, pose_rotation, wrap_angle
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Linearized, Measurement, State, poses_at
+from pdr_graph.geometry import nearest, peaks, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, RECEIVERS, STEP, TREADS
 from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
+CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
 
 
@@ -186,16 +187,16 @@ def whole_pieces(steps: Steps) -> Array:
 
 
 def _intervals(gap: Index) -> tuple[Index, Index]:
-    """Split the pieces between required keyframes, as many at a time as fit: interval of each piece, first pieces.
-
-    The first intervals do not depend on what follows, so that a walk that goes on keeps them.
+    """Split the pieces between required keyframes into equal intervals: interval of each piece, first pieces.
 
     gap: ``(m,)`` number of the span between required keyframes that each piece lies in, 0, 0, 1, …
     """
     size = np.bincount(gap)
     starts = np.concatenate([[0], np.cumsum(size)[:-1]])
-    offset = np.concatenate([[0], np.cumsum(-(-size // MOTION.steps_per_keyframe))[:-1]])
-    interval = offset[gap] + (np.arange(len(gap)) - starts[gap]) // MOTION.steps_per_keyframe
+    parts = -(-size // MOTION.steps_per_keyframe)
+    offset = np.concatenate([[0], np.cumsum(parts)[:-1]])
+    within = np.arange(len(gap)) - starts[gap]
+    interval = offset[gap] + within * parts[gap] // size[gap]
     return interval, np.flatnonzero(np.diff(interval, prepend=-1))
 
 
@@ -465,6 +466,56 @@ class Chain:
         increments = preintegrate(self.pieces, state.c[self.segment])
         residual = step_residuals(state.poses[:-1], state.poses[1:], increments, self.pieces)
         return Evaluation(self, state, tuple(measurements), increments, residual, priors)
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path of the walk: pose ``(k, 3)`` at time ``(k,)`` [s]; c ``(s, 3)``: calibrations from ``begin (s,)`` on."""
+
+    time: Array
+    pose: Array
+    begin: Array
+    c: Array
+
+    @classmethod
+    def of(cls, chain: Chain, state: State) -> Path:
+        """The path of the keyframes of a chain."""
+        first = chain.segment_first
+        return cls(chain.time, state.poses, chain.time[first], state.c[chain.segment[first]])
+
+    def within(self, time: Sequence[float] | Array) -> Index:
+        """Indices of the times [s], ascending, that it covers."""
+        begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
+        return np.arange(begin, end)
+
+    def poses(self, time: Array) -> Array:
+        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
+        return poses_at(time, self.time, self.pose)
+
+    def calibration(self, time: float) -> Array:
+        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
+        return self.c[max(int(np.searchsorted(self.begin, time)) - 1, 0)]
+
+    @property
+    def uniform(self) -> Path:
+        """The path with its last calibration everywhere, which is the best informed."""
+        return replace(self, begin=self.time[:1], c=self.c[-1:])
+
+    def placed(self, chain: Chain, state: State) -> State:
+        """The state of a chain with its keyframes on the path; those after its end are dead-reckoned."""
+        within, poses, c = self.within(chain.time), state.poses.copy(), state.c.copy()
+        poses[within] = self.poses(chain.time[within])
+        moves = preintegrate(chain.pieces, np.tile(self.c[-1], (len(chain.segment), 1))).delta[chain.pieces.last]
+        for n in range(int(within[-1]), len(moves)):
+            poses[n + 1] = after(poses[n], moves[n])
+        for n in np.flatnonzero(chain.time[:-1] >= self.time[0] - CLOSE).tolist():
+            c[chain.segment[n]] = self.calibration(float(chain.time[n + 1]))
+        return state.replaced(**{POSE: poses, CALIBRATION: c})
+
+
+def after(pose: Array, move: Array) -> Array:
+    """The pose ``(3,)`` after a displacement ``(3,)`` in its axes."""
+    return pose + np.append(rotation(pose[2]) @ move[:2], move[2])
 
 
 @dataclass(frozen=True)

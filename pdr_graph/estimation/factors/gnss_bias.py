@@ -204,7 +204,7 @@ class GnssBias(Refined, Remembered, Doubted):
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
         if not len(self.fix):
-            return self
+            return replace(self, fixes=self.fixes.bind(chain))
         lead = np.zeros(len(chain.time), dtype=complex) if chain.heading is None else chain.lead
         moves = (chain.delta[:, 0] + 1j * chain.delta[:, 1]) * np.exp(1j * chain.direction[:-1])
         velocity = as_points(velocities(np.append(0.0, np.cumsum(moves)), chain.time))

@@ -65,8 +65,8 @@ def increments(chain: Chain, measurements: Sequence[Measurement], start: State) 
     keyframe = {int(pose): k for k, pose in enumerate(start.keys(POSE).tolist())}
     for of_factors in bound:  # a variable begins with the first factor that binds it to a keyframe
         for keys in of_factors.tolist():
-            at = max((keyframe[each] for each in keys if each in keyframe), default=None)
-            for each in keys if at is not None else ():
+            at = max((keyframe[each] for each in keys if each in keyframe), default=-1)
+            for each in keys if at >= 0 else ():
                 since[each] = keyframe.get(each, min(at, since.get(each, at)))
     for position, of_factors in enumerate(bound):
         for n, keys in enumerate(of_factors.tolist()):

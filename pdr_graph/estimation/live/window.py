@@ -9,12 +9,15 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import CALIBRATION, POSE, AnyArray, Measurement, State, poses_at
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, AnyArray, Measurement, State
 from pdr_graph.estimation.factors.chain import (
+    CLOSE,
     DECIMALS,
     Bridge,
     Chain,
+    Path,
     Pieces,
+    after,
     bridge,
     intervals,
     pace_changes,
@@ -27,7 +30,7 @@ from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.gait.step_chunks import concatenate_steps
-from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.priors import FIXES, MOTION
 from pdr_graph.types import (
@@ -50,7 +53,6 @@ RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change
 NONE = np.empty(0, dtype=bool)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
-CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
 END, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 5, 6, 7  # columns of whole pieces
 
 
@@ -82,51 +84,6 @@ class Interval:
     def end(self) -> float:
         """Time of the last keyframe. [s]"""
         return float(self.pieces.keyframe_time[1])
-
-
-@dataclass(frozen=True)
-class Path:
-    """A path of the walk: pose ``(k, 3)`` at time ``(k,)`` [s]; c ``(s, 3)``: calibrations from ``begin (s,)`` on."""
-
-    time: Array
-    pose: Array
-    begin: Array
-    c: Array
-
-    @classmethod
-    def of(cls, chain: Chain, state: State) -> Path:
-        """The path of the keyframes of a chain."""
-        first = chain.segment_first
-        return cls(chain.time, state.poses, chain.time[first], state.c[chain.segment[first]])
-
-    def within(self, time: Sequence[float] | Array) -> Index:
-        """Indices of the times [s], ascending, that it covers."""
-        begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
-        return np.arange(begin, end)
-
-    def poses(self, time: Array) -> Array:
-        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
-        return poses_at(time, self.time, self.pose)
-
-    def calibration(self, time: float) -> Array:
-        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
-        return self.c[max(int(np.searchsorted(self.begin, time)) - 1, 0)]
-
-    @property
-    def uniform(self) -> Path:
-        """The path with its last calibration everywhere, which is the best informed."""
-        return replace(self, begin=self.time[:1], c=self.c[-1:])
-
-    def placed(self, chain: Chain, state: State) -> State:
-        """The state of a chain with its keyframes on the path; those after its end are dead-reckoned."""
-        within, poses, c = self.within(chain.time), state.poses.copy(), state.c.copy()
-        poses[within] = self.poses(chain.time[within])
-        moves = preintegrate(chain.pieces, np.tile(self.c[-1], (len(chain.segment), 1))).delta[chain.pieces.last]
-        for n in range(int(within[-1]), len(moves)):
-            poses[n + 1] = _after(poses[n], moves[n])
-        for n in np.flatnonzero(chain.time[:-1] >= self.time[0] - CLOSE).tolist():
-            c[chain.segment[n]] = self.calibration(float(chain.time[n + 1]))
-        return state.replaced(**{POSE: poses, CALIBRATION: c})
 
 
 class StepBuffer:
@@ -491,16 +448,11 @@ class Window:
 
     def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
         """The pose ``(3,)`` after the steps of an interval."""
-        return _after(pose, preintegrate(interval.pieces, c[None]).delta[-1])
+        return after(pose, preintegrate(interval.pieces, c[None]).delta[-1])
 
     def _number(self) -> int:
         self.count += 1
         return self.count - 1
-
-
-def _after(pose: Array, move: Array) -> Array:
-    """The pose ``(3,)`` after a displacement ``(3,)`` in its axes."""
-    return pose + np.append(rotation(pose[2]) @ move[:2], move[2])
 
 
 def _extended(chain: Chain, new: Sequence[Interval], pace: Mapping[int, float]) -> Chain:
