@@ -324,6 +324,7 @@ class Navigator:
             late=graph.graph.too_late,
             early=self._early,
             restarts=len(graph.ambiguity.restarts),
+            updates=graph.graph.updates,
             rebuilds=tuple(graph.graph.failures),
             judge=lambda: verdict(self._estimate()),
         )
@@ -362,7 +363,7 @@ class Navigator:
             dead_reckoning=rows,
             calibration=smoother.output.calibration(),
             reports=reports,
-            iterations=smoother.graph.iterations,
+            iterations=smoother.graph.updates,
             cost=smoother.graph.cost,
             converged=True,
             contradictions=(

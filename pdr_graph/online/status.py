@@ -41,7 +41,8 @@ class Status(OneLineRepr):
     better, a line each; issues: present problems, a line each; unknown: what the sensors do not measure, a line each;
     sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of
     measurements too old for the window or far in the future; restarts: how often fixes contradicted the estimate;
-    rebuilds: reason of each rebuild of the solver; judge: returns the verdict.
+    updates: number of updates of iSAM2; rebuilds: why it was begun anew: an update raised the cost, or threw; judge:
+    returns the verdict.
     """
 
     state: str
@@ -55,6 +56,7 @@ class Status(OneLineRepr):
     late: int
     early: int
     restarts: int
+    updates: int
     rebuilds: tuple[str, ...]
     judge: Callable[[], Verdict] = field(repr=False, compare=False)
 

@@ -62,7 +62,8 @@ class LiveGraph:
     leaving_after: the lag in force, infinite until the walk is placed [s]; marginals: of variables that have left;
     c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind, never
     changed in place, since copies and open questions have them too; too_late: number of measurements from before the
-    window; excess: what the stated covariance has beside that of the factors; failures: why the search began anew.
+    window; excess: what the stated covariance has beside that of the factors; failures: why
+    iSAM2 was begun anew; updates: number of updates of iSAM2, or beginnings.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class LiveGraph:
         self.leaving_after, self.marginals = lag, list[MarginalFactor]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self.too_late, self.excess, self.failures, self.iterations, self.rebuilds = 0, Excess(), list[str](), 0, 0
+        self.too_late, self.excess, self.failures, self.updates = 0, Excess(), list[str](), 0
         self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
@@ -225,7 +226,11 @@ class LiveGraph:
                 self._priors -= {(block.name, number) for number in block.number[bound].tolist()}
         self.marginals = [marginal for marginal in self.marginals if gone.isdisjoint(marginal.names)]
         assert self._isam is not None
-        self._isam.leave(leaving)
+        try:
+            self._isam.leave(leaving)
+        except RuntimeError as error:
+            self._fail(error)
+            self._read()
 
     def _add_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> None:
         """Let the priors of variables that are new hold.
@@ -281,7 +286,7 @@ class LiveGraph:
                 self._damp(self._isam)
         except (RuntimeError, IndexError, np.linalg.LinAlgError) as error:
             self._fail(error)
-        self.iterations += 1
+        self.updates += 1
         self._read()
 
     def _damp(self, isam: IncrementalSmoother) -> None:
@@ -289,8 +294,9 @@ class LiveGraph:
         if self.at.cost <= isam.cost + LEAST_RISE:
             return
         walk = isam.walk.also(isam.marginals())
-        if not walk.evaluate(isam.estimate).cost <= walk.evaluate(isam.point).cost + LEAST_RISE:
-            self.rebuilds += 1
+        rise = walk.evaluate(isam.estimate).cost - walk.evaluate(isam.point).cost
+        if not rise <= LEAST_RISE:
+            self._log_failure(f"an update raised the cost by {rise:.3g}")
             self._begin(searched(self.frozen()))
 
     def _begin(self, walk: WalkGraph) -> None:
@@ -303,7 +309,7 @@ class LiveGraph:
 
     def _fail(self, error: Exception) -> None:
         """Begin anew after factors that iSAM2 cannot solve; with those that no search can, without the marginal."""
-        self.failures = [*self.failures, str(error).strip().splitlines()[0][:100]][-MOST_REASONS:]
+        self._log_failure(str(error).strip().splitlines()[0])
         try:
             self._begin(searched(self.frozen()))
         except (RuntimeError, IndexError, np.linalg.LinAlgError):
@@ -311,11 +317,14 @@ class LiveGraph:
             self.restart(self.leaving_after)
             self._begin(searched(self.factors))
 
+    def _log_failure(self, reason: str) -> None:
+        self.failures = [*self.failures, f"{reason[:100]}, at {self.window.times[-1]:.0f} s"][-MOST_REASONS:]
+
     def frozen(self) -> WalkGraph:
         """The graph of the window as it is now, with the marginal of what has left, at the estimate."""
         walk, marginals = self.factors, [] if self._isam is None else self._isam.marginals()
         state = self.window.state(walk.chain, walk.measurements, self._others)
-        return walk.at(state).also(marginals)
+        return walk.at(state).also([left for marginal in marginals if (left := marginal.among(state))])
 
     def _read(self) -> None:
         """Copy the estimate to the window."""
