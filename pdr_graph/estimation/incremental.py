@@ -318,7 +318,7 @@ class FactorRows:
             rows = self._last[n] = before._last[old] if old >= 0 else None
             if rows is not None and self._outlier[n] == before._outlier[old]:
                 if self._native is not None and self._constants is not None:
-                    same[n] = np.array_equal(self._constants[n], rows)
+                    same[n] = bool((self._constants[n] == rows).all())
                     continue
                 here = self.of(n)
                 if here.shape == rows.shape:

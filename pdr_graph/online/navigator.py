@@ -482,7 +482,7 @@ class Navigator:
         fixes = frame.place(fixes)
         new = np.array([self._is_new(fixes.source[n], tuple(fixes.position[n].tolist())) for n in range(len(fixes))])
         if new.any():
-            self._measure(take(fixes, new))
+            self._measure(fixes if new.all() else take(fixes, new))
 
     def _is_new(self, source: str, place: tuple[float, ...]) -> bool:
         """Whether a receiver's fix is at another place than its last one: else it is a duplicate epoch."""
@@ -495,7 +495,7 @@ class Navigator:
 
     def _measure(self, data: Any) -> None:
         """Append valid measurements; those of the future, and those that come too often, are counted."""
-        data = replace(data, time=self._on_clock(data.time))
+        data = replace(data, time=self._on_clock(data.time)) if self._gait.offset else data
         if isinstance(data, Fixes):
             data = self._checks.by_sensor_clock(data, self._gait.newest)
         data = self._checks.thinned(kind_of(data).name, self._until_soon(data), self._graph.graph.log.rows(type(data)))

@@ -100,7 +100,7 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
         fresh, sigma = overhang <= FIXES.longest_overhang, np.hypot(fixes.sigma, FIXES.walking_speed * overhang)
         duplicate, still = duplicates(fixes), frozen(fixes, steps)
         used = fresh & ~duplicate & ~still
-        longest = replace(steps, length=prior.longest * steps.length)
+        longest = steps if prior.longest == 1 else replace(steps, length=prior.longest * steps.length)
         run, consistent = consistent_chains(longest, fixes, sigma, used)
         independent = sigma.copy()  # n fixes of the same error have the information of one
         for indices in by_source(fixes, consistent):

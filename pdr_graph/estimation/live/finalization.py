@@ -11,7 +11,7 @@ import numpy as np
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.live.window import Interval
-from pdr_graph.geometry import interpolate, pose_rotation, rotation
+from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array
 
 
@@ -41,7 +41,10 @@ class Excess:
 
     def at(self, time: Array) -> Array:
         """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
-        return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
+        place = np.interp(time, self.time, np.arange(len(self.time)))
+        before = place.astype(np.intp)
+        after, share = np.minimum(before + 1, len(self.time) - 1), (place - before)[:, None, None]
+        return (1 - share) * self.covariance[before] + share * self.covariance[after]
 
 
 def moved(pose: Array, before: Array, after: Array) -> Array:

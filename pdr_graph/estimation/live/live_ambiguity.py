@@ -21,8 +21,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import Findings, paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors.base import Refined, State, decisions_of, poses_at
-from pdr_graph.estimation.factors.chain import Evaluation, whole_pieces
-from pdr_graph.estimation.factors.fixes import sourced
+from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.registry import kind_of_type, made_from
 from pdr_graph.estimation.factors.start import WALKER_KIND
 from pdr_graph.estimation.graph import WalkGraph
@@ -46,7 +45,7 @@ from pdr_graph.estimation.optimizer import continued, descended
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE, WAYS
-from pdr_graph.types import Array, Fixes, Index, Steps
+from pdr_graph.types import Array, Fixes, Index
 
 Result = TypeVar("Result")
 
@@ -85,7 +84,7 @@ class Deferred(Generic[Result]):
         """Compute the answer now, if no executor does."""
         if self._question is not None and self._future is None:
             self._future = Future()
-            self._future.set_result(self._question())
+            self._future.set_result(one_thread(self._question)())
 
     def collect(self, now: float) -> Result | None:
         """The answer if it is due at ``now`` [s], once; else None."""
@@ -294,7 +293,9 @@ class LiveAmbiguity:
         if not self.output.sure:
             return np.empty(0, dtype=np.intp)
         unexpected, steps, begin = list[int](), window.steps, window.times[-1]
-        for n in np.flatnonzero((fixes.time > begin + CLOSE) & (fixes.time <= steps.end) & ~sourced(fixes)).tolist():
+        for n in np.flatnonzero((fixes.time > begin + CLOSE) & (fixes.time <= steps.end)).tolist():
+            if fixes.source[n]:
+                continue
             belief = self.output.keyframe_belief()
             there = predict(belief, steps.whole, steps.start, begin, float(fixes.time[n]), ())
             sigma, apart = float(fixes.sigma[n]), fixes.position[n] - there.mean[:, :2]
@@ -311,7 +312,7 @@ class LiveAmbiguity:
         refined = (kind for kind in measurements if isinstance(kind, Refined))
         contradicted = any(kind.contradicts(decisions.get(kind.name, {})) for kind in refined)
         fixes = made_from(Fixes, measurements)
-        rejected = [] if fixes is None else [fixes.rejected(unexpected)]
+        rejected = [fixes.rejected(unexpected)] if fixes is not None and len(unexpected) else []
         if self.graph.store_decisions([*measurements, *rejected]) and len(unexpected):
             self.graph.log.version += 1
         return contradicted
@@ -340,11 +341,12 @@ class LiveAmbiguity:
         now, plan = window.times[-1], window.located_plan
         if not self.output.sure or not len(fixes) or not self.trial.idle or now < self.next_batch:
             return
-        within = (fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE)
-        new = fixes[within & ~np.isin(numbers, self._asked.get("fixes", ()))]
-        self._asked = graph.log.all_numbers(now)
-        if not len(new):
+        asked = set(self._asked["fixes"].tolist()) if "fixes" in self._asked else set[int]()
+        within = np.flatnonzero((fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE))
+        self._asked, unasked = graph.log.all_numbers(now), [n not in asked for n in numbers[within].tolist()]
+        if not any(unasked):
             return
+        new = fixes[within[unasked]]
         there = poses_at(new.time, np.array(window.times), window.pose)[:, :2]
         sigmas = np.hypot(*(new.position - there).T) / new.sigma
         elsewhere = sigmas > SCHEDULE.doubted
@@ -422,10 +424,10 @@ class LiveAmbiguity:
 
     # The modes that remain, and the place on a plan
 
-    def open_direction(self, steps: Steps) -> None:
-        """Leave the direction open from an unknown turn in new steps on, until the batch is certain again."""
+    def open_direction(self, whole: Array) -> None:
+        """Leave the direction open from an unknown turn in new pieces on, until the batch is certain again."""
         output, window = self.output, self.graph.window
-        if not output.sure or not len(turned := unknown_turns(whole_pieces(steps))):
+        if not output.sure or not len(turned := unknown_turns(whole)):
             return
         begin, end, past = window.times[-1], float(turned[-1]), window.steps
         fixes = output.fixes_between(begin, end)

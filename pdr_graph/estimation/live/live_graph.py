@@ -215,7 +215,8 @@ class LiveGraph:
 
     def _marginalize(self, left: Evaluation) -> None:
         """Let iSAM2 marginalise the variables that the window does not have any more; the marginal has their priors."""
-        _, _, state = self._kinds()
+        own = left.state.arrays.keys() <= {POSE, CALIBRATION}
+        state = self.window.state(self.window.chain()) if own else self._kinds()[2]
         present = set(_names(state))
         leaving = [name for name in _names(left.state) if name not in present]
         gone = set(leaving)

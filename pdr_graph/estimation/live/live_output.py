@@ -414,8 +414,10 @@ class LiveOutput:
     def fixes_between(self, begin: float, end: float) -> list[Position]:
         """The fixes after ``begin`` until ``end`` [s], which have no keyframe yet."""
         fixes, _ = self.graph.log.rows_and_numbers(Fixes)
-        new = take(fixes, (fixes.time > begin + CLOSE) & (fixes.time <= end))
-        factor, share = made_from(Fixes, self.graph.at.measurements) if len(new) else None, dict[str, float]()
+        which = np.flatnonzero((fixes.time > begin + CLOSE) & (fixes.time <= end))
+        if not len(which):
+            return []
+        new, factor, share = take(fixes, which), made_from(Fixes, self.graph.at.measurements), dict[str, float]()
         if factor is not None:  # of the last fix of each source
             independent = (factor.sigma / factor.independent_sigma) ** 2
             share = {source: float(of) for source, of in zip(factor.fixes.source, independent, strict=True) if source}

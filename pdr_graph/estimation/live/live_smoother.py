@@ -63,12 +63,12 @@ class LiveSmoother:
     def extend(self, steps: Steps, floor: str | None = None) -> None:
         """Append the next steps of the walk. floor: label of their floor, by default that of the steps before."""
         window = self.graph.window
-        window.steps.append(steps)
+        pieces = window.steps.append(steps)
         self.ambiguity.history.extend(steps)
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
-        self.ambiguity.open_direction(steps)
+        self.ambiguity.open_direction(pieces)
         busy = self._close()
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
@@ -127,7 +127,6 @@ class LiveSmoother:
         ambiguity.compare_sources(0.0, Findings())
         graph.solve(SCHEDULE.final_rounds)
 
-    @one_thread
     def review(self) -> None:
         """Answer the open questions in an idle moment; else the push that needs an answer does, with equal results."""
         self.ambiguity.work()

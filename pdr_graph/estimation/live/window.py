@@ -110,12 +110,14 @@ class StepBuffer:
             self.chunks = [concatenate_steps(self.chunks)]
         return self.chunks[0]
 
-    def append(self, steps: Steps) -> None:
-        """Append the next steps."""
+    def append(self, steps: Steps) -> Array:
+        """Append the next steps; returns their whole pieces."""
         if not self.chunks:
             self.start = round(steps.start, DECIMALS)
+        before = len(self.whole)
         self.chunks = [*self.chunks, steps]
         self.whole = self.with_tail(steps)
+        return self.whole[before:]
 
     def set_goings(self, goings: Array) -> float:
         """Give the steps on stairs the length of the treads; returns when the first changed one ended [s], or infinity.
@@ -135,9 +137,10 @@ class StepBuffer:
         """The whole pieces, followed by those of provisional steps."""
         if tail is None:
             return self.whole
-        whole, gaps = whole_pieces(tail), tail.time[tail.is_gap]
-        row, gap = (np.isin(whole[:, END], np.round(ends, DECIMALS)).astype(float) for ends in (tail.time, gaps))
-        return np.concatenate([self.whole, np.column_stack([whole, row, gap])])
+        whole, ends = whole_pieces(tail), np.round(tail.time, DECIMALS).tolist()
+        is_gap = dict(zip(ends, tail.is_gap.tolist(), strict=True))
+        marks = np.array([(end in is_gap, is_gap.get(end, False)) for end in whole[:, END].tolist()], dtype=float)
+        return np.concatenate([self.whole, np.column_stack([whole, marks.reshape(-1, 2)])])
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
@@ -650,7 +653,7 @@ def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str,
 
 def merged_decisions(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
     """The new decisions, and the old ones about instances that have no new one."""
-    if "number" not in new or not old:
+    if "number" not in new or not old or np.array_equal(old["number"], new["number"]):
         return new
     kept = ~np.isin(old["number"], new["number"])
     joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}
