@@ -45,8 +45,8 @@ DAY_LENGTH = 86_400.0  # [s]
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 GNSS = "GNSS"  # source of fixes from a phone's receiver
 NONE: Any = ()  # a column of which nothing is known
-COLUMN = "pdr_graph.column"  # in the metadata of a field: how it is declared
-ROW, KEYFRAME, TABLE = ({COLUMN: declared} for declared in ("row", "keyframe", "table"))
+DECLARED_AS = "pdr_graph.column"  # in the metadata of a field: how it is declared
+ROW, KEYFRAME, TABLE = ({DECLARED_AS: declared} for declared in ("row", "keyframe", "table"))
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -859,12 +859,12 @@ class Estimate(OneLineRepr):
 def declarations(record_type: type) -> dict[str, str]:
     """How each field of a data type or measurement kind is declared: "row", "keyframe", "table"; "" if it is not."""
     columns = fields(record_type) if is_dataclass(record_type) else ()
-    return {each.name: each.metadata.get(COLUMN, "") for each in columns}
+    return {each.name: each.metadata.get(DECLARED_AS, "") for each in columns}
 
 
 def declared(record_type: type, column: dict[str, str]) -> list[str]:
     """The names of the fields of a data type or measurement kind that are declared ROW, KEYFRAME or TABLE."""
-    return [name for name, declaration in declarations(record_type).items() if declaration == column[COLUMN]]
+    return [name for name, declaration in declarations(record_type).items() if declaration == column[DECLARED_AS]]
 
 
 def keyframes_of(kind: Any) -> Index | None:
@@ -901,7 +901,7 @@ def row_columns(record: Any) -> dict[str, Any]:
 @cache
 def _of_rows(record_type: type) -> list[str]:
     """The names of the fields that are not declared TABLE."""
-    return [name for name, declaration in declarations(record_type).items() if declaration != TABLE[COLUMN]]
+    return [name for name, declaration in declarations(record_type).items() if declaration != TABLE[DECLARED_AS]]
 
 
 def rows_of(column: Any, index: Index) -> Any:

@@ -265,6 +265,7 @@ def test_no_factor_class_is_named_outside_the_factors():
         for node in classes
         if isinstance(node, ast.ClassDef) and interfaces & {ast.unparse(base) for base in node.bases}
     } - interfaces
+    kinds -= {"MarginalFactor"}  # what iSAM2 leaves of variables that are gone: no kind of data
     assert len(kinds) > 8
     elsewhere = [path for path in MODULES.values() if factors not in path.parents]
     naming = {path.stem: found for path in elsewhere if (found := kinds & set(re.findall(r"\w+", text_of(path))))}

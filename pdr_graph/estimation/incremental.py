@@ -21,7 +21,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import (
     CALIBRATION,
-    NUMBER,
+    KEY_NUMBER,
     POSE,
     FactorBlock,
     RobustLoss,
@@ -49,7 +49,7 @@ WALLED = 0.04  # times these between walls, which begin and end to hold a step w
 AGAIN = 2.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
 SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
 SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
-NONE = np.empty(0, dtype=np.intp)
+NO_VARIABLES = np.empty(0, dtype=np.intp)
 
 Name = tuple[str, tuple[str, ...]]  # of a block: its kind and the symbols of its variables
 Identity = tuple[int, ...]  # of a factor in its block: its number, and the keys of its variables
@@ -102,7 +102,7 @@ class IncrementalSmoother:
         values, stamps = gtsam.Values(), dict[int, float]()
         for symbol, variables in self.point.arrays.items():
             number = self.point.number(symbol)
-            known = set(self._known.get(symbol, NONE).tolist())
+            known = set(self._known.get(symbol, NO_VARIABLES).tolist())
             for n, of in enumerate(number.tolist()):
                 if of not in known:
                     insert(values, symbol, key(symbol, of), variables[n])
@@ -174,7 +174,7 @@ class IncrementalSmoother:
         factors, found = self._smoother.getFactors(), list[MarginalFactor]()
         for factor in map(factors.at, range(factors.size())):
             if isinstance(factor, gtsam.LinearContainerFactor):
-                names = [(chr(each >> 56), each & NUMBER) for each in factor.keys()]
+                names = [(chr(each >> 56), each & KEY_NUMBER) for each in factor.keys()]
                 point = [self.point[s][int(np.flatnonzero(self.point.number(s) == n)[0])] for s, n in names]
                 whole = factor.factor().augmentedInformation()
                 found.append(MarginalFactor.of(names, np.array(point), whole[:-1, :-1], -whole[:-1, -1]))
@@ -199,7 +199,7 @@ class IncrementalSmoother:
         """The variables of the walk in ``values``, in its order."""
         arrays, numbers = dict[str, Array](), dict[str, Index]()
         for symbol, number in self.walk.start.numbers.items():
-            known = self._known.get(symbol, NONE)
+            known = self._known.get(symbol, NO_VARIABLES)
             place = np.searchsorted(known, number)
             there = known[np.minimum(place, len(known) - 1)] == number if len(known) else np.zeros(len(number), bool)
             numbers[symbol] = number if there.all() else number[there]
@@ -348,7 +348,10 @@ def _keys(numbers: dict[str, Index]) -> set[int]:
 
 def _joined(one: dict[str, Index], other: dict[str, Index]) -> dict[str, Index]:
     """Numbers of one or the other, ascending, by symbol."""
-    return {symbol: np.union1d(one.get(symbol, NONE), other.get(symbol, NONE)) for symbol in {**one, **other}}
+    return {
+        symbol: np.union1d(one.get(symbol, NO_VARIABLES), other.get(symbol, NO_VARIABLES))
+        for symbol in {**one, **other}
+    }
 
 
 def _without(numbers: dict[str, Index], keys: Container[int]) -> dict[str, Index]:

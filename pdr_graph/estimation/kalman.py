@@ -62,9 +62,9 @@ from pdr_graph.types import Array, Estimate, Fixes, FixReport, Index, Steps, Tra
 
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
 EXACT = 1e-3  # [rad] least sigma for the weights of directions
-LATEST = 2.0  # [s] by which a measurement may come late: receivers state where they were a second ago
+HELD_BACK = 2.0  # [s] by which a measurement may come late: receivers state where they were a second ago
 LONGEST_CARRY = 60.0  # [s] over which turns carry a heading of earlier steps
-MOST_WAITING = 1000  # measurements that wait for the steps of their time
+MOST_ARRIVALS = 1000  # measurements that wait for the steps of their time
 NO_CHANGE = np.zeros(3)
 
 
@@ -238,15 +238,15 @@ class Moment:
         return cls(time, np.zeros(1, dtype=np.intp), np.eye(6)[None], mixture, mixture)
 
 
-FIX, HEADING, CHANGE = range(3)  # kinds of arrivals, in the order in which those of one moment are used
+FIX_ARRIVES, HEADING_ARRIVES, CHANGE = range(3)  # kinds of arrivals, in the order in which those of one moment are used
 
 
 @dataclass(frozen=True, order=True)
 class Arrival:
     """What waits for the steps of its time.
 
-    time [s]; kind: FIX, HEADING or CHANGE; number: of the fix; value: ``(2,)`` [m] of a fix, [rad] of a heading, change
-    of pace of a calibration that begins, see `pace_changes`; sigma [m, rad]; source: of a fix.
+    time [s]; kind: FIX_ARRIVES, HEADING_ARRIVES or CHANGE; number: of the fix; value: ``(2,)`` [m] of a fix, [rad] of a
+    heading, change of pace of a calibration that begins, see `pace_changes`; sigma [m, rad]; source: of a fix.
     """
 
     time: float
@@ -317,9 +317,9 @@ class KalmanFilter:
     prior: of the calibration; start: of the walk, by default anywhere in any direction; watched: calibrations begin as
     `CalibrationWatch` says, False: as told by `begin_calibration`.
 
-    It follows steps LATEST after they ended: so a fix that comes late by less is used at its time, exactly. One that is
-    later is skipped, and a later heading is carried on by the turns since. A measurement of the future waits for its
-    steps. Cost of a moment and memory do not depend on the length of the walk.
+    It follows steps HELD_BACK after they ended: so a fix that comes late by less is used at its time, exactly. One
+    that is later is skipped, and a later heading is carried on by the turns since. A measurement of the future waits
+    for its steps. Cost of a moment and memory do not depend on the length of the walk.
 
     moment: after the steps that it has followed, None before; located: True after the first fix; skipped: number of
     fixes that came too late; walked: distance [m].
@@ -363,11 +363,11 @@ class KalmanFilter:
             if time <= self.time:
                 self.skipped += 1
             else:
-                self._wait(Arrival(time, FIX, n, place, sigma, source))
+                self._wait(Arrival(time, FIX_ARRIVES, n, place, sigma, source))
 
     def add_heading(self, time: float, heading: float, sigma: float) -> None:
         """Add a heading at a time [s]; heading, sigma [rad]."""
-        self._wait(Arrival(time, HEADING, 0, heading, sigma))
+        self._wait(Arrival(time, HEADING_ARRIVES, 0, heading, sigma))
 
     def begin_calibration(self, time: float, pace: float) -> None:
         """A new calibration begins at a time [s]; pace: change of pace, see `pace_changes`."""
@@ -375,13 +375,13 @@ class KalmanFilter:
 
     def _wait(self, arrival: Arrival) -> None:
         insort(self._waiting, replace(arrival, time=round(arrival.time, DECIMALS)))
-        del self._waiting[:-MOST_WAITING]
+        del self._waiting[:-MOST_ARRIVALS]
 
     def extend(self, steps: Steps) -> None:
-        """Take the next steps; follow those that ended more than LATEST before, several at once."""
+        """Take the next steps; follow those that ended more than HELD_BACK before, several at once."""
         self._held.append(steps)
-        if self._held[0].end < steps.end - 2 * LATEST:
-            early = [part for part in self._held if part.end < steps.end - LATEST]
+        if self._held[0].end < steps.end - 2 * HELD_BACK:
+            early = [part for part in self._held if part.end < steps.end - HELD_BACK]
             self._held = self._held[len(early) :]
             self._follow(early)
 
@@ -487,9 +487,9 @@ class KalmanFilter:
         count = bisect_right(self._waiting, moment.time, key=lambda arrival: arrival.time)
         due, self._waiting = self._waiting[:count], self._waiting[count:]
         for arrival in due:
-            if arrival.kind == FIX:
+            if arrival.kind == FIX_ARRIVES:
                 moment = self._fixed(moment, arrival)
-            elif arrival.kind == HEADING:
+            elif arrival.kind == HEADING_ARRIVES:
                 H, variance = self._carried(arrival, moment.time)
                 mixture = heading_corrected(moment.posterior, H, arrival.value, variance)
                 moment = replace(moment, posterior=mixture)
@@ -515,7 +515,7 @@ class KalmanFilter:
         if not fix.source:
             return 1.0
         history = self._sources.setdefault(
-            fix.source, SourceHistory(deque(maxlen=MOST_WAITING), fix.value, self._track)
+            fix.source, SourceHistory(deque(maxlen=MOST_ARRIVALS), fix.value, self._track)
         )
         if np.hypot(*(fix.value - history.place)) >= RECEIVERS.still:
             history.place, history.track, history.away = fix.value, self._track, 0.0
@@ -526,7 +526,7 @@ class KalmanFilter:
         history.drifts.append(drifted)
         while history.drifts[0] <= drifted - 1.0:
             history.drifts.popleft()
-        while len(self._sources) > MOST_WAITING:
+        while len(self._sources) > MOST_ARRIVALS:
             del self._sources[next(iter(self._sources))]
         return 1.0 / (2 * len(history.drifts) - 1)  # as many later fixes will have about its error
 

@@ -23,7 +23,7 @@ from pdr_graph.online.interface import Pose, modes_of
 from pdr_graph.types import Array, Contradiction, Fixes, Headings, Steps, Trajectory
 
 REGION_99 = 9.21  # 99 % quantile of χ² for two degrees of freedom
-COMPARED = 5.0  # [s] between comparisons
+COMPARE_EVERY = 5.0  # [s] between comparisons
 SUSTAINED = 10.0  # [s] of disagreement from which it is said
 MORE_INFORMATION = 0.25  # share by which the same heading must know more, to be used again
 SAID = "the Kalman filter beside the smoother is {:.0f} m away since {:.0f} s, outside both 99 % regions"
@@ -46,7 +46,7 @@ def belief_of_rows(track: Trajectory, time: float) -> Belief:
 
 
 class FilterBeside:
-    """The filter of a live walk, compared with the smoother every COMPARED seconds.
+    """The filter of a live walk, compared with the smoother every COMPARE_EVERY seconds.
 
     filter: see `KalmanFilter`; apart: present distance of both positions [m] if they disagree, else 0.
     """
@@ -83,8 +83,8 @@ class FilterBeside:
         return Pose(after.time, x, y, float(wrap_angle(heading)), floor, covariance[:3, :3], modes_of(after.mixture))
 
     def compare(self, now: float, belief: Callable[[float], Belief]) -> None:
-        """Compare with the smoother every COMPARED seconds, at ``now`` [s]. belief: of the smoother at a time [s]."""
-        if not now < self._compared + COMPARED:
+        """Compare with the smoother every COMPARE_EVERY seconds, at ``now`` [s]; belief: its belief at a time [s]."""
+        if not now < self._compared + COMPARE_EVERY:
             self._compared = now
             self.judge(belief)
 

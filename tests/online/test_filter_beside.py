@@ -8,7 +8,7 @@ from walks import PERIOD, drawn_from_the_model, part, wandering_walk
 
 from pdr_graph import Fixes, Navigator, Prior, kalman_filter
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.kalman import LATEST, KalmanFilter
+from pdr_graph.estimation.kalman import HELD_BACK, KalmanFilter
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
 from pdr_graph.online.filter_beside import SUSTAINED, disagree
 
@@ -34,7 +34,7 @@ def pushing(target, steps, fixes, late=0.0):
         yield
 
 
-@pytest.mark.parametrize("late", [0.0, LATEST - PERIOD])
+@pytest.mark.parametrize("late", [0.0, HELD_BACK - PERIOD])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_walk_pushed_live_has_the_poses_of_the_batch_filter(seed, late):
     """At every step that both have followed, also over a change of calibration, and with fixes that come late."""
@@ -59,7 +59,7 @@ def test_a_walk_pushed_live_has_the_poses_of_the_batch_filter(seed, late):
 def test_a_fix_that_comes_too_late_is_skipped_and_counted():
     steps, fixes, _ = drawn_from_the_model(120, seed=2)
     live = KalmanFilter(Prior())
-    for _ in pushing(live, steps, fixes, late=3 * LATEST):
+    for _ in pushing(live, steps, fixes, late=3 * HELD_BACK):
         pass
     assert live.skipped > 0
     assert not live.located or live.skipped + live._fixes == len(fixes)

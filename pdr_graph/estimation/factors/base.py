@@ -106,7 +106,7 @@ POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
 PLANE = np.array([1.0, 1.0, 0.0])  # components of a variable that are a position, where the third is something else
 
 
-NUMBER = (1 << 56) - 1  # the bits of a key that are the number
+KEY_NUMBER = (1 << 56) - 1  # the bits of a key that are the number
 
 
 def key(symbol: str, number: int = 0) -> int:
@@ -197,7 +197,7 @@ class State:
     def updated(self, values: gtsam.Values) -> State:
         """Copy the estimates of all variables that ``values`` has."""
         keys, arrays = np.array(sorted(values.keys()), dtype=np.int64), dict(self.arrays)
-        symbols, numbers = keys >> 56, keys & NUMBER
+        symbols, numbers = keys >> 56, keys & KEY_NUMBER
         for symbol, rows in self.arrays.items():
             order = np.argsort(self.number(symbol))
             present = numbers[symbols == ord(symbol)]

@@ -50,7 +50,7 @@ from pdr_graph.types import (
 
 Rows = TypeVar("Rows", Fixes, Headings)
 RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
-NONE = np.empty(0, dtype=bool)
+NEVER = np.empty(0, dtype=bool)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 END, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 5, 6, 7  # columns of whole pieces
@@ -525,7 +525,10 @@ class MeasurementLog:
         if self.longer is not None:
             self.longer.append(data, number)
         count, before = max(count, int(number.max(initial=-1)) + 1), table
-        if before is not None and (again := np.isin(before.number, number) if number[0] < before.count else NONE).any():
+        if (
+            before is not None
+            and (again := np.isin(before.number, number) if number[0] < before.count else NEVER).any()
+        ):
             before = Table(take(before.data, ~again), before.number[~again], before.count)
         if before is not None:
             number, data = np.concatenate([before.number, number]), appended(before.data, data)
