@@ -461,7 +461,9 @@ def longest_consistent_chain(
     chain = [int(np.argmax(length))]
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
-    return run, np.isin(run, chain)
+    in_chain = np.zeros(len(first), dtype=bool)
+    in_chain[chain] = True
+    return run, in_chain[run]
 
 
 def duplicates(fixes: Fixes) -> Mask:

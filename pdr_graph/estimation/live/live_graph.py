@@ -277,8 +277,10 @@ class LiveGraph:
             elif self._isam.stale:
                 self._begin(self.frozen())
             else:
-                self._isam.again() if again else self._isam.update(factors)
+                if self._at is not None:
+                    self._at.forget_blocks()
                 self._at = None
+                self._isam.again() if again else self._isam.update(factors)
                 self._damp(self._isam)
         except (RuntimeError, IndexError, np.linalg.LinAlgError) as error:
             self._fail(error)
