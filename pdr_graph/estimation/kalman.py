@@ -185,7 +185,7 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
     if len(bank) == 1:
         return bank
     pose = differences(bank.mean, bank.mean[bank.best])[:, :3]
-    apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
+    apart = (pose @ np.linalg.inv(bank.covariance[bank.best, :3, :3]) * pose).sum(axis=1)
     same = apart < KALMAN.same**2
     keep = ~same & (bank.log_weight > np.log(KALMAN.hopeless))
     keep[bank.best] = True

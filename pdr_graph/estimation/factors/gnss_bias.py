@@ -381,13 +381,14 @@ class Courses:
         lag: of each ``(w,)`` [s]; lags: the two variables between which it lies, share: how far ``(w,)``.
         """
         keyframe, moment = self.keyframe[which], self.time[which] - lag
-        way, faster = (of(moment) - of(moment - SECOND) for of in (self._place, self._speed))
+        way = self._place(moment) - self._place(moment - SECOND)
         moving = np.abs(way) > RECEIVERS.slowest * SECOND
         root = np.where(moving, 1 / self.sigma[which], 0.0)
         off = np.angle(way) - self.turned[keyframe] + at.state.poses[keyframe, 2] - self.course[which]
 
         def jacobian() -> list[Array]:
             by_pose, by_lag = np.zeros((2, len(which), 1, 3))
+            faster = self._speed(moment) - self._speed(moment - SECOND)
             by_pose[:, 0, 2] = root
             by_lag[:, 0, 2] = -root * (faster / np.where(moving, way, 1.0)).imag
             return [by_pose, (1 - share[:, None, None]) * by_lag, share[:, None, None] * by_lag]

@@ -162,7 +162,7 @@ def predict(
         covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
         if receiver is not None:
             covariance[:, :2, :2] += receiver.drift * (moment - before) * np.eye(2)
-        mixture = replace(mixture, mean=mean, covariance=covariance)
+        mixture = GaussianMixture(mean, covariance, mixture.log_weight, mixture.origin)
         if len(mixture) == 1 and moment in turned:
             mixture = by_direction(mixture)
         while waiting and waiting[0].time <= moment:
