@@ -30,6 +30,8 @@ def interpolate(at: Array, time: Array, values: Array) -> Array:
 
 def peaks(values: Array, least: float, apart: float) -> Index:
     """Indices of the maxima of at least ``least``, the largest of those within ``apart`` of them; at an edge too."""
+    if not (values >= least).any():
+        return np.empty(0, dtype=np.intp)
     from scipy.signal import find_peaks  # here: few commands need it and it takes half a second to load
 
     return find_peaks(np.pad(values, 1), height=least, distance=apart)[0] - 1

@@ -962,10 +962,14 @@ def take(data: Table, which: int | slice | Mask | Index) -> Table:
     """The rows `which` of a table; what belongs to the table as a whole is kept, as `row_columns` says."""
     size = len(data)
     index = np.arange(*which.indices(size)) if isinstance(which, slice) else np.atleast_1d(np.arange(size)[which])
-    columns, table = row_columns(data), object.__new__(type(data))  # its rows were validated when `data` was made
+    return _with_columns(data, {name: rows_of(column, index) for name, column in row_columns(data).items()})
+
+
+def _with_columns(data: Table, columns: Mapping[str, Any]) -> Table:
+    """The table with other columns, whose rows were validated when their tables were made."""
+    table = object.__new__(type(data))
     for name in declarations(type(data)):
-        values = rows_of(columns[name], index) if name in columns else getattr(data, name)
-        object.__setattr__(table, name, values)
+        object.__setattr__(table, name, columns[name] if name in columns else getattr(data, name))
     return table
 
 
@@ -977,7 +981,8 @@ def repeated(kind: Table, which: Index, keyframe: Index) -> Table:
 
 def appended(data: Table, more: Table) -> Table:
     """The rows of `data` and then of `more`, of the same type; what belongs to the whole table is taken from `more`."""
-    return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in row_columns(data)})
+    both = {name: _stacked([getattr(data, name), getattr(more, name)]) for name in row_columns(data)}
+    return _with_columns(more, both)
 
 
 def with_offset(data: Table, seconds: float) -> Table:

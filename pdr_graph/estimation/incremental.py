@@ -225,7 +225,7 @@ class IncrementalSmoother:
         if not np.isfinite(at.cost):
             raise RuntimeError("the cost is not finite")  # GTSAM would go on with it
         self.cost = at.cost
-        for block in at.blocks:
+        for block in filter(len, at.blocks):
             name = block.name, tuple(symbol for symbol, _ in block.variables)
             while name in found:  # marginals of the same kinds of variables
                 name = name[0] + "'", name[1]

@@ -124,18 +124,27 @@ def measured(
     """
     cross = H @ bank.covariance
     expected = cross @ H.T
-    S = expected + R
-    sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
+    inverse, determinant = inverted(expected + R)
+    sigmas = np.sqrt(((gap[:, None] @ inverse)[:, 0] * gap).sum(axis=1))
     weight = np.where(sigmas < FIXES.outlier, huber_weight(sigmas), 0.0)
-    log_weight = bank.log_weight - huber_cost(np.minimum(sigmas, FIXES.outlier)) - 0.5 * np.log(np.linalg.det(S))
+    log_weight = bank.log_weight - huber_cost(np.minimum(sigmas, FIXES.outlier)) - 0.5 * np.log(determinant)
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
-    K = (weight > 0)[:, None, None] * cross.transpose(0, 2, 1) @ np.linalg.inv(weighted)
+    K = (weight > 0)[:, None, None] * cross.transpose(0, 2, 1) @ inverted(weighted)[0]
     covariance = bank.covariance - K @ cross
-    mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
+    mean = bank.mean + (K @ gap[:, :, None])[:, :, 0]
     covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(mean, covariance, log_weight, bank.origin), sigmas, weight
+
+
+def inverted(matrices: Array) -> tuple[Array, Array]:
+    """Inverses ``(h, d, d)`` and determinants ``(h,)`` for d of 1 or 2, by formula: LAPACK would take them in turn."""
+    if matrices.shape[1] == 1:
+        return 1 / matrices, matrices[:, 0, 0]
+    determinant = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+    adjugate = matrices[:, ::-1, ::-1].transpose(0, 2, 1) * [[1, -1], [-1, 1]]
+    return adjugate / determinant[:, None, None], determinant
 
 
 def corrected(
@@ -151,6 +160,8 @@ def corrected(
     gone = weight == 0.0
     updated = replace(updated, log_weight=updated.log_weight + np.where(gone, spared, 0.0))
     without = np.flatnonzero(~gone & (spared > np.log(KALMAN.left_out)))
+    if len(bank) == 1 and not len(without):
+        return updated.take(np.zeros(1, dtype=np.intp)), np.zeros(1, dtype=np.intp), sigmas, weight
     kept = replace(bank.take(without), log_weight=(updated.log_weight + spared)[without])
     row, whole = np.append(np.arange(len(bank)), without), joined(updated, kept)
     most = np.argsort(-whole.log_weight, kind="stable")[: KALMAN.most]
@@ -174,7 +185,7 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
     if len(bank) == 1:
         return bank
     pose = differences(bank.mean, bank.mean[bank.best])[:, :3]
-    apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
+    apart = (pose @ np.linalg.inv(bank.covariance[bank.best, :3, :3]) * pose).sum(axis=1)
     same = apart < KALMAN.same**2
     keep = ~same & (bank.log_weight > np.log(KALMAN.hopeless))
     keep[bank.best] = True

@@ -102,7 +102,7 @@ class NormalEquations:
     def assembled(self, at: Evaluation, curved: bool = True) -> LinearSystem:
         """The system at a state; curved: with the curvature of the residuals, for a step of the search."""
         squares, gradients, end = np.empty((self._to_blocks.size, 3)), list[Array](), 0  # one kind after another
-        for block in at.blocks:
+        for block in filter(len, at.blocks):
             square, gradient = _products(block, curved)
             end += len(square)
             squares[end - len(square) : end] = square
@@ -422,7 +422,7 @@ class Factorization:
     def _solve_root(self, blocks: Array, columns: Array, corner: Array) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor of what is left, root and border, and its solution."""
         root, size = self.elimination.root, 3 * len(self.elimination.root)
-        dense = np.empty((size + len(corner), size + len(corner) + 1))
+        dense = np.empty((size + len(corner), size + len(corner) + 1), order="F")  # as LAPACK takes it
         slots = self.elimination.slots(root[:, None], root)
         dense[:size, :size] = _joined(blocks[slots][None])[0]
         dense[:size, size:] = columns[root].reshape(size, columns.shape[2])

@@ -127,8 +127,9 @@ def pace_changes(whole: Array, start: float, begins: bool = True) -> tuple[Array
     step = np.flatnonzero((whole[:, 1] > 0) & (whole[:, 3] != TREADS.sigma**2))
     if len(step) < 2 * n:
         return np.empty(0), np.empty(0)
-    pace = np.median(np.lib.stride_tricks.sliding_window_view(np.log(duration[step]), n), axis=1)
-    speed = np.median(np.lib.stride_tricks.sliding_window_view(whole[step, 1] / duration[step], n), axis=1)
+    windows = np.arange(len(step) - n + 1)[:, None] + np.arange(n)
+    ordered = np.sort(np.array([np.log(duration[step]), whole[step, 1] / duration[step]])[:, windows], axis=2)
+    pace, speed = (ordered[:, :, (n - 1) // 2] + ordered[:, :, n // 2]) / 2  # medians
     runs = speed > MOTION.run_speed
     change = pace[n:] - pace[:-n]  # between steps n - 1 and n, n and n + 1, …
     at = peaks(np.abs(change), MOTION.pace_change, n)
@@ -615,6 +616,6 @@ def step_residuals(pose_i: Array, pose_j: Array, increments: Increments, pieces:
     r = np.array([way_x, way_y, turn]).T - increments.delta[pieces.last]
     r[:, 2] = wrap_angle(r[:, 2])
 
-    by_i = np.tile(-np.eye(3), (len(r), 1, 1))
+    by_i = np.full((len(r), 3, 3), -np.eye(3))
     by_i[:, 0, 2], by_i[:, 1, 2] = way_y, -way_x
     return Linearized(r, by_i, pose_rotation(turn), -increments.by_c[pieces.last])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -137,7 +138,7 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
         """Bind every fix to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.fixes.time))
 
-    @property
+    @cached_property
     def independent(self) -> Index:
         """The fixes that have a factor here."""
         return np.flatnonzero(self.held & ~self.biased & (self.keyframe >= 0))
@@ -440,8 +441,10 @@ def longest_consistent_chain(
     """
 
     def reaches(earlier: Index, later: Index) -> Mask:
-        apart = np.linalg.norm(position[later] - position[earlier], axis=-1)
-        return apart <= way[later] - way[earlier] + np.hypot(error[earlier], error[later])
+        apart = position[later] - position[earlier]
+        return np.hypot(apart[..., 0], apart[..., 1]) <= way[later] - way[earlier] + np.hypot(
+            error[earlier], error[later]
+        )
 
     every = np.arange(len(position))
     begins = np.append(True, ~reaches(every[:-1], every[1:]))
@@ -461,7 +464,9 @@ def longest_consistent_chain(
     chain = [int(np.argmax(length))]
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
-    return run, np.isin(run, chain)
+    in_chain = np.zeros(len(first), dtype=bool)
+    in_chain[chain] = True
+    return run, in_chain[run]
 
 
 def duplicates(fixes: Fixes) -> Mask:

@@ -269,9 +269,8 @@ class GnssBias(Refined, Remembered, Doubted):
     def _process(self, at: Evaluation) -> list[FactorBlock]:
         """Factors of g, which varies about o, and of o."""
         g, o = at.state[self.symbol], at.state[self.symbol_throughout]
-        first, later = np.flatnonzero(self.keep == 0), np.flatnonzero(self.keep)
+        first, later, sigma, share, scale = self._nodes_by_order
         about = g - o[self.receiver] * PLANE
-        sigma = np.stack([self.sigma, self.sigma, np.full(len(g), RECEIVERS.lag)], axis=1)
         begin = FactorBlock.uniform(
             f"{self.name}.begin",
             about[first] / sigma[first],
@@ -280,9 +279,6 @@ class GnssBias(Refined, Remembered, Doubted):
             self.node_number[first],
             prior=True,
         )
-        share = self.keep[later, None] * self.sigma[later, None] / self.sigma[later - 1, None] * [1, 1, 0] + [0, 0, 1]
-        change = self.sigma[later] * np.sqrt(1 - self.keep[later] ** 2)
-        scale = 1 / np.stack([change, change, RECEIVERS.lag_change * np.sqrt(self.elapsed[later])], axis=1)
         follow = FactorBlock.uniform(
             f"{self.name}.change",
             (about[later] - share * about[later - 1]) * scale,
@@ -295,6 +291,16 @@ class GnssBias(Refined, Remembered, Doubted):
         wide = np.stack([self.throughout * self.usual] * 2 + [self._unfollowed], axis=1)
         same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, wide, self.receiver_number)
         return [begin, follow, same]
+
+    @cached_property
+    def _nodes_by_order(self) -> tuple[Index, Index, Array, Array, Array]:
+        """Of the process: first and later nodes, sigmas ``(m, 3)``; of the later, share kept and scale ``(n, 3)``."""
+        first, later = np.flatnonzero(self.keep == 0), np.flatnonzero(self.keep)
+        sigma = np.stack([self.sigma, self.sigma, np.full(len(self.sigma), RECEIVERS.lag)], axis=1)
+        share = self.keep[later, None] * self.sigma[later, None] / self.sigma[later - 1, None] * [1, 1, 0] + [0, 0, 1]
+        change = self.sigma[later] * np.sqrt(1 - self.keep[later] ** 2)
+        scale = 1 / np.stack([change, change, RECEIVERS.lag_change * np.sqrt(self.elapsed[later])], axis=1)
+        return first, later, sigma, share, scale
 
     @cached_property
     def _unfollowed(self) -> Array:
@@ -375,13 +381,14 @@ class Courses:
         lag: of each ``(w,)`` [s]; lags: the two variables between which it lies, share: how far ``(w,)``.
         """
         keyframe, moment = self.keyframe[which], self.time[which] - lag
-        way, faster = (of(moment) - of(moment - SECOND) for of in (self._place, self._speed))
+        way = self._place(moment) - self._place(moment - SECOND)
         moving = np.abs(way) > RECEIVERS.slowest * SECOND
         root = np.where(moving, 1 / self.sigma[which], 0.0)
         off = np.angle(way) - self.turned[keyframe] + at.state.poses[keyframe, 2] - self.course[which]
 
         def jacobian() -> list[Array]:
             by_pose, by_lag = np.zeros((2, len(which), 1, 3))
+            faster = self._speed(moment) - self._speed(moment - SECOND)
             by_pose[:, 0, 2] = root
             by_lag[:, 0, 2] = -root * (faster / np.where(moving, way, 1.0)).imag
             return [by_pose, (1 - share[:, None, None]) * by_lag, share[:, None, None] * by_lag]

@@ -130,7 +130,11 @@ class CalibrationFactor(Remembered, Doubted):
         mean, _, root = self._priors
         begun, by_begun = scaled(c[first], mean)
         moved, by_moved = scaled(c, np.array([[1.0, 0.0, 0.0]]))
-        diagonal = np.eye(3) / sigma[:, None]
+
+        def jacobian() -> list[Array]:
+            diagonal = np.eye(3) / sigma[:, None]
+            return [-diagonal * by_moved[later - 1], diagonal * by_moved[later]]
+
         return [
             FactorBlock.uniform(
                 f"{self.name}.begin",
@@ -143,7 +147,7 @@ class CalibrationFactor(Remembered, Doubted):
                 f"{self.name}.change",
                 (moved[later] - moved[later - 1]) / sigma,
                 [("c", later - 1), ("c", later)],
-                lambda: [-diagonal * by_moved[later - 1], diagonal * by_moved[later]],
+                jacobian,
                 number[later],
             ),
         ]
@@ -154,7 +158,7 @@ def change_sigma(change: tuple[float, float, float], pace: Array) -> Array:
 
     The model of strides is calibrated at one pace of a walker, and errs otherwise at another.
     """
-    sigma = np.tile(change, (len(pace), 1))
+    sigma = np.full((len(pace), 3), change)
     sigma[:, 0] = np.hypot(sigma[:, 0], WALKER.pace * pace)
     return sigma
 
@@ -165,10 +169,11 @@ def scaled(c: Array, mean: Array) -> tuple[Array, Array]:
     Those of strides are shares, in log scale where shorter: λ(r) = log min(r, 1) + max(r, 1) − 1. No walk shrinks to
     nothing or turns back, nor does a long stride cost so little that an outlier is reached by it.
     """
-    share = c[:, 0] / mean[:, 0]
-    departure = np.column_stack([np.log(np.minimum(share, 1)) + np.maximum(share, 1) - 1, c[:, 1:] - mean[:, 1:]])
-    slope = np.column_stack([1 / (mean[:, 0] * np.minimum(share, 1)), np.ones((len(c), 2))])
-    return departure, slope[:, None]
+    share, departure, slope = c[:, 0] / mean[:, 0], c - mean, np.ones((len(c), 1, 3))
+    shorter = np.minimum(share, 1)
+    departure[:, 0] = np.log(shorter) + np.maximum(share, 1) - 1
+    slope[:, 0, 0] = 1 / (mean[:, 0] * shorter)
+    return departure, slope
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,8 +43,8 @@ from pdr_graph.estimation.live.window import (
 )
 from pdr_graph.estimation.optimizer import descended
 from pdr_graph.floor.building import Building
-from pdr_graph.geometry import pose_rotation
-from pdr_graph.priors import SCHEDULE
+from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.priors import SCHEDULE, SEARCH
 from pdr_graph.types import Array, Index, row_columns, take
 
 if TYPE_CHECKING:
@@ -260,9 +260,29 @@ class LiveGraph:
         assert self._isam is not None
         return self._isam
 
+    def approach(self) -> None:
+        """Update iSAM2 once, and let the window go towards its estimate, between walls as far as a step of the search.
+
+        Decisions about outliers are made there: an estimate that has stretched the walk to a wrong fix would find none.
+        """
+        before = self.factors.start
+        self.solve()
+        walk, estimate = self.isam.walk, self.isam.estimate
+        same = all(np.array_equal(before.number(s), estimate.number(s)) for s in estimate.arrays)
+        furthest = np.abs(estimate.poses - before.poses)[:, :2].max() if walk.walled and same else 0.0
+        if furthest > SEARCH.longest_move:
+            share, moves = SEARCH.longest_move / furthest, {s: estimate[s] - before[s] for s in estimate.arrays}
+            moves[POSE][:, 2] = wrap_angle(moves[POSE][:, 2])
+            near = estimate.replaced(**{s: before[s] + share * move for s, move in moves.items()})
+            self._at = walk.evaluate(near)
+            self.window.read(near)
+
     def solve(self, updates: int = 1) -> bool:
         """Update iSAM2 so often, first with all measurements; False if it was at the optimum before."""
         done = 0
+        if self._isam is not None and self._at is not None and self._at.state is not self._isam.estimate:
+            self._at = None  # it was approached
+            self._read()
         while done < updates:
             if self._isam is None or self._isam.walk is not self.factors:
                 self._update()
@@ -282,8 +302,10 @@ class LiveGraph:
             elif self._isam.stale:
                 self._begin(self.frozen())
             else:
-                self._isam.again() if again else self._isam.update(factors)
+                if self._at is not None:
+                    self._at.forget_blocks()
                 self._at = None
+                self._isam.again() if again else self._isam.update(factors)
                 self._damp(self._isam)
         except (RuntimeError, IndexError, np.linalg.LinAlgError) as error:
             self._fail(error)

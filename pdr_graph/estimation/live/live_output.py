@@ -145,24 +145,24 @@ def predict(
     whole, start: of the steps, see `intervals`; receiver: of all fixes, if the mixture is of what it states.
     """
     turned = unknown_turns(whole)
-    moments = [*(fix.time for fix in fixes), *turned]
-    moments = np.unique([*(moment for moment in moments if begin + INSTANT < moment <= end), end])
+    moments = [*(fix.time for fix in fixes), *turned.tolist()]
+    moments = sorted({*(moment for moment in moments if begin + INSTANT < moment <= end), end})
     if moments[-1] < begin + INSTANT:
         return mixture
     mean_c = mixture.mean[mixture.best, 3:]
     waiting = [receiver.seen(fix) for fix in fixes] if receiver is not None else list(fixes)
-    for before, moment in zip([begin, *moments.tolist()], moments.tolist(), strict=False):
+    for before, moment in zip([begin, *moments], moments, strict=False):
         R, (delta, by_c, spread) = pose_rotation(mixture.mean[:, 2]), increment(whole, start, before, moment, mean_c)
         mean, covariance = mixture.mean.copy(), mixture.covariance
-        mean[:, :3] += np.einsum("hij,hj->hi", R, delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T)
-        F = np.tile(np.eye(6), (len(mean), 1, 1))
+        mean[:, :3] += (R @ (delta + (mixture.mean[:, 3:] - mean_c) @ by_c.T)[:, :, None])[:, :, 0]
+        F = np.full((len(mean), 6, 6), np.eye(6))
         F[:, :2, 2] = (mean - mixture.mean)[:, :2] @ QUARTER_TURN.T
         F[:, :3, 3:] = R @ by_c
         covariance = F @ covariance @ F.transpose(0, 2, 1)
         covariance[:, :3, :3] += R @ spread @ R.transpose(0, 2, 1)
         if receiver is not None:
             covariance[:, :2, :2] += receiver.drift * (moment - before) * np.eye(2)
-        mixture = replace(mixture, mean=mean, covariance=covariance)
+        mixture = GaussianMixture(mean, covariance, mixture.log_weight, mixture.origin)
         if len(mixture) == 1 and moment in turned:
             mixture = by_direction(mixture)
         while waiting and waiting[0].time <= moment:

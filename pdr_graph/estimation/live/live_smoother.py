@@ -143,13 +143,14 @@ class LiveSmoother:
             ambiguity.restart()
         ambiguity.search_plan()
         if not ambiguity.solve_by_batch():
-            graph.solve(SCHEDULE.rounds)
-        if ambiguity.solved and graph.walls_changed(SCHEDULE.wall_pieces):  # no walls before the batch has solved it
-            graph.solve(SCHEDULE.rounds)
+            graph.approach()
         ambiguity.adopt_alternative()
         if reached and self.sure:
             ambiguity.reclassify()
             ambiguity.doubt_new_fixes()
         ambiguity.compare_sources(SCHEDULE.comparison_time)
+        graph.solve(SCHEDULE.rounds)
+        if ambiguity.solved and graph.walls_changed(SCHEDULE.wall_pieces):  # no walls before the batch has solved it
+            graph.solve(SCHEDULE.rounds)
         ambiguity.follow(new)
         return True

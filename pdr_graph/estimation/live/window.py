@@ -19,6 +19,7 @@ from pdr_graph.estimation.factors.chain import (
     Pieces,
     after,
     bridge,
+    increment,
     intervals,
     pace_changes,
     preintegrate,
@@ -260,8 +261,8 @@ class Window:
             self.in_gap = gap
             self.in_segment += len(rows)
             new.append(self._interval(self._number(), self.times[-1], end, self.segment, self.floor))
-            ahead = self._pose_after(self.pose[-1], new[-1], self.c[self.segment])
-            self.pose = np.concatenate([self.pose, ahead[None]])
+            move, _, _ = increment(self.steps.whole, self.steps.start, self.times[-1], end, self.c[self.segment])
+            self.pose = np.concatenate([self.pose, after(self.pose[-1], move)[None]])
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
@@ -448,10 +449,6 @@ class Window:
         increments = preintegrate(pieces, np.array([self.prior.mean]))
         bridges, delta = bridge(pieces, increments), increments.delta[-1]
         return Interval(j, segment, pieces, bridges, delta, rows, which, [None] * len(ends), label)
-
-    def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
-        """The pose ``(3,)`` after the steps of an interval."""
-        return after(pose, preintegrate(interval.pieces, c[None]).delta[-1])
 
     def _number(self) -> int:
         self.count += 1
