@@ -65,7 +65,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 2972),  # the pose of an estimate at any time
+    ".": (15, 3005),  # the pose of an estimate at any time; declared columns
     "apps": (3, 189),  # the filter beside a replay
     "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
@@ -74,9 +74,9 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1450),  # the view for Rerun
     "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
-    "estimation": (18, 3399),  # the filter of a walk under way; poses between steps
+    "estimation": (19, 3695),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
-    "estimation/factors": (15, 2760),  # the checks of these columns
+    "estimation/factors": (16, 2915),  # the marginal; increments for a smoother of one's own; a path to go on from
     "estimation/live": (10, 1824),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
@@ -86,7 +86,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lab": (2, 0),
     "lab/papers": (5, 566),
     "lab/simulation": (9, 1344),
-    "online": (7, 1036),  # the filter beside the smoother
+    "online": (7, 1037),  # the filter beside the smoother
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {

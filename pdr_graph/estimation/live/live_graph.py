@@ -294,7 +294,7 @@ class LiveGraph:
         return done > 0
 
     def _update(self, again: bool = False) -> None:
-        """Update iSAM2 with the present factors, or with the factors that it has; begin anew where it cannot go on."""
+        """Update iSAM2 with the present factors, or with the factors that it has; rebuild it where it cannot go on."""
         factors = self.factors
         try:
             if self._isam is None:
@@ -313,7 +313,7 @@ class LiveGraph:
         self._read()
 
     def _damp(self, isam: IncrementalSmoother) -> None:
-        """Begin iSAM2 anew if its step has raised the cost, by the damped search from where it was linearised."""
+        """Rebuild iSAM2 if its step has raised the cost, by the damped search from where it was linearised."""
         if self.at.cost <= isam.cost + LEAST_RISE:
             return
         walk = isam.walk.also(isam.marginals())
@@ -331,7 +331,7 @@ class LiveGraph:
         self._factors, self._version = walk, self.log.version
 
     def _fail(self, error: Exception) -> None:
-        """Begin anew after factors that iSAM2 cannot solve; with those that no search can, without the marginal."""
+        """Rebuild iSAM2 after factors that it cannot solve; with those that no search can, without the marginal."""
         self._log_failure(str(error).strip().splitlines()[0])
         try:
             self._begin(searched(self.frozen()))
@@ -364,7 +364,7 @@ class LiveGraph:
         }
 
     def moved(self) -> None:
-        """Begin iSAM2 anew from the window's poses, which were set by others."""
+        """Rebuild iSAM2 from the window's poses, which were set by others."""
         if self._isam is not None:
             self.marginals += self._isam.marginals()
         self._isam = self._at = self._factors = None
