@@ -90,8 +90,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (31, 5652),
-    "online.navigator": (67, 13069),
+    "estimation.smoother": (31, 5812),
+    "online.navigator": (69, 13514),
 }
 
 
