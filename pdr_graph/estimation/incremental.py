@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 
 STAYS, LEAVES = 1e9, 0.0  # timestamps of the fixed-lag smoother: the window says who leaves, not a lag of its own
 THRESHOLD = {  # of relinearisation: moves below change no pose by some centimetres
-    POSE: np.array([0.2, 0.2, 0.01]),  # [m, m, rad]
-    CALIBRATION: np.array([0.02, 0.008, 8e-4]),  # R_s, R_d, b [-, -, rad/s]
+    POSE: np.array([0.1, 0.1, 0.005]),  # [m, m, rad]
+    CALIBRATION: np.array([0.01, 0.004, 4e-4]),  # R_s, R_d, b [-, -, rad/s]
 }
-THRESHOLD_OF_OTHERS = np.array([0.4, 0.2, 0.1])  # offsets, places [m, m] and lag [s] or power [dB]; P, n, k of levels
-WALLED = 0.04  # times these between walls, which begin and end to hold a step within a few centimetres
-AGAIN = 2.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
+THRESHOLD_OF_OTHERS = np.array([0.2, 0.1, 0.05])  # offsets, places [m, m] and lag [s] or power [dB]; P, n, k of levels
+WALLED = 0.08  # times these between walls, which begin and end to hold a step within a few centimetres
+AGAIN = 4.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
 SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
 SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
 NO_VARIABLES = np.empty(0, dtype=np.intp)

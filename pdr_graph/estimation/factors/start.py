@@ -171,7 +171,8 @@ def scaled(c: Array, mean: Array) -> tuple[Array, Array]:
     """
     share, departure, slope = c[:, 0] / mean[:, 0], c - mean, np.ones((len(c), 1, 3))
     shorter = np.minimum(share, 1)
-    departure[:, 0] = np.log(shorter) + np.maximum(share, 1) - 1
+    with np.errstate(invalid="ignore"):  # a step of iSAM2 may turn a stride round: its cost is NaN, and it is not taken
+        departure[:, 0] = np.log(shorter) + np.maximum(share, 1) - 1
     slope[:, 0, 0] = 1 / (mean[:, 0] * shorter)
     return departure, slope
 
