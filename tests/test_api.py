@@ -26,7 +26,7 @@ Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, con
 contradictions=, routes=, placed=, assumed=, graph=)
 Event
 FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, prior=, \
-curvature=, native=)
+curvature=, native=, constants=)
 Fixes(time, position, sigma, floor=, epsg=, source=, speed=, course=, speed_sigma=, course_sigma=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
@@ -52,7 +52,7 @@ beacons=, access_points=)
 Sensor(accelerometer, gyroscope, magnetometer, linear_acceleration, barometer)
 Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)
-Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, rebuilds, judge)
+Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, updates, rebuilds, judge)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=, \
 stepless=, confidence=)
 TABLE

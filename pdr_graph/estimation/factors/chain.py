@@ -302,6 +302,8 @@ def increment(whole: Array, start: float, begin: float, end: float, c: Array) ->
     xx = xy = yy = 0.0
     swings = list[tuple[float, float, float]]()  # position half-way through each piece, and the variance of its turn
     for until, length, turn, along, across, of_turn, *_ in rows:
+        if until <= before:  # ends with the piece before it
+            continue
         share = (min(until, end) - max(before, begin)) / (until - before)
         seconds = min(until, end) - max(before, begin)
         before, moved, turn = until, length * share, turn * share
