@@ -52,7 +52,8 @@ beacons=, access_points=)
 Sensor(accelerometer, gyroscope, magnetometer, linear_acceleration, barometer)
 Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)
-Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, updates, rebuilds, judge)
+Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, updates, \
+rebuilds, judge)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=, \
 stepless=, confidence=)
 TABLE
