@@ -11,16 +11,13 @@ import shapely
 
 from pdr_graph.errors import expect
 from pdr_graph.types import LARGEST_HEADING, Array, Complex, Fixes, Index, Mask, Steps, Trajectory
+from pdr_graph.types import differences as differences
+from pdr_graph.types import wrap_angle as wrap_angle
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a uniformly distributed direction
-
-
-def wrap_angle(angle: Array | float) -> Array:
-    """The angle wrapped to [-π, π). [rad]"""
-    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
 def interpolate(at: Array, time: Array, values: Array) -> Array:
@@ -96,13 +93,6 @@ def as_complex(xy: Array) -> Complex:
 def as_points(xy: Complex) -> Array:
     """Complex numbers ``(n,)`` as points ``(n, 2)``."""
     return np.stack([xy.real, xy.imag], axis=1)
-
-
-def differences(poses: Array, others: Array) -> Array:
-    """Differences ``(n, m)`` of poses or states, that of headings, the third column, wrapped."""
-    apart = poses - others
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    return apart
 
 
 def compose(first: Rotation, second: Rotation) -> Rotation:

@@ -46,7 +46,9 @@ STANDARD_GRAVITY = 9.80665  # [m/s²]
 GNSS = "GNSS"  # source of fixes from a phone's receiver
 NONE: Any = ()  # a column of which nothing is known
 DECLARED_AS = "pdr_graph.column"  # in the metadata of a field: how it is declared
-ROW, KEYFRAME, TABLE = ({DECLARED_AS: declared} for declared in ("row", "keyframe", "table"))
+ROW = {DECLARED_AS: "row"}
+KEYFRAME = {DECLARED_AS: "keyframe"}
+TABLE = {DECLARED_AS: "table"}
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 UTM_32N = 32632  # EPSG code of a UTM zone [m], in which IPIN 2021 gave plans and positions
 Table = TypeVar("Table", bound=Any)
@@ -911,15 +913,15 @@ def rows_of(column: Any, index: Index) -> Any:
     return tuple(column[i] for i in index.tolist()) if isinstance(column, tuple) else take(column, index)
 
 
-def _wrapped(angle: Array) -> Array:
-    """Angles in [-π, π). [rad]"""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def wrap_angle(angle: Array | float) -> Array:
+    """The angle wrapped to [-π, π). [rad]"""
+    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
-def _pose_differences(poses: Array, others: Array) -> Array:
-    """Differences ``(n, 3)`` of poses x, y, heading."""
+def differences(poses: Array, others: Array) -> Array:
+    """Differences ``(n, m)`` of poses or states, that of headings, the third column, wrapped."""
     apart = poses - others
-    apart[:, 2] = _wrapped(apart[:, 2])
+    apart[:, 2] = wrap_angle(apart[:, 2])
     return apart
 
 
@@ -941,7 +943,7 @@ def interpolated(track: Trajectory, time: Array, between: Between | None = None)
     elapsed = track.time[after] - track.time[before]
     share = np.divide(time - track.time[before], elapsed, out=np.zeros(len(time)), where=elapsed > 0)
     rows = np.column_stack([track.position, track.heading])
-    pose = rows[before] + share[:, None] * _pose_differences(rows[after], rows[before])
+    pose = rows[before] + share[:, None] * differences(rows[after], rows[before])
     covariance = track.covariance
     if covariance is not None:
         covariance = covariance[before] + share[:, None, None] * (covariance[after] - covariance[before])
@@ -950,12 +952,12 @@ def interpolated(track: Trajectory, time: Array, between: Between | None = None)
             column.reshape(3, len(time), *column.shape[1:])
             for column in between(np.concatenate([time, track.time[before], track.time[after]]))
         )
-        pose += _pose_differences(here, i) - share[:, None] * _pose_differences(j, i)
+        pose += differences(here, i) - share[:, None] * differences(j, i)
         if covariance is not None:
             covariance += P - P_i - share[:, None, None] * (P_j - P_i)
     label = np.searchsorted(track.time, time).tolist()
     floor = tuple(track.floor[row] for row in label)
-    return Trajectory(time, pose[:, :2], _wrapped(pose[:, 2]), floor, covariance)
+    return Trajectory(time, pose[:, :2], wrap_angle(pose[:, 2]), floor, covariance)
 
 
 def take(data: Table, which: int | slice | Mask | Index) -> Table:
