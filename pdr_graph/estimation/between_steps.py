@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE
-from pdr_graph.estimation.factors.chain import Evaluation, Pieces, bridge, preintegrate, step_residuals
+from pdr_graph.estimation.factors.chain import Evaluation, Pieces, bridge, parts_of, preintegrate, step_residuals
 from pdr_graph.estimation.linear_system import Covariances, NormalEquations
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import INSTANT, Array, Between, Index
@@ -57,23 +57,12 @@ def split(pieces: Pieces, time: Array) -> tuple[Pieces, Index]:
     inside = np.abs(whole[np.clip(np.searchsorted(whole, time - INSTANT), 0, len(whole) - 1)] - time) > INSTANT
     inside &= time > pieces.keyframe_time[0] + INSTANT
     end = np.union1d(whole, time[inside]).astype(float)
-    of = np.searchsorted(whole, end)
-    turn, duration = 2 * (pieces.to_end - pieces.to_middle)
-    share = np.diff(end, prepend=pieces.keyframe_time[0]) / np.diff(whole, prepend=pieces.keyframe_time[0])[of]
-    interval = pieces.interval[of]
-    first = np.flatnonzero(np.diff(interval, prepend=-1))
-    parts = replace(
-        pieces,
-        length=pieces.length[of] * share,
-        variance=pieces.variance[of] * share[:, None],
-        interval=interval,
-        first=first,
-        last=np.append(first[1:], len(end)) - 1,
-    )
-    turn_and_time = np.stack([turn[of] * share, duration[of] * share])
-    to_end = parts.running(turn_and_time)
-    which = np.where(time > pieces.keyframe_time[0] + INSTANT, np.searchsorted(end, time - INSTANT), -1)
-    return replace(parts, to_end=to_end, to_middle=to_end - turn_and_time / 2), np.minimum(which, len(end) - 1)
+    interval = pieces.interval[np.searchsorted(whole, end)]
+    first, none = np.flatnonzero(np.diff(interval, prepend=-1)), np.empty(0, dtype=np.intp)
+    turn, begin = 2 * (pieces.to_end[0] - pieces.to_middle[0]), float(pieces.keyframe_time[0])
+    columns = np.column_stack([whole, pieces.length, turn, pieces.variance])
+    which = np.where(time > begin + INSTANT, np.searchsorted(end, time - INSTANT), -1)
+    return parts_of(columns, begin, end, interval, first, none), np.minimum(which, len(end) - 1)
 
 
 def joint_of(at: Evaluation, solution: Covariances) -> Joint:

@@ -114,7 +114,7 @@ def cut(steps: Steps, whole: Array, at: Array) -> Pieces:
     end = np.union1d(whole[:, 0], required).astype(float)
     interval, first = _intervals(np.searchsorted(required, end))
     row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
-    return _pieces(whole, start, end, interval, first, row_end)
+    return parts_of(whole, start, end, interval, first, row_end)
 
 
 def pace_changes(whole: Array, start: float, begins: bool = True) -> tuple[Array, Array]:
@@ -149,10 +149,10 @@ def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
     end = np.union1d(within, ends).astype(float)
     interval = np.searchsorted(ends, end)
     first = np.flatnonzero(np.diff(interval, prepend=-1))
-    return _pieces(whole, start, end, interval, first, np.empty(0, dtype=np.intp), begin)
+    return parts_of(whole, start, end, interval, first, np.empty(0, dtype=np.intp), begin)
 
 
-def _pieces(
+def parts_of(
     whole: Array, start: float, end: Array, interval: Index, first: Index, row_end: Index, begin: float | None = None
 ) -> Pieces:
     """Pieces that end at ``end (m,)`` [s], each a share of one whole piece; the first from ``begin``, or ``start``."""

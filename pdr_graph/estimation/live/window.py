@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
@@ -51,7 +50,6 @@ from pdr_graph.types import (
 
 Rows = TypeVar("Rows", Fixes, Headings)
 RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
-NEVER = np.empty(0, dtype=bool)
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 END, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 5, 6, 7  # columns of whole pieces
@@ -433,14 +431,6 @@ class Window:
         self.c = {segment: value for segment, value in self.c.items() if segment in kept}
         self.pace = {segment: value for segment, value in self.pace.items() if segment in kept}
 
-    def copy(self) -> Window:
-        """An independent window in the same state."""
-        other = copy(self)
-        other.keyframes, other.times = list(self.keyframes), list(self.times)
-        other.c, other.pace = dict(self.c), dict(self.pace)
-        other.intervals, other.steps = [copy(each) for each in self.intervals], copy(self.steps)
-        return other
-
     def _interval(self, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
         """The interval to keyframe j, from ``begin`` to ``end`` [s]."""
         pieces = intervals(self.steps.whole, self.steps.start, begin, np.array([end]))
@@ -521,14 +511,12 @@ class MeasurementLog:
         self.version += 1
         if self.longer is not None:
             self.longer.append(data, number)
-        count, before = max(count, int(number.max(initial=-1)) + 1), table
-        if (
-            before is not None
-            and (again := np.isin(before.number, number) if number[0] < before.count else NEVER).any()
-        ):
-            before = Table(take(before.data, ~again), before.number[~again], before.count)
-        if before is not None:
-            number, data = np.concatenate([before.number, number]), appended(before.data, data)
+        if table is not None:
+            kept, before = table.number, table.data
+            if (number < count).any() and (again := np.isin(kept, number)).any():
+                kept, before = kept[~again], take(before, ~again)
+            number, data = np.concatenate([kept, number]), appended(before, data)
+        count = max(count, int(number.max(initial=-1)) + 1)
         time = last_time(data)
         if (np.diff(time) < 0).any():
             order = np.argsort(time, kind="stable")
@@ -630,12 +618,6 @@ class MeasurementLog:
             self._keep(kind, np.isin(table.number, np.sort(table.number)[-count:]))
         if self.longer is not None:
             self.longer.keep_latest(count)
-
-    def copy(self) -> MeasurementLog:
-        """An independent log of the same rows."""
-        other = MeasurementLog()
-        other._tables, other.version = dict(self._tables), self.version
-        return other
 
     def _keep(self, kind: type, kept: Mask) -> None:
         """Drop the rows of one type that are not ``kept (n,)``."""
