@@ -1082,9 +1082,9 @@ class Schedule(Table):
     """When the live smoother refines, reviews, searches and restarts its estimate."""
 
     late: float = number(3.0, "s", "by which fixes may come late while the direction is open")
-    rounds: int = number(4, "rounds", "relinearisations after a keyframe, one with each of the next steps")
+    rounds: int = number(4, "rounds", "most updates of iSAM2 after a keyframe")
     wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe")
-    final_rounds: int = number(30, "rounds", "most linearisations at the end of the walk")
+    final_rounds: int = number(30, "rounds", "most updates at the end of the walk")
     batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again")
     batch_share: float = number(0.2, "share", "of the walk's duration, the same")
     batch_time: float = number(1.0, "s", "after which the batch's solution is adopted")
@@ -1110,7 +1110,7 @@ class Schedule(Table):
     doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked")
     doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall")
     covariance_interval: float = number(
-        5.0, "s", "between covariances of the first keyframe; rows between are interpolated"
+        5.0, "s", "between departures of keyframes from the window; covariances of rows are interpolated between"
     )
 
     def batch_delay(self, duration: float) -> float:

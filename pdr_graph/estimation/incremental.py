@@ -7,16 +7,17 @@ is a ``gtsam.CustomFactor`` with the residual and the derivatives of its block; 
 evaluation of the walk. A factor that is another one than before (an outlier, other walls, another sigma) is replaced.
 
 What marginalisation leaves is linear about the variables at the edge of the window, which iSAM2 holds at their
-linearisation point from then on. Where one of them moves beyond its threshold all the same, iSAM2 is begun anew, with
+linearisation point from then on. Where one of them moves several thresholds all the same, iSAM2 is begun anew, with
 the marginal as a factor like the others (`MarginalFactor`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import (
@@ -26,17 +27,15 @@ from pdr_graph.estimation.factors.base import (
     FactorBlock,
     RobustLoss,
     State,
-    extract,
     insert,
     key,
 )
+from pdr_graph.estimation.factors.gtsam_export import unit_noise
 from pdr_graph.estimation.factors.marginal import MarginalFactor
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask
 
 if TYPE_CHECKING:
-    import gtsam
-
     from pdr_graph.estimation.graph import WalkGraph
 
 STAYS, LEAVES = 1e9, 0.0  # timestamps of the fixed-lag smoother: the window says who leaves, not a lag of its own
@@ -49,7 +48,6 @@ WALLED = 0.08  # times these between walls, which begin and end to hold a step w
 AGAIN = 4.0  # thresholds beyond which the update is repeated at once; below, a move changes others by its square
 SAME = 0.02  # [σ] by which rows of a factor may differ from those that iSAM2 has, and as a share of the largest, /20
 SYMBOLS = "abcdefghijklmnopqrstuvwxyz"
-NO_VARIABLES = np.empty(0, dtype=np.intp)
 
 Name = tuple[str, tuple[str, ...]]  # of a block: its kind and the symbols of its variables
 Identity = tuple[int, ...]  # of a factor in its block: its number, and the keys of its variables
@@ -59,24 +57,21 @@ class IncrementalSmoother:
     """iSAM2 with the factors of a walk; begins with all of them, at its start.
 
     least: information that each number of a variable has beyond the factors, for those that they do not determine.
-    walk: whose factors it has; point: at which they are linearised; cost: of them there; estimate: of all variables;
-    updates: number of updates of iSAM2.
+    walk: whose factors it has; point: at which they are linearised; cost: of them there; estimate: of the variables of
+    this walk that have not left.
     Raises RuntimeError, here and in all methods, if the factors do not determine all variables or are not finite.
     """
 
     def __init__(self, walk: WalkGraph, least: float = 0.0):
-        import gtsam
-
         self._least = least
         self._scale = WALLED if walk.walled else 1.0
         self._smoother = gtsam.IncrementalFixedLagSmoother(1.0, _parameters(self._scale))
         self._slots = dict[tuple[Name, Identity], int]()
         self._rows = dict[Name, FactorRows]()  # at the point of linearisation
         self._fresh: dict[Name, FactorRows] | None = None  # at the point of the update under way
-        self._known = dict[str, Index]()  # numbers of iSAM2's variables, ascending
-        self._fixed = set[int]()  # keys of those that the marginal holds at their point
-        self.walk, self.updates, self.cost = walk, 0, 0.0
-        self.point = self.estimate = walk.start
+        self._fixed = set[int]()  # keys of the variables that the marginal holds at their point
+        self.walk, self.cost = walk, 0.0
+        self.point = self.estimate = State({})
         self.update(walk)
 
     def update(self, walk: WalkGraph) -> None:
@@ -84,9 +79,7 @@ class IncrementalSmoother:
 
         New variables begin at the walk's start.
         """
-        import gtsam
-
-        self.point = _continued(walk.start, self.point, self._known)
+        known, self.point = _keys(self.point), walk.start.at(self.point)
         now = self._evaluated(walk, self.point)
         graph, removed, added, slots = gtsam.NonlinearFactorGraph(), list[int](), list[tuple[Name, Identity]](), {}
         for name, rows in now.items():
@@ -101,44 +94,32 @@ class IncrementalSmoother:
         removed = sorted(slot for each, slot in self._slots.items() if each not in slots)
         values, stamps = gtsam.Values(), dict[int, float]()
         for symbol, variables in self.point.arrays.items():
-            number = self.point.number(symbol)
-            known = set(self._known.get(symbol, NO_VARIABLES).tolist())
-            for n, of in enumerate(number.tolist()):
-                if of not in known:
-                    insert(values, symbol, key(symbol, of), variables[n])
-                    stamps[key(symbol, of)] = STAYS
+            for variable_key, variable in zip(self.point.keys(symbol).tolist(), variables, strict=True):
+                if variable_key not in known:
+                    insert(values, symbol, variable_key, variable)
+                    stamps[variable_key] = STAYS
                     if self._least:
-                        graph.add(_prior(symbol, key(symbol, of), variables[n], self._least))
-        present = {symbol: np.sort(self.point.number(symbol)) for symbol in self.point.arrays}
-        gone = _keys(self._known) - _keys(present)
-        self.walk, self._slots, self._rows, self._known = walk, slots, now, _joined(self._known, present)
+                        graph.add(_prior(symbol, variable_key, variable, self._least))
+        self.walk, self._slots, self._rows = walk, slots, now
         self._run(graph, values, stamps, removed)
         index = self._smoother.getISAM2Result().getNewFactorsIndices()
         self._slots |= {each: int(index[n]) for n, each in enumerate(added)}
         # iSAM2 has dropped the variables without a factor; those that the marginal still binds are marginalised
-        if bound := [variable for variable in sorted(gone) if self._smoother.getISAM2().valueExists(variable)]:
-            self._known = _without(self._known, gone - set(bound))
-            self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), dict.fromkeys(bound, LEAVES), [])
-        self._known = present
+        isam, gone = self._smoother.getISAM2(), sorted(known - _keys(self.point))
+        if bound := [variable_key for variable_key in gone if isam.valueExists(variable_key)]:
+            self._marginalize(bound)
         self._read()
 
     def again(self) -> None:
         """Update once more without new factors."""
-        import gtsam
-
         self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, [])
         self._read()
 
     def leave(self, leaving: Iterable[tuple[str, int]]) -> None:
         """Marginalise variables, given by symbol and number; their factors are those of the present walk."""
-        import gtsam
-
-        stamps = {key(*name): LEAVES for name in leaving}
-        self._slots = {each: slot for each, slot in self._slots.items() if stamps.keys().isdisjoint(each[1][1:])}
-        self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), stamps, [])
-        self._known = _without(self._known, stamps)
-        fixed = self._smoother.getISAM2().getFixedVariables()
-        self._fixed = {each for each in _keys(self._known) if fixed.count(each)}
+        keys = {key(*name) for name in leaving}
+        self._slots = {each: slot for each, slot in self._slots.items() if keys.isdisjoint(each[1][1:])}
+        self._marginalize(keys)
         self._read()
 
     @property
@@ -148,7 +129,7 @@ class IncrementalSmoother:
 
     @property
     def stale(self) -> bool:
-        """True if a variable that the marginal holds has gone beyond its threshold: iSAM2 is to be begun anew."""
+        """True if a variable that the marginal holds has moved so far: iSAM2 is to be begun anew."""
         return self._farthest(held=True) > AGAIN
 
     def joint(self, *groups: tuple[str, Index]) -> Array:
@@ -169,8 +150,6 @@ class IncrementalSmoother:
 
     def marginals(self) -> list[MarginalFactor]:
         """The factors that marginalisation has left, about the point at which they hold."""
-        import gtsam
-
         factors, found = self._smoother.getFactors(), list[MarginalFactor]()
         for factor in map(factors.at, range(factors.size())):
             if isinstance(factor, gtsam.LinearContainerFactor):
@@ -188,7 +167,12 @@ class IncrementalSmoother:
         """One update of iSAM2."""
         self._fresh = None
         self._smoother.update(graph, values, stamps, removed)
-        self.updates += 1
+
+    def _marginalize(self, keys: Iterable[int]) -> None:
+        """Marginalise variables; those at the edge of what is left are held at their point from then on."""
+        self._run(gtsam.NonlinearFactorGraph(), gtsam.Values(), dict.fromkeys(keys, LEAVES), [])
+        fixed = self._smoother.getISAM2().getFixedVariables()
+        self._fixed = {each for each in _keys(self.point) if fixed.count(each)}
 
     def _read(self) -> None:
         """Read linearisation point and estimate."""
@@ -197,15 +181,7 @@ class IncrementalSmoother:
 
     def _state(self, values: gtsam.Values) -> State:
         """The variables of the walk in ``values``, in its order."""
-        arrays, numbers = dict[str, Array](), dict[str, Index]()
-        for symbol, number in self.walk.start.numbers.items():
-            known = self._known.get(symbol, NO_VARIABLES)
-            place = np.searchsorted(known, number)
-            there = known[np.minimum(place, len(known) - 1)] == number if len(known) else np.zeros(len(number), bool)
-            numbers[symbol] = number if there.all() else number[there]
-            rows = extract(values, symbol) if len(known) else np.empty((0, 3))
-            arrays[symbol] = rows[place if there.all() else place[there]]
-        return State(arrays, numbers)
+        return self.walk.start.among(State.of_values(values))
 
     def _farthest(self, held: bool) -> float:
         """The longest way of a variable from its point, in thresholds; of those that are held, or of the others."""
@@ -235,8 +211,6 @@ class IncrementalSmoother:
 
     def _custom(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
         """Factor ``n`` of a block for iSAM2, where GTSAM has none."""
-        import gtsam
-
         identity, rows = factors.identity[n], factors.most[n]
 
         def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
@@ -281,7 +255,7 @@ class FactorRows:
         self.most: list[int] = counts.tolist()
         self._robust = block.loss if isinstance(block.loss, RobustLoss) else None
         self._outlier = [False] * len(block) if self._robust is None else self._robust.outlier.tolist()
-        if self._robust is None and block.loss.noise(0, _unit(1)) is None:  # GTSAM does not have the loss
+        if self._robust is None and block.loss.noise(0, unit_noise(1)) is None:  # GTSAM does not have the loss
             self._rows *= np.sqrt(block.weight)[block.row_of, None]
         self._each = block.rows_each
         self._last = list[Array | None]([None] * len(block))  # as iSAM2 linearised them
@@ -299,7 +273,7 @@ class FactorRows:
 
     def noise(self, n: int) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of a factor: its rows are whitened."""
-        unit = _unit(self.most[n])
+        unit = unit_noise(self.most[n])
         return unit if self._robust is None else self._robust.noise(n, unit)
 
     def linearized(self, identity: Identity, rows: Array) -> None:
@@ -341,53 +315,17 @@ def _alike(now: Array, last: Array) -> Mask:
     return np.abs(now - last).max(axis=(1, 2)) < SAME * (1 + np.abs(now).max(axis=(1, 2)) / 20)
 
 
-def _keys(numbers: dict[str, Index]) -> set[int]:
-    """The keys of variables."""
-    return {key(symbol, number) for symbol, of_symbol in numbers.items() for number in of_symbol.tolist()}
-
-
-def _joined(one: dict[str, Index], other: dict[str, Index]) -> dict[str, Index]:
-    """Numbers of one or the other, ascending, by symbol."""
-    return {
-        symbol: np.union1d(one.get(symbol, NO_VARIABLES), other.get(symbol, NO_VARIABLES))
-        for symbol in {**one, **other}
-    }
-
-
-def _without(numbers: dict[str, Index], keys: Container[int]) -> dict[str, Index]:
-    """The numbers of the variables without these keys."""
-    return {s: of[[key(s, number) not in keys for number in of.tolist()]] for s, of in numbers.items()}
-
-
-def _continued(start: State, point: State, known: dict[str, Index]) -> State:
-    """The variables of ``start``, at ``point`` where they are known."""
-    arrays = dict[str, Array]()
-    for symbol, rows in start.arrays.items():
-        arrays[symbol] = rows
-        if len(known.get(symbol, ())):
-            order = np.argsort(point.number(symbol))
-            number = point.number(symbol)[order]
-            place = np.minimum(np.searchsorted(number, start.number(symbol)), len(number) - 1)
-            there = number[place] == start.number(symbol)
-            arrays[symbol] = np.where(there[:, None], point[symbol][order[place]], rows)
-    return State(arrays, start.numbers)
+def _keys(state: State) -> set[int]:
+    """The keys of all variables."""
+    return {variable_key for symbol in state.arrays for variable_key in state.keys(symbol).tolist()}
 
 
 def _prior(symbol: str, variable_key: int, value: Array, information: float) -> gtsam.NonlinearFactor:
     """A weak prior of a variable ``(3,)``."""
-    import gtsam
-
     noise = gtsam.noiseModel.Isotropic.Precision(3, information)
     if symbol == POSE:
         return gtsam.PriorFactorPose2(variable_key, gtsam.Pose2(*value), noise)
     return gtsam.PriorFactorVector(variable_key, value, noise)
-
-
-@cache
-def _unit(rows: int) -> gtsam.noiseModel.Unit:
-    import gtsam
-
-    return gtsam.noiseModel.Unit.Create(rows)
 
 
 def _threshold(symbol: str) -> Array:
@@ -398,8 +336,6 @@ def _threshold(symbol: str) -> Array:
 @cache
 def _parameters(scale: float) -> gtsam.ISAM2Params:
     """Of iSAM2: thresholds per symbol, and a variable is examined at each update."""
-    import gtsam
-
     parameters, thresholds = gtsam.ISAM2Params(), gtsam.ISAM2ThresholdMap()
     for symbol in SYMBOLS:
         thresholds.insert((symbol, scale * _threshold(symbol)))

@@ -142,7 +142,7 @@ def contradictions_of(
     """
     found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
     if (ways := ways_among(graph.at.measurements)) is not None:
-        found = (*found, *ways.contradictions(graph.at, graph.solution))
+        found = (*found, *ways.contradictions(graph.at, graph.isam))
         outdoors = np.zeros(len(rows)) if plan is None else distance_to_box(rows.position, *plan.corners)
         rows = rows[outdoors == 0]  # ways beside the plan are no evidence against it
     if restarts := smoother.ambiguity.restarts:

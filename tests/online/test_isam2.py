@@ -108,7 +108,7 @@ def test_between_walls_pose_and_sigma_are_those_of_the_optimum():
         optimum = optimizer.optimize(walk, walk.start, 1e-8)
         end = ("x", np.array([len(walk.start.poses) - 1]))
         apart.append(np.hypot(*(optimum.state.poses[-1] - graph.at.state.poses[-1])[:2]))
-        sigmas = [np.sqrt(np.trace(one.joint(end)[0][:2, :2])) for one in (graph.solution, optimum.solution)]
+        sigmas = [np.sqrt(np.trace(one.joint(end)[0][:2, :2])) for one in (graph.isam, optimum.solution)]
         ratio.append(sigmas[0] / sigmas[1])
     assert len(ratio) > 10
     assert np.percentile(apart, 95) < 0.02

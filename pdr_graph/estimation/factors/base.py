@@ -186,7 +186,7 @@ class State:
 
     def to_values(self) -> gtsam.Values:
         """All variables as ``gtsam.Values``."""
-        import gtsam  # here, as wherever GTSAM is used: it is slow to load, and only the export needs it
+        import gtsam  # here, since it is slow to load and batch smoothing does without
 
         values = gtsam.Values()
         for symbol, rows in self.arrays.items():
@@ -194,19 +194,44 @@ class State:
                 insert(values, symbol, variable_key, vector)
         return values
 
+    @classmethod
+    def of_values(cls, values: gtsam.Values) -> State:
+        """All variables in ``gtsam.Values``, in order of their numbers."""
+        keys = np.array(sorted(values.keys()), dtype=np.int64)
+        symbols, numbers = keys >> 56, keys & KEY_NUMBER
+        numbers = {chr(code): numbers[symbols == code] for code in np.unique(symbols).tolist()}
+        return cls({symbol: extract(values, symbol) for symbol in numbers}, numbers)
+
     def updated(self, values: gtsam.Values) -> State:
         """Copy the estimates of all variables that ``values`` has."""
-        keys, arrays = np.array(sorted(values.keys()), dtype=np.int64), dict(self.arrays)
-        symbols, numbers = keys >> 56, keys & KEY_NUMBER
+        return self.at(State.of_values(values))
+
+    def at(self, other: State) -> State:
+        """These variables, where ``other`` has them with its estimates."""
+        arrays = dict[str, Array]()
         for symbol, rows in self.arrays.items():
-            order = np.argsort(self.number(symbol))
-            present = numbers[symbols == ord(symbol)]
-            if len(present):
-                place = np.minimum(np.searchsorted(self.number(symbol)[order], present), len(order) - 1)
-                known = self.number(symbol)[order][place] == present
-                arrays[symbol] = rows.copy()
-                arrays[symbol][order[place[known]]] = extract(values, symbol)[known]
+            there, place = self._places(symbol, other)
+            arrays[symbol] = rows.copy()
+            arrays[symbol][there] = other.arrays.get(symbol, rows)[place]
         return replace(self, arrays=arrays)
+
+    def among(self, other: State) -> State:
+        """Those of these variables that ``other`` has, with its estimates."""
+        arrays, numbers = dict[str, Array](), dict[str, Index]()
+        for symbol, rows in self.arrays.items():
+            there, place = self._places(symbol, other)
+            arrays[symbol], numbers[symbol] = other.arrays.get(symbol, rows)[place], self.number(symbol)[there]
+        return State(arrays, numbers)
+
+    def _places(self, symbol: str, other: State) -> tuple[Mask, Index]:
+        """Which of the variables ``(n,)`` of a symbol another state has, and the rows of these there."""
+        number, of = self.number(symbol), other.number(symbol) if symbol in other.arrays else np.empty(0, dtype=np.intp)
+        if not len(of):
+            return np.zeros(len(number), dtype=bool), np.empty(0, dtype=np.intp)
+        order = np.argsort(of)
+        place = order[np.minimum(np.searchsorted(of, number, sorter=order), len(of) - 1)]
+        there = of[place] == number
+        return there, place[there]
 
 
 def rotated(poses: Array, angle: float, pivot: Array) -> Array:

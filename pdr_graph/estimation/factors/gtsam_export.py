@@ -23,7 +23,7 @@ from pdr_graph.types import Array
 
 ROUNDING = 1e-9  # of a cost, relative and absolute
 
-_unit_noise = cache(gtsam.noiseModel.Unit.Create)  # by number of rows
+unit_noise = cache(gtsam.noiseModel.Unit.Create)  # by number of rows
 
 
 class FactorError(RuntimeError):
@@ -170,13 +170,13 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
     variables = [
         _Variable(int(state.keys(symbol, which)[n]), symbol, int(which[n])) for symbol, which in block.variables
     ]
-    noise = block.loss.noise(n, _unit_noise(rows))
+    noise = block.loss.noise(n, unit_noise(rows))
 
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.block(values, position, variables)
         return now.factor(number, rows) if noise else now.with_loss(number, rows + 1)
 
-    return guarded(block.name, noise or _unit_noise(rows + 1), [variable.key for variable in variables], linearized)
+    return guarded(block.name, noise or unit_noise(rows + 1), [variable.key for variable in variables], linearized)
 
 
 def guarded(

@@ -27,7 +27,6 @@ from pdr_graph.estimation.factors.start import (
 )
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.incremental import IncrementalSmoother
 from pdr_graph.estimation.linear_system import RESCUING, NormalEquations
 from pdr_graph.estimation.live.finalization import Excess, FinalizedTrajectory
 from pdr_graph.estimation.live.window import (
@@ -42,12 +41,13 @@ from pdr_graph.estimation.live.window import (
     merged_decisions,
 )
 from pdr_graph.estimation.optimizer import descended
-from pdr_graph.floor.building import Building
-from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.geometry import differences, pose_rotation
 from pdr_graph.priors import SCHEDULE, SEARCH
 from pdr_graph.types import Array, Index, row_columns, take
 
 if TYPE_CHECKING:
+    from pdr_graph.estimation.incremental import IncrementalSmoother
     from pdr_graph.floor.paths import PathNetwork
 
 MOST_REASONS = 100  # reasons that are kept
@@ -62,8 +62,8 @@ class LiveGraph:
     leaving_after: the lag in force, infinite until the walk is placed [s]; marginals: of variables that have left;
     c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind, never
     changed in place, since copies and open questions have them too; too_late: number of measurements from before the
-    window; excess: what the stated covariance has beside that of the factors; failures: why
-    iSAM2 was begun anew; updates: number of updates of iSAM2, or beginnings.
+    window; excess: what the stated covariance has beside that of the factors; failures: why iSAM2 was rebuilt;
+    updates: number of updates of iSAM2, or beginnings.
     """
 
     def __init__(
@@ -181,15 +181,15 @@ class LiveGraph:
 
     def _built(self) -> WalkGraph:
         window = self.window
-        chain, kinds, state = self._kinds()
+        floors = window.floors()
+        chain, kinds, state = self._kinds(floors)
         self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
         self._add_priors(chain, state, tuple(kinds))
         measurements, prior, steps = (*kinds, *self.marginals), self.prior_in_force, window.steps.steps
-        floors = window.floors()
         return WalkGraph.under_way(steps, chain, measurements, state, prior, floors, self._priors, self._equations)
 
-    def _kinds(self) -> tuple[Chain, list[Measurement], State]:
-        """The chain of the window, its measurement kinds but for marginals, and its variables."""
+    def _kinds(self, floors: FloorSequence | None) -> tuple[Chain, list[Measurement], State]:
+        """The chain of the window, its measurement kinds without marginals, its variables; floors: of its pieces."""
         window, chain = self.window, self.window.chain()
         steps = window.steps.steps
         if self._measured_at != (measured_at := (self.log.version, window.finished)):
@@ -204,7 +204,6 @@ class LiveGraph:
         kinds.append(calibration_prior(dict.fromkeys(begins, self.c_prior), self.prior.change))
         if chain.number[0] == self._hold[0]:
             kinds.append(self._hold[1])
-        floors = window.floors()
         if (walls := window.walls(floors)) is not None:
             kinds.append(walls)
         if window.intervals and self.prior.corridors and floors is not None:
@@ -216,7 +215,7 @@ class LiveGraph:
     def _marginalize(self, left: Evaluation) -> None:
         """Let iSAM2 marginalise the variables that the window does not have any more; the marginal has their priors."""
         own = left.state.arrays.keys() <= {POSE, CALIBRATION}
-        state = self.window.state(self.window.chain()) if own else self._kinds()[2]
+        state = self.window.state(self.window.chain()) if own else self._kinds(self.window.floors())[2]
         present = set(_names(state))
         leaving = [name for name in _names(left.state) if name not in present]
         gone = set(leaving)
@@ -272,26 +271,23 @@ class LiveGraph:
         furthest = np.abs(estimate.poses - before.poses)[:, :2].max() if walk.walled and same else 0.0
         if furthest > SEARCH.longest_move:
             share, moves = SEARCH.longest_move / furthest, {s: estimate[s] - before[s] for s in estimate.arrays}
-            moves[POSE][:, 2] = wrap_angle(moves[POSE][:, 2])
+            moves[POSE] = differences(estimate.poses, before.poses)
             near = estimate.replaced(**{s: before[s] + share * move for s, move in moves.items()})
             self._at = walk.evaluate(near)
             self.window.read(near)
 
-    def solve(self, updates: int = 1) -> bool:
-        """Update iSAM2 so often, first with all measurements; False if it was at the optimum before."""
-        done = 0
+    def solve(self, updates: int = 1) -> None:
+        """Update iSAM2 with all measurements, and again up to ``updates`` times while its estimate moves."""
         if self._isam is not None and self._at is not None and self._at.state is not self._isam.estimate:
             self._at = None  # it was approached
             self._read()
-        while done < updates:
+        for _ in range(updates):
             if self._isam is None or self._isam.walk is not self.factors:
                 self._update()
             elif self._isam.stale or not self._isam.converged:
                 self._update(again=True)
             else:
                 break
-            done += 1
-        return done > 0
 
     def _update(self, again: bool = False) -> None:
         """Update iSAM2 with the present factors, or with the factors that it has; rebuild it where it cannot go on."""
@@ -336,7 +332,6 @@ class LiveGraph:
         try:
             self._begin(searched(self.frozen()))
         except (RuntimeError, IndexError, np.linalg.LinAlgError):
-            self._isam = None
             self.restart(self.leaving_after)
             self._begin(searched(self.factors))
 
@@ -405,11 +400,6 @@ class LiveGraph:
         return self._at
 
     @property
-    def solution(self) -> IncrementalSmoother:
-        """iSAM2, which gives joint covariances."""
-        return self.isam
-
-    @property
     def cost(self) -> float:
         """Half the sum of squared, robustly weighted residuals of the window."""
         return self.at.cost - sum(block.cost for block in self.at.blocks_of(MarginalFactor.name))
@@ -422,18 +412,16 @@ class LiveGraph:
         """Covariance ``(3, 3)`` of the n-th keyframe by the factors, in the output axes."""
         row = n % len(self.window.keyframes)
         R = pose_rotation(self.at.state.poses[[row], 2])[0]
-        return R @ self.solution.joint((POSE, np.array([row])))[0] @ R.T
+        return R @ self.isam.joint((POSE, np.array([row])))[0] @ R.T
 
     def calibration_covariance(self) -> Array:
         """Covariances ``(s, 3, 3)`` of the calibrations in the window."""
-        return self.solution.joint((CALIBRATION, np.arange(len(self.at.state.c))))
+        return self.isam.joint((CALIBRATION, np.arange(len(self.at.state.c))))
 
     # Keyframes out
 
     def _leave(self, count: int) -> None:
         """Marginalise the first ``count`` keyframes; their rows and reports are finalised."""
-        if not count:
-            return
         window, until = self.window, self.window.times[count]
         if min(self._arrivals, default=until) < until:  # a late measurement is of the past
             self._update()
@@ -505,6 +493,8 @@ class LiveGraph:
 
 def _begun(walk: WalkGraph) -> IncrementalSmoother:
     """iSAM2 with a walk; variables that its factors do not determine are held a little where they are."""
+    from pdr_graph.estimation.incremental import IncrementalSmoother  # here, since GTSAM is slow to load
+
     for least in RESCUING[:-1]:
         with suppress(RuntimeError):
             return IncrementalSmoother(walk, least)

@@ -401,7 +401,7 @@ class LiveOutput:
         """State of the last keyframe and its calibration, on the most probable way."""
         graph, window = self.graph, self.graph.window
         if self._last is None or self._last[0] is not graph.at:
-            joint, solution = np.zeros((6, 6)), graph.solution
+            joint, solution = np.zeros((6, 6)), graph.isam
             last, c = (POSE, np.array([len(window.pose) - 1])), (CALIBRATION, np.array([len(graph.at.state.c) - 1]))
             if window.intervals:
                 joint = solution.joint(last, c)[0]
@@ -435,7 +435,7 @@ class LiveOutput:
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
         time = np.concatenate([interval.row_time for interval in window.intervals])
-        covariance = covariance_of_ends(at, graph.solution, which)[1:] + graph.excess.at(time)
+        covariance = covariance_of_ends(at, graph.isam, which)[1:] + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
         if window.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):
@@ -446,7 +446,7 @@ class LiveOutput:
     def poses_at(self, time: Array) -> tuple[Array, Array]:
         """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` at times ``(n,)`` [s] between keyframes of the window."""
         graph = self.graph
-        joint = joint_of(graph.at, graph.solution)
+        joint = joint_of(graph.at, graph.isam)
         pose, covariance = poses_between(graph.at, joint, graph.window.prior.mean, time)
         return pose, covariance + graph.excess.at(time)
 
