@@ -35,6 +35,8 @@ from pdr_graph.apps.lifelog.cache import content_hash
 from pdr_graph.apps.lifelog.observation import Observation
 from pdr_graph.apps.lifelog.store import Entry, Store
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.linear_system import one_thread
+from pdr_graph.estimation.optimizer import CONVERGED, optimize
 from pdr_graph.frames import enu
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.lab.simulation.recorders import write
@@ -335,6 +337,70 @@ METHODS = {
 }
 SLOW = (custom_factors, incremental)
 
+# Engines: the batch solver, and GTSAM with the same factors from the same start
+
+ENGINES = ((2000, EVERY), (7000, EVERY), (7000, 2))  # steps, and steps between fixes
+MOST_UPDATES = 20  # of iSAM2
+
+
+@one_thread
+def engine_rows():
+    """CPU time of an iteration, of its elimination without the factors, and of the search for the optimum."""
+    rows = []
+    for count, every in ENGINES:
+        graph = WalkGraph(*walk(count, every))
+        at, exported = graph.evaluate(graph.start), graph.to_gtsam()
+        system, values = graph.normal_equations(at), graph.initial_values()
+        linear = exported.linearize(values)
+        ours = best_of(lambda at=at, system=system: system.assembled(at).step())
+        rows.append(engine_row("elimination", count, every, ours, best_of(linear.optimize)))
+        ours = best_of(lambda graph=graph, system=system: system.assembled(graph.evaluate(graph.start)).step())
+        theirs = best_of(lambda exported=exported, values=values: exported.linearize(values).optimize())
+        rows.append(engine_row("an iteration, Python callbacks", count, every, ours, theirs))
+        if every != EVERY:
+            continue  # minutes
+        ours = best_of(lambda graph=graph: optimize(graph, graph.start))
+        for name, search in {"LevenbergMarquardtOptimizer": levenberg_marquardt, "iSAM2": isam2}.items():
+            theirs, cost = _seconds(search, exported, values)
+            least = optimize(graph, graph.start).at.cost
+            name = f"the search by {name}, to a cost {cost - least:+.1f} of ours"
+            rows.append(engine_row(name, count, every, ours, theirs))
+    return table(["what", "steps, fix", "batch solver [ms]", "GTSAM [ms]", "ratio"], rows)
+
+
+def engine_row(what, count, every, ours, theirs):
+    """A row of the table; ours, theirs: CPU time [s]."""
+    times = [f"{1000 * seconds:.3g}" for seconds in (ours, theirs)]
+    return [what, f"{count}, every {every} steps", *times, f"{theirs / ours:.2g}"]
+
+
+def best_of(function):
+    """The least CPU time of some runs [s]."""
+    return min(_seconds(function)[0] for _ in range(RUNS))
+
+
+def levenberg_marquardt(graph, values):
+    """The least cost that GTSAM's optimiser finds."""
+    import gtsam
+
+    return graph.error(gtsam.LevenbergMarquardtOptimizer(graph, values).optimize())
+
+
+def isam2(graph, values):
+    """The cost where iSAM2 stops: all factors in one update, and updates while its estimate lowers the cost."""
+    import gtsam
+
+    isam = gtsam.ISAM2()
+    isam.update(graph, values)
+    cost = graph.error(isam.calculateEstimate())
+    for _ in range(MOST_UPDATES):
+        isam.update()
+        before, cost = cost, graph.error(isam.calculateEstimate())
+        if not before - cost > CONVERGED * (1 + cost):
+            break
+    return cost
+
+
 # Scaling
 
 SCALES = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)  # steps
@@ -561,6 +627,7 @@ if __name__ == "__main__":
     sections = {
         "hour": hour_rows,
         "rivals": rival_rows,
+        "engines": engine_rows,
         "scaling": scaling_rows,
         "live": live_rows,
         "lifelog": lifelog_rows,
