@@ -1,19 +1,22 @@
 """Make the tables of docs/results/ again, and docs/accuracy.md from them.
 
-    scripts/reproduce [NAME ...] [--quick] [--only WORDS [--walks N] [--development]] [--write | --check]
+    scripts/reproduce [NAME ...] [--quick] [--only WORDS [--walks N] [--development]] [--write | --check [--sample N]]
 
 Without a NAME all are made. --quick: those that take some minutes in all. --check: say which cells differ from the
-pages beyond their interval or tolerance (TOLERANCES in scripts/tables.py); exit 1 then. --only: rows of live, integrity
-and integrity-live whose name has one of the words (with commas between them), or tables of settings. --walks: simulated
-walks of each row. --development: simulated walks for tuning, not those of the published tables.
+pages beyond their interval or tolerance (TOLERANCES in scripts/tables.py); exit 1 then. --sample: of N cells that the
+commit draws at random, from tables that take minutes or whose rows are made alone. --only: rows of live, integrity and
+integrity-live whose name has one of the words (commas between them), or tables of settings. --walks: simulated walks of
+each row. --development: simulated walks for tuning, not those of the published tables.
 Real recordings are in ../shared/data or $PDR_GRAPH_DATA; scripts/data.py fetches them.
 """
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from random import Random
 
 import accuracy_page
 import gait
@@ -24,19 +27,20 @@ import paths
 import recordings
 import settings
 from conditions import DATA
-from tables import DIFFERENCES, HELD_BACK, timed
+from tables import DIFFERENCES, DOCS, HELD_BACK, MACHINE, NUMBER, SAMPLED, cells_of, commit, published, timed
 
 
 @dataclass(frozen=True)
 class Made:
     """How a table is made.
 
-    some: whether ``make`` takes words of rows, number of walks and first seed; quick: True if it takes less than two
-    minutes, or a function that makes the part of it which does.
+    some: whether ``make`` takes words of rows, number of walks and first seed; alone: its table whose rows are chosen
+    by their second cell; quick: True if it takes less than two minutes, or a function that makes the part which does.
     """
 
     make: Callable
     some: bool = False
+    alone: str = ""
     quick: bool | Callable = False
 
 
@@ -49,15 +53,44 @@ TABLES = {  # in the order of docs/results/index.md
     "microsoft": Made(lambda: recordings.microsoft(DATA), quick=True),
     "recordings": Made(lambda: recordings.every_recording(DATA)),
     "strangers": Made(lambda: recordings.strangers(DATA), quick=True),
-    "live": Made(lambda *rows: live.live(DATA, *rows), some=True),
-    "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True),
-    "integrity-live": Made(integrity.integrity_live, some=True),
+    "live": Made(lambda *rows: live.live(DATA, *rows), some=True, alone="live"),
+    "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True, alone="integrity"),
+    "integrity-live": Made(integrity.integrity_live, some=True, alone="integrity live"),
     "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "lifelog": Made(lifelog.lifelog),
     "settings": Made(lambda words=(), *_: settings.settings(DATA, words), some=True, quick=quick_settings),
 }
+
+
+def sampled(count, names):
+    """Some published cells with a number, as table's name and cell; the present commit draws them."""
+    cells = []
+    for name in names:
+        document, made = f"results/{name}.md", TABLES[name]
+        markers = (
+            re.findall(r"<!-- ([^/].*?) -->", (DOCS / document).read_text()) if made.quick is True else [made.alone]
+        )
+        for marker in filter(None, markers):
+            first = published(document, marker)[0]  # a second one has sums over all rows
+            for (row, column), cell in cells_of([first]).items():
+                if NUMBER.search(cell) and not row.startswith(cell) and not any(word in column for word in MACHINE):
+                    cells.append((name, (document, marker, row, column)))
+    return Random(commit()).sample(cells, min(count, len(cells)))
+
+
+def check_sample(count, names):
+    """Make the rows of some cells again, and compare these cells."""
+    chosen = sampled(count, names)
+    SAMPLED.update(cell for _, cell in chosen)
+    for name in dict.fromkeys(name for name, _ in chosen):
+        rows = sorted({row for of, (_, _, row, _) in chosen if of == name})
+        print(f"{name}: {'; '.join(rows)}", file=sys.stderr)
+        if TABLES[name].alone:
+            TABLES[name].make([f"={row.split(', ', 1)[1]}" for row in rows], None, HELD_BACK)
+        else:
+            TABLES[name].make()
 
 
 def busy():
@@ -74,6 +107,7 @@ def main():
     parser.add_argument("--development", action="store_true")
     parser.add_argument("--write", action="store_true", help="into the page, and the time into docs/results/index.md")
     parser.add_argument("--check", action="store_true", help="print the cells that differ from the page; write nothing")
+    parser.add_argument("--sample", type=int, metavar="N", help="with --check: N cells that the commit draws")
     options = parser.parse_args()
     if unknown := set(options.names) - set(TABLES):
         parser.error(f"no table is named {' or '.join(sorted(unknown))}; there are {', '.join(TABLES)}")
@@ -87,8 +121,13 @@ def main():
         parser.error("--check compares whole tables and writes nothing")
     if partial and options.write and names != ["settings"]:
         parser.error("--write needs all rows and the walks of the published table")
+    if options.sample and (partial or not options.check):
+        parser.error("--sample needs --check, and no rows by name")
     if not DATA.is_dir():
         print(f"no recordings at {DATA}: set PDR_GRAPH_DATA, or fetch them by scripts/data.py", file=sys.stderr)
+    if options.sample:
+        check_sample(options.sample, names)
+        names = []
     for name in names:
         began = busy()
         if partial:
@@ -101,7 +140,8 @@ def main():
     if options.write:
         accuracy_page.accuracy_page()
     if options.check:
-        print("\n".join([*DIFFERENCES, f"{len(DIFFERENCES)} differences in {', '.join(names)}"]))
+        where = f"{options.sample} cells" if options.sample else ", ".join(names)
+        print("\n".join([*DIFFERENCES, f"{len(DIFFERENCES)} differences in {where}"]))
         sys.exit(bool(DIFFERENCES))
 
 

@@ -15,6 +15,7 @@ TOLERANCES = {"[m]": (0.1, 0.1), "[deg]": (0.1, 2.0), "%": (0.0, 5.0), " of ": (
 OTHERWISE = (0.1, 0.1)
 MACHINE = ("CPU", "wall", "[ms]")  # in the names of columns that depend on the machine; they are not checked
 DIFFERENCES = []  # found under --check
+SAMPLED = set()  # under --sample: document, table, row and column of the cells that are compared, all others are not
 LEFT_OUT = {  # by table, what its page leaves out: columns, and rows that match
     "live": (
         ("walks", "places"),
@@ -82,6 +83,13 @@ def commit():
 def differences(document, name, text):
     """Lines that say which cells of a new text differ from the page beyond their interval, or their tolerance."""
     old, new = published(document, name), parsed(text)
+    if SAMPLED:
+        now = cells_of(new)
+        return [
+            f"{row}, {column}: {cell} on the page, {now.get((row, column), 'no cell')} now"
+            for (row, column), cell in cells_of(old).items()
+            if (document, name, row, column) in SAMPLED and not is_same(cell, now.get((row, column), ""), column)
+        ]
     if len(old) != len(new):
         return [f"{len(new)} tables instead of {len(old)}"]
     lines = []
@@ -94,6 +102,15 @@ def differences(document, name, text):
                 if not is_same(cell, other, column):
                     lines.append(f"{row}, {column}: {cell} on the page, {other} now")
     return lines
+
+
+def cells_of(tables):
+    """The cells of tables by row and column; in several tables of a text, the first of a name."""
+    found = {}
+    for rows in tables:
+        for row, cells in _by_name(rows).items():
+            found = {(row, column): cell for column, cell in cells.items()} | found
+    return found
 
 
 def _by_name(rows):
@@ -142,8 +159,9 @@ def marked(text, missed):
 
 
 def is_wanted(name, words):
-    """True if the name of a row has one of the words, or if there are none."""
-    return not words or any(word.lower() in name.lower() for word in words)
+    """True if a row has one of the words in its name, or is one of those that begin with =; without words too."""
+    exact = f"={name.partition(': ')[2]}"
+    return not words or any(word == exact or word.lower() in name.lower() for word in words)
 
 
 def published(document, name):

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
+from weakref import proxy
 
 import gtsam
 import numpy as np
@@ -210,11 +211,11 @@ class IncrementalSmoother:
         return found
 
     def _custom(self, name: Name, factors: FactorRows, n: int) -> gtsam.CustomFactor:
-        """Factor ``n`` of a block for iSAM2, where GTSAM has none."""
-        identity, rows = factors.identity[n], factors.most[n]
+        """Factor ``n`` of a block for iSAM2, where GTSAM has none; it must not own the smoother, which owns it."""
+        identity, rows, smoother = factors.identity[n], factors.most[n], proxy(self)
 
         def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-            part = self._part(values, name, identity, rows)
+            part = smoother._part(values, name, identity, rows)
             if jacobians is not None:
                 for v in range(len(identity) - 1):
                     jacobians[v] = part[:, 1 + 3 * v : 4 + 3 * v]

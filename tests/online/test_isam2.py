@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -143,3 +144,16 @@ def test_a_walk_has_the_same_bits_in_every_process():
         for seed in ("1", "2")
     ]
     assert found[0] == found[1] != ""
+
+
+def test_a_smoother_that_was_replaced_is_freed():
+    """GTSAM's copies of its callbacks would keep it, with all factors, 0.5 MB at each rebuild."""
+    nav, smoothers = Navigator(lag=30.0, executor=None), []
+    for event in fixes_at_1_hz(100):
+        nav.push(event)
+        graph = nav._graph.graph
+        if nav._window.keyframes:
+            smoothers.append(ref(graph.isam))
+            graph.moved()
+    assert len(smoothers) > 100
+    assert sum(each() is not None for each in smoothers) <= 1
