@@ -52,13 +52,14 @@ METHODS = {
 def microsoft(data):
     """CE at waypoints that were not given, by method and by what was given."""
     rows = rows_of(data, "microsoft", tuple(HELP), tuple(METHODS.values()))
-    rows += rows_of(data, "microsoft", tuple(f"{what}, plan" for what in HELP), ("graph",))
+    rows += rows_of(data, "microsoft", tuple(f"{what}, plan" for what in HELP), ("particles", "graph"))
     lines, cells = [], {tuple(line[1:3]): line for line in statistics(rows)}
     for what, given in HELP.items():
         for name, method in METHODS.items():
             if (what, name) != ("first", "straight lines"):
                 lines.append([given, name, *cells[what, method][6:11]])
-        lines.append([given, "graph with map", *cells[f"{what}, plan", "graph"][6:11]])
+        for name, method in {"particles with map": "particles", "graph with map": "graph"}.items():
+            lines.append([given, name, *cells[f"{what}, plan", method][6:11]])
     header = ["given", "method", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region", "rows that cross a wall"]
     publish("results/microsoft.md", "microsoft", table(header, lines))
 

@@ -55,7 +55,7 @@ class Network:
         try:
             import onnxruntime
         except ImportError:
-            raise InputError(path, "", "a network, and no onnxruntime", "pip install pdr_graph[learned]") from None
+            raise InputError(path, "", "a network, and no onnxruntime", "pip install '.[learned]' in a clone") from None
         self.path = Path(path)
         if not self.path.is_file():
             raise InputError(path, "", "no such file", "a network as ONNX")

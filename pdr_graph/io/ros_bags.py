@@ -27,7 +27,7 @@ from pdr_graph.types import Array, Recording, Trajectory
 NAME = "ROS 2"
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3"
 UNAVAILABLE = -1.0  # first value of the covariance of a quantity that an Imu does not have
-EXTRA = "the extra ros: pip install 'pdr_graph[ros]'"
+EXTRA = "the extra ros: pip install '.[ros]' in a clone"
 
 
 def recognizes(source: Source) -> bool:

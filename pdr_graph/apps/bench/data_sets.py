@@ -262,7 +262,7 @@ def _columns(path: Path) -> dict[str, Array]:
     try:
         from python_calamine import CalamineWorkbook
     except ImportError:
-        raise InputError(path, "", "a workbook", "pip install 'pdr_graph[bench]', which reads it") from None
+        raise InputError(path, "", "a workbook", "pip install '.[bench]' in a clone, which reads it") from None
 
     head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
     columns = zip(head, zip(*rows, strict=True), strict=True)
