@@ -84,7 +84,8 @@ def test_the_movement_is_that_of_the_phone_in_axes_of_its_walker(ratio):
 def test_the_holds_take_turns_and_no_two_trials_are_alike():
     trials = [heading_experiment.l_walk(n) for n in (0, 1, 5)]
     assert np.array_equal(
-        trials[0].recording.accelerometer.values, heading_experiment.l_walk(0).recording.accelerometer.values
+        trials[0].recording.signals["accelerometer"].values,
+        heading_experiment.l_walk(0).recording.signals["accelerometer"].values,
     )
     ends = {float(trial.time[-1]) for trial in trials}
     assert len(ends) == 2  # trials 0 and 1 are one walker's with the same luck, in two holds

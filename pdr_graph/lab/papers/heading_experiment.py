@@ -218,9 +218,9 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         ("method (paper's figure)", *HOLDS, "re-held in mid-walk"),
         tuple(rows),
         "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
-        "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. Evaluated "
-        "while walking. The trials of a hold have different walkers. Why principal components are worse here in the "
-        "hand and the breast pocket: the next tables.",
+        "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
+        "Evaluated while walking. The trials of a hold have different walkers. Why principal components are worse here "
+        "in the hand and the breast pocket: the next tables.",
     )
 
 
@@ -434,7 +434,7 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
         "Of each real walk the first 45 s (at least 20 s) without a stop and without turning back, at 25 Hz, initial "
         "direction given. Truth of RIDI: a camera; loops of several corners; without the two walks that its page calls "
         "sideways. Reference of Microsoft's walks: direction of pdr_graph, y axis ahead, as waypoints are too close to "
-        "each other for a direction at each moment.",
+        "each other for a direction at each moment; by the same gyroscope, so it does not judge accumulation.",
     )
 
 
@@ -491,8 +491,8 @@ def _by_ratio(groups: dict[str, list[Trial]]) -> ResultTable:
         "Hand, breast pocket, at the body: mean RMS [deg] (walks) by the ratio of the movements that a method compares",
         ("ratio", *header),
         tuple(zip(labels, *columns, strict=True)),
-        "Simulated and real phones agree: the error depends on the ratio. Acceleration PCA comes near the 20.3° that the "
-        "paper has in the hand where the fore-aft acceleration is over 1.75 times the lateral one, as in 3 of 19 real "
-        "hands. Below 1.25 the axis is not determined; it wanders, and the rule of the nearer side keeps each half turn. "
-        "The paper does not state the ratio of its walkers.",
+        "Simulated and real phones agree: the error depends on the ratio. Acceleration PCA comes near the 20.3° that "
+        "the paper has in the hand where the fore-aft acceleration is over 1.75 times the lateral one, as in 3 of 19 "
+        "real hands. Below 1.25 the axis is not determined; it wanders, and the rule of the nearer side keeps each "
+        "half turn. The paper does not state the ratio of its walkers.",
     )
