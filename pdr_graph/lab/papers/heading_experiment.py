@@ -220,7 +220,7 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
         "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
         "Evaluated while walking. The trials of a hold have different walkers. A half turn in a few trials decides a "
-        "mean: by acceleration, the paper's figures of trouser pocket and bag are within the range of our experiments; "
+        "mean: by acceleration, the paper's figures of trouser pocket and bag are within the range of ten experiments; "
         "those of hand and breast pocket are not, and the next tables say why.",
     )
 
@@ -459,10 +459,10 @@ def _movements(groups: dict[str, list[Trial]]) -> ResultTable:
         "between walks; ratios: median (5 to 95 % of the walks)",
         ("phones", *header, *bands, "fore-aft / lateral", "pitch / roll"),
         tuple(rows),
-        "The simulated hand differs from real hands in three ways. It sways more at the strides. This sway and the push "
-        "at the steps vary four times as much between walks, so that in many walks the lateral acceleration is the "
-        "larger one. And it rolls as much as it pitches, as RIDI's do, while Microsoft's pitch more than twice as much. "
-        "How many people walked for Microsoft is not known.",
+        "The simulated hand differs from real hands in three ways. It sways more at the strides. This sway and the "
+        "push at the steps vary more than three times as much between walks, so that in many the lateral acceleration "
+        "is the larger one. And it rolls as much as it pitches, as RIDI's do, while Microsoft's pitch more than twice "
+        "as much. How many people walked for Microsoft is not known.",
     )
 
 
