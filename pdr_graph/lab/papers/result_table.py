@@ -9,9 +9,9 @@ from dataclasses import dataclass
 class ResultTable:
     """Rows of an experiment.
 
-    name: of the table, without spaces; title: what was measured, with the paper's section; header: names of the columns,
-    units in brackets; rows: cells as they are printed, the paper's published figure in brackets behind ours, or a row of
-    its own; note: how ours differs from the paper, and why.
+    name: of the table, without spaces; title: what was measured, and the paper's section; header: names of the columns,
+    units in brackets; rows: cells as they are printed, the paper's published figure in brackets behind ours or in a row
+    of its own; note: how ours differs from the paper, and why.
     """
 
     name: str
