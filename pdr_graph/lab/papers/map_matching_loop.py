@@ -233,9 +233,9 @@ def table_1(laps: Sequence[Lap], name: str, strides: str) -> ResultTable:
         tuple(rows),
         "The paper has one lap of a loop of unknown size, ours are of 136 m. It measures where each track has gone "
         "10 % to 100 % of its own length (Sec. 4.1); the last column compares positions at the same time. r_c is from "
-        "the walker's normal stride and cadence, as in the paper. The graph's steps are not straightened. Where the "
-        "graph is metres off it reports that the plan does not fit the walk: strides by cadence are too long where "
-        "people zigzag, by more than they vary.",
+        "the walker's normal stride and cadence, as in the paper. The graph's steps are not straightened; our steps "
+        "are the product's, with its strides in both tables. Where the graph is metres off it reports that the plan "
+        "does not fit the walk: strides by cadence are too long where people zigzag, by more than they vary.",
     )
 
 
