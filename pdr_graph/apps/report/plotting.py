@@ -46,7 +46,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.priors import REPORTS
-from pdr_graph.types import Array, Estimate, Trajectory
+from pdr_graph.types import Array, Estimate, Mask, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
@@ -261,6 +261,37 @@ def plot_conversion(ignored: shapely.Geometry, *floors: FloorPlan) -> Figure:
     marks += [Line2D([], [], color=EDGES, label="wall"), Line2D([], [], color=RED, ls="--", label="ignored")]
     figure.legend(handles=marks, ncols=4)
     return figure
+
+
+@rc_context(STYLE)
+def plot_regions(regions: Sequence[tuple[Array, Array, Mask]], chosen: Sequence[tuple[float, float]]) -> Figure:
+    """Draw the feasible region of (R_d, R_s) at each turn, and the chosen pair: [map-matching] Figs. 7, 8, 12.
+
+    regions: R_d ``(d,)`` and R_s ``(s,)`` that were tried, evenly spaced, and True for feasible pairs ``(d, s)``. A
+    dashed frame surrounds all pairs that were tried, each of which is drawn as a cell of their grid.
+    """
+    figure = Figure(figsize=(LONGEST_SIDE, 0.7 * LONGEST_SIDE), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(xlabel="R_d, factor of heading changes", ylabel="R_s, factor of step lengths")
+    turns = zip(regions, chosen, cycle(CYCLE), strict=False)
+    for number, ((R_d, R_s, feasible), pair, colour) in enumerate(turns, start=1):
+        label = f"turn {number}: {np.count_nonzero(feasible)} of {feasible.size} pairs feasible"
+        tried = shapely.envelope(_cells_of(R_d, R_s, np.ones_like(feasible)))
+        _draw_shape(axes, shapely.boundary(tried), edgecolor=colour, lw=0.8, ls="--")
+        _draw_shape(axes, _cells_of(R_d, R_s, feasible), facecolor=colour, edgecolor=colour, lw=0.5, alpha=0.4)
+        axes.plot(*pair, marker="o", ms=7, mfc=colour, mec="black", ls="none", label=label, zorder=5)
+    axes.plot(1.0, 1.0, marker="+", ms=9, color=TRUTH, ls="none", label="no correction")
+    axes.autoscale_view()
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def _cells_of(R_d: Array, R_s: Array, mask: Mask) -> shapely.Geometry:
+    """The union of the grid cells around some pairs ``(d, s)``; a lone pair has a cell of 0.005."""
+    half = np.concatenate([np.diff(R_d[:2]), np.diff(R_s[:2]), [0.005]])[0] / 2
+    d, s = np.nonzero(mask)
+    cells = shapely.box(R_d[d] - half, R_s[s] - half, R_d[d] + half, R_s[s] + half)
+    return shapely.union_all(cells, grid_size=half / 10)  # edges of neighbours differ by rounding
 
 
 def draw_plan(axes: Axes, floor: FloorPlan) -> None:
