@@ -1,7 +1,7 @@
 """[gps-dr]: GPS and dead reckoning by gait analysis, with and without outages of the GPS.
 
-The paper's chain is `paper_steps` and `position_filter`: gravity by a Kalman filter (2.1, `GravityFilter`), forward axis
-by principal component (2, `principal_axis`), steps by the pattern of both accelerations (2.2, `vertical_forward`),
+The paper's chain is `paper_steps` and `position_filter`: gravity by a Kalman filter (2.1, `GravityFilter`), forward
+axis by principal component (2, `principal_axis`), steps by the pattern of both accelerations (2.2, `vertical_forward`),
 strides linear in the vertical amplitude with a person's constants (2.3, `by_amplitude`), the two tests of the magnetic
 field and the heading filter (3, `causal_north`), and the position filter (4). The product has the same tests of the
 field (`gait.compass`), one filter for heading, stride and position (`kalman_filter`), and smoothers.
