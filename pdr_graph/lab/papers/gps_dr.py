@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pdr_graph.errors import count as counted
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.smoother import smooth
@@ -64,6 +65,7 @@ OTHER_AXIS, TRUE_COURSE = (
 )
 PRODUCT_ALONE, EKF = "product: dead reckoning from the last fix", "product: Kalman filter, causal"
 RTS, GRAPH = "product: RTS smoother", "**product: graph**"
+STEPS_OF = {FILTER: "paper", OTHER_AXIS: "paper, forward axis by the product", PRODUCT_ALONE: "product"}
 Axis = Callable[[Attitude, Array, Mask, float], Forward]
 Rows = list[tuple[str, ...]]
 
@@ -348,7 +350,7 @@ def in_outages(walks: list[Observed], seconds: float) -> tuple[int, Rows]:
 def of_steps(walks: list[Observed]) -> Rows:
     """Rows of dead reckoning without fixes: distance as a share of the true one, and courses over `OVER` seconds."""
     rows = []
-    for name in (FILTER, OTHER_AXIS, PRODUCT_ALONE):
+    for name in STEPS_OF:
         ratios, medians, off = [], [], []
         for each in walks:
             truth, time = each.walk.truth, each.walk.truth.time
@@ -360,7 +362,7 @@ def of_steps(walks: list[Observed]) -> Rows:
             off.append(np.degrees(np.abs(np.angle(ours[moved] / true[moved]))))
             medians.append(np.median(off[-1]))
         shares = f"{np.mean(ratios):.2f} ({min(ratios):.2f}–{max(ratios):.2f})", *_cells(np.concatenate(off))
-        rows.append((name, *shares, f"{np.sum(np.array(medians) > 45)} of {len(walks)}"))
+        rows.append((STEPS_OF[name], *shares, f"{np.sum(np.array(medians) > 45)} of {len(walks)}"))
     return rows
 
 
@@ -426,24 +428,25 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
         sets["gps-dr-recorded"] = [Observed.of(recorded(path))], "a campus walk of 730 m, against its own GPS"
     for name, (each, what) in sets.items():
         for length, seconds in OUTAGES.items():
-            count, rows = in_outages(each, seconds)
-            title = f"[gps-dr] Sec. 4: error within {count} outages of {length}, {what}"
+            outage_count, rows = in_outages(each, seconds)
+            title = f"[gps-dr] Sec. 4: error within {counted(outage_count, 'outage')} of {length}, {what}"
             tables.append(ResultTable(f"{name}-{length.replace(' ', '-')}", title, header, tuple(rows)))
     return tuple(tables)
 
 
 NOTE = (
     "The paper prints tracks and no errors; its walk has one outage, ours as many as fit. 1650 m in 12 min are 2.3 "
-    "m/s, a jog; our walkers go fast and need half as long again. The paper's sensor was worn, ours is a phone in the "
-    "hand whose magnetometer and gyroscope have a bias. Nine tenths of a fix's error stay for 50 s. Strides of the "
-    "calibration walk are known, as in the paper. By the paper's filters the track is worse than the GPS alone, "
+    "m/s, a jog; our walkers go fast and need half as long again. The paper's sensor was worn, ours is a phone in "
+    "the hand whose magnetometer and gyroscope have a bias. Nine tenths of a fix's error stay for 50 s. Strides of "
+    "the calibration walk are known, as in the paper. By the paper's filters the track is worse than the GPS alone, "
     "because of its headings: with true ones it is as good. The heading has two errors. (1) In a quarter of the "
     "simulated hands and in 2 of 26 recorded ones the acceleration across is larger than along, and the principal "
-    "component is the wrong axis (table gps-dr-axis). (2) The paper does not calibrate the magnetometer, and steel "
-    "passes both tests in part. Its process covariance is of the stride alone, isotropic in our reading: it knows "
-    "nothing of the heading's error, trusts dead reckoning for a minute, and fixes do not correct the heading. With σ "
-    "= HDOP in metres it trusts the fixes more. The process noise of the heading was chosen on seeds 0 to 11; the "
-    "paper prints none. The product has heading, stride and the receiver's systematic error as states, and its "
-    "smoothers also use later fixes. The recorded walk is scored against the fixes that were cut out, whose own "
-    "errors count."
+    "component is the wrong axis (table gps-dr-axis); steps are then missed too. (2) The paper does not calibrate "
+    "the magnetometer, and steel passes both tests in part. Its process covariance is of the stride alone, isotropic "
+    "in our reading: it knows nothing of the heading's error, trusts dead reckoning for a minute, and fixes do not "
+    "correct the heading. With σ = HDOP in metres it trusts the fixes more. The process noise of the heading was "
+    "chosen on seeds 0 to 11; the paper prints none. The product has heading, stride and the receiver's systematic "
+    "error as states, and its smoothers also use later fixes. In 6 of the 40 walks its causal filter rejects 25 to "
+    "42 % of the fixes, for minutes: hence its mean. The recorded walk is scored against the fixes that were cut "
+    "out, whose own errors count."
 )
