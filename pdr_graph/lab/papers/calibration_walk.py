@@ -15,22 +15,19 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.steps import GaitSignals, detect_steps, gait_signals
 from pdr_graph.gait.walker import (
-    MODELS,
     REFERENCE_HEIGHT,
     Profile,
     StepFeatures,
     Walker,
     lasso_features,
-    lasso_weights,
 )
 from pdr_graph.geometry import dead_reckon, interpolate, length_along, unit
 from pdr_graph.lab.papers.gait_methods import accumulate_turn, closing, trough_to_peak, without_closing
 from pdr_graph.lab.papers.result_table import ResultTable
 from pdr_graph.lab.simulation.body import Body, Pedestrian
-from pdr_graph.lab.simulation.scenario import MAPS, Scenario
+from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Recording, Steps
 
@@ -40,9 +37,10 @@ MANNERS = ("normal", "fast", "narrow", "wide")
 PEOPLE = ("m", "m", "m", "f")  # sex of the four people of Sec. 4.1
 HEIGHTS = (1.67, 1.75, 1.90, 1.48, 1.64, 1.72, 1.65, 1.73, 1.80, 1.77, 1.69, 1.77, 1.65, 1.67, 1.72, 1.76)  # [m] A to P
 WOMEN = (3, 4)  # D and E
-CORNERS = ((25.0, 0.0), (25.0, 25.0), (50.0, 25.0), (50.0, 50.0))  # [m] 25 m, left, 25 m, right, 25 m, left, 25 m
-HUNDRED_METRES = [[0, 0], {"stand": 3}, {"to": [list(corner) for corner in CORNERS]}, {"stand": 3}]
-EIGHT = read_route(next(path for folder in MAPS if (path := folder / "figure_eight.geojson").exists()))
+HUNDRED_METRES = np.array([(0, 0), (25, 0), (25, 25), (50, 25), (50, 50)], dtype=float)  # [m] left, right, left
+# [m] Fig. 6: an eight with turns to both sides and straight legs; its size is not published. One lap, from its crossing
+LAP = ((8, 0), (8, 8), (0, 8), (0, 0), (0, -8), (-8, -8), (-8, 0), (0, 0))
+EIGHT = np.array([(0, 0), *LAP, *LAP], dtype=float)
 TURNS_PUBLISHED = (  # [deg] Table 6: walkers A, D, I, O (best), B, E, G, M (worst); left, right, left
     *((89.86, 88.45, 89.90), (89.54, 89.24, 89.33), (84.95, 87.67, 86.28), (88.87, 89.78, 88.96)),
     *((88.87, 87.75, 87.78), (89.93, 86.34, 88.95), (84.30, 84.92, 83.66), (88.93, 85.06, 88.61)),
@@ -51,9 +49,9 @@ RAW, CALIBRATED = "candidates, height, gyro", "the same with E_length, E_straigh
 ALL = "templates, Lasso, gyro, the three coefficients"
 OFFERED = ("h", "T", "h·T", "h/T", "P0", "P1", "P2", "P3", "sex", "acceleration difference", "time per step")
 
-# Real people. Six of RIDI: length over steps, mean of a person's walks [m]. Steps of three sighted people of WeAllWalk on
+# Real people. Six of RIDI: length over steps, mean of a person's walks [m]. Three sighted people of WeAllWalk: steps on
 # paths T1 and T2. Twelve people of known height of CyrilVoisard/ipol_dataset_1: height [m], and steps in 20 m of their
-# first trial (time outside the turn over the median duration of a step)
+# first trial (time outside the turn over the median duration of a step).
 RIDI = (0.639, 0.633, 0.645, 0.642, 0.600, 0.599)
 WEALLWALK = ((100, 101, 100), (127, 124, 125))
 IPOL_HEIGHT = (1.75, 1.67, 1.80, 1.76, 1.72, 1.69, 1.63, 1.76, 1.73, 1.65, 1.67, 1.66)
@@ -67,12 +65,10 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     """The tables of Secs. 4.1 to 4.4, and of how people's steps scatter; quick: fewer people."""
     groups = 1 if quick else 4
     walkers = [Sixteenth.simulated(group, n) for group in range(groups) for n in range(len(HEIGHTS))]
-    others = [
-        PaperWalk.simulated(seed, HUNDRED_METRES, {}) for seed in range(TRAINING, TRAINING + (20 if quick else 60))
-    ]
+    others = people(20 if quick else 60)
     weights = eq7(others)
     return (
-        twenty_steps(groups),
+        twenty_steps(1 if quick else 2),
         features_kept(others),
         distance(walkers, others),
         step_spread(),
@@ -118,17 +114,19 @@ def twenty_steps(groups: int) -> ResultTable:
 
 
 def twenty(seed: int, sex: str, manner: str) -> Simulation:
-    """A walk of twenty steps, after which the feet close over 0.3 to 0.7 of a step."""
-    metres = 14.0
-    for _ in range(50):
+    """A walk of twenty steps, after which the feet close over 0.3 to 0.8 of a step, by the first person who does so."""
+
+    def along(metres: float) -> Simulation:
         route = [[0, 0], {"stand": 2}, {"to": [[metres, 0]], "manner": manner}, {"stand": 2}]
-        walk = _simulated(seed, route, {"sex": sex})
+        return _simulated(seed, route, {"sex": sex})
+
+    usual = float(np.median(along(20.0).body.lengths))
+    for metres in np.arange(19 * usual, 22 * usual, 0.05).tolist():  # steps scatter anew with each length
+        walk = along(metres)
         lengths = walk.body.lengths
-        usual = float(np.median(lengths))
-        if len(lengths) == 21 and 0.3 < lengths[-1] / usual < 0.7:
-            break
-        metres = float(lengths[:20].sum() + usual * (max(20 - len(lengths), 0) + 0.5))
-    return walk
+        if len(lengths) == 21 and 0.3 < lengths[-1] / usual < 0.8:
+            return walk
+    return twenty(seed + 1000, sex, manner)
 
 
 @dataclass(frozen=True)
@@ -173,9 +171,13 @@ class PaperWalk:
     product: GaitSignals
 
     @classmethod
-    def simulated(cls, seed: int, route: list[Any], person: dict[str, Any], **more: Any) -> PaperWalk:
+    def simulated(cls, seed: int, route: list[Any], person: dict[str, Any]) -> PaperWalk:
         """Simulate a walk along a route by a person of whom height and sex may be known."""
-        walk = _simulated(seed, route, person, **more)
+        return cls.of(_simulated(seed, route, person))
+
+    @classmethod
+    def of(cls, walk: Simulation) -> PaperWalk:
+        """The gait signals of a simulated walk."""
         product = gait_signals(_sensors(walk))[0]
         steps = without_closing(product.attitude, product.forward)
         return cls(walk, replace(product, landings=steps), product)
@@ -205,16 +207,33 @@ class Sixteenth:
         Both walks have one seed, and so one person, hold and phone.
         """
         seed, person = SEEDS + 100 * (group + 1) + number, {"height": HEIGHTS[number], "sex": "mf"[number in WOMEN]}
-        eight = [EIGHT[0].tolist(), {"stand": 3}, {"follow": "eight"}, {"follow": "eight"}, {"stand": 3}]
         return cls(
-            PaperWalk.simulated(seed, HUNDRED_METRES, person),
-            PaperWalk.simulated(seed, eight, person, plan="figure_eight.geojson"),
+            PaperWalk.simulated(seed, _route(HUNDRED_METRES), person),
+            PaperWalk.simulated(seed, _route(EIGHT), person),
         )
 
     @cached_property
     def profile(self) -> Profile:
         """The product's calibration by the walk along the eight."""
-        return calibrate(detect_steps([self.eight.product], Walker(self.track.height)), EIGHT)[0]
+        return calibrate(detect_steps([self.eight.product], Walker(self.track.height)), EIGHT[: len(LAP) + 1])[0]
+
+
+def people(count: int) -> list[PaperWalk]:
+    """Other people, each on the way of Sec. 4.2 at their own pace and in one of the manners of Sec. 4.1."""
+    return [
+        PaperWalk.simulated(seed, _route(HUNDRED_METRES, manner), {})
+        for seed in range(TRAINING, TRAINING + count)
+        for manner in ("normal", MANNERS[seed % len(MANNERS)])
+    ]
+
+
+def alike(seed: int, **person: Any) -> PaperWalk:
+    """A walk of Sec. 4.2 by one of a population whose steps scatter about Eq. (6) as RIDI's about their mean."""
+    random = np.random.default_rng(seed)
+    walker = Pedestrian.sample(random, **person)
+    scatter = random.normal(0, np.std(RIDI, ddof=1) / np.mean(RIDI))
+    walker = replace(walker, step_length=_by_height(walker.height) * float(np.exp(scatter)))
+    return PaperWalk.of(_simulated(seed, _route(HUNDRED_METRES), {}, walker))
 
 
 Terms = Callable[[StepFeatures, float], Array]  # of a stride model: features and stature [m] give ``(n, k)``
@@ -281,32 +300,32 @@ def features_kept(walks: Sequence[PaperWalk]) -> ResultTable:
 def distance(walkers: Sequence[Sixteenth], others: Sequence[PaperWalk]) -> ResultTable:
     """Errors of the distance over 100 m by stride model."""
     walks = [walker.track for walker in walkers]
-
-    def errors(length: Callable[[PaperWalk], float]) -> Array:
-        return np.array([100 * (length(walk) / walk.way - 1) for walk in walks])
-
-    def modelled(weights: Array, terms: Terms = lasso_features) -> Array:
-        return errors(lambda walk: (terms(StepFeatures(walk.paper), walk.height) @ weights).sum())
-
-    by_height = errors(lambda walk: MODELS["height"](StepFeatures(walk.paper), walk.height)[0].sum())
-    product = [detect_steps([walk.product], Walker(walk.height)).length.sum() for walk in walks]
-    calibrated = [
-        detect_steps([walker.track.product], Walker(walker.track.height, profile=walker.profile)).length.sum()
-        for walker in walkers
+    groups = len(walkers) // len(HEIGHTS)
+    even = [
+        alike(SEEDS + 1000 + 100 * group + n, height=height, sex="mf"[n in WOMEN])
+        for group in range(groups)
+        for n, height in enumerate(HEIGHTS)
     ]
-    way = np.array([walk.way for walk in walks])
+    of_even = eq7([alike(seed) for seed in range(TRAINING, TRAINING + len(others))])
+    by_height, product, calibrated = distance_errors(walks, height_length), [], []
+    for walker in walkers:
+        for profile, errors in ((None, product), (walker.profile, calibrated)):
+            steps = detect_steps([walker.track.product], Walker(walker.track.height, profile=profile))
+            errors.append(100 * (steps.length.sum() / walker.track.way - 1))
+    same_people = "the same, learnt from these walks themselves"
     methods = {
         "height, Eq. (6)": (by_height, "3.97"),
         "the same less its mean error": (by_height - by_height.mean(), ""),
-        f"Lasso, Eq. (7), learnt from {len(others)} other people on such walks": (modelled(eq7(others)), "3.31"),
-        "the same, learnt from these walks": (modelled(eq7(walks)), ""),
-        "the same as the first, T the duration of a step": (
-            modelled(eq7(others, by_step_duration), by_step_duration),
+        "Lasso, Eq. (7), learnt from other people": (distance_errors(walks, by_eq7(eq7(others))), "3.31"),
+        same_people: (distance_errors(walks, by_eq7(eq7(walks))), ""),
+        "the same, T the duration of a step, other people": (
+            distance_errors(walks, by_eq7(eq7(others, by_step_duration), by_step_duration)),
             "",
         ),
-        "Lasso with the weights of `gait/lasso.csv`": (modelled(lasso_weights()), ""),
-        "product": (100 * (product / way - 1), ""),
-        "product after a calibration walk": (100 * (calibrated / way - 1), ""),
+        "people alike: height, Eq. (6)": (distance_errors(even, height_length), "3.97"),
+        "people alike: Lasso, Eq. (7), learnt from others of them": (distance_errors(even, by_eq7(of_even)), "3.31"),
+        "product": (np.array(product), ""),
+        "product after a calibration walk": (np.array(calibrated), ""),
     }
     rows = tuple(
         (name, f"{np.abs(error).mean():.2f}", f"{error.mean():+.2f}", f"{error.std():.2f}", paper)
@@ -317,32 +336,43 @@ def distance(walkers: Sequence[Sixteenth], others: Sequence[PaperWalk]) -> Resul
     return ResultTable("distance", title, header, rows, DISTANCE_NOTE)
 
 
+def height_length(walk: PaperWalk) -> float:
+    """Distance by Eq. (6) and the paper's steps. [m]"""
+    return _by_height(walk.height) * len(walk.paper.landings)
+
+
+def by_eq7(weights: Array, terms: Terms = lasso_features) -> Callable[[PaperWalk], float]:
+    """Distance by Eq. (7) and the paper's steps, as a function of the walk. [m]"""
+    return lambda walk: float((terms(StepFeatures(walk.paper), walk.height) @ weights).sum())
+
+
+def distance_errors(walks: Sequence[PaperWalk], length: Callable[[PaperWalk], float]) -> Array:
+    """Errors ``(n,)`` of the walks' distances, in metres per 100 m."""
+    return np.array([100 * (length(walk) / walk.way - 1) for walk in walks])
+
+
 def step_spread() -> ResultTable:
     """Step lengths by Eq. (6) over those of people: simulated ones at ease, and real ones."""
     random = np.random.default_rng(SEEDS)
-    people = [
-        Pedestrian.sample(random, height, "mf"[n in WOMEN]) for _ in range(100) for n, height in enumerate(HEIGHTS)
-    ]
-    at_ease = np.array([_by_height(person.height) / person.step_length for person in people])
-    usual_cadence = np.mean([person.cadence for person in people])
-    same_cadence = np.array(
-        [_by_height(person.height) / person.step_length * person.cadence / usual_cadence for person in people]
-    )
+    at_ease, same_cadence = list[float](), list[float]()
+    for _ in range(100):
+        for n, height in enumerate(HEIGHTS):
+            person = Pedestrian.sample(random, height, "mf"[n in WOMEN])
+            at_ease.append(_by_height(height) / person.step_length)
+            same_cadence.append(_by_height(height) / person.step_length * person.cadence / 1.8)
+    ipol = [_by_height(h) * n / 20 for h, n in zip(IPOL_HEIGHT, IPOL_STEPS, strict=True)]
     groups = {
         "the paper's 16, if Eq. (6) has no bias": ("0", f"{3.97 * np.sqrt(np.pi / 2):.1f}", "3.97 m = √(2/π) σ"),
-        "simulated, at ease, of the paper's heights": _percent(at_ease, f"{len(people)} people"),
-        "the same at one cadence": _percent(same_cadence, "walk ratio and height alone"),
-        "RIDI, 6 people": _percent(_by_height(REFERENCE_HEIGHT) / np.array(RIDI), "as if all were 1.70 m tall"),
-        "IPOL, 12 people": _percent(
-            np.array([_by_height(h) * n / 20 for h, n in zip(IPOL_HEIGHT, IPOL_STEPS, strict=True)]),
-            "35 to 75 years old, 0.9 to 1.4 m/s in a laboratory",
-        ),
+        "simulated, at ease": _percent(at_ease, "1600 people of the paper's heights"),
+        "the same, if all had 1.8 steps/s": _percent(same_cadence, "walk ratio and height alone"),
+        "RIDI": _percent([_by_height(REFERENCE_HEIGHT) / step for step in RIDI], "6 people, as if each of 1.70 m"),
+        "IPOL": _percent(ipol, "12 people of 35 to 75 years, 0.9 to 1.4 m/s"),
     } | {
-        f"WeAllWalk, 3 sighted people, path T{path}": ("", _percent(np.array(steps), "")[1], "steps on the same path")
+        f"WeAllWalk, path T{path}": ("", _percent(steps, "")[1], "steps of 3 sighted people on the same path")
         for path, steps in enumerate(WEALLWALK, 1)
     }
     rows = tuple((name, *cells) for name, cells in groups.items())
-    header = ("people", "Eq. (6) over the step: mean error [%]", "spread between people [%]", "")
+    header = ("people", "mean error of Eq. (6) [%]", "spread between people [%]", "of")
     return ResultTable("step-spread", "Scatter of steps about the height formula", header, rows, SPREAD_NOTE)
 
 
@@ -351,8 +381,9 @@ def _by_height(height: float) -> float:
     return 0.26 * height + 0.31
 
 
-def _percent(ratio: Array, remark: str) -> tuple[str, str, str]:
-    """Mean and standard deviation of a ratio as percentages: its error from 1, and its spread about the mean."""
+def _percent(ratios: Sequence[float] | Array, remark: str) -> tuple[str, str, str]:
+    """The mean error of ratios from 1 and their spread about their mean, as percentages, and the remark."""
+    ratio = np.asarray(ratios, dtype=float)
     return f"{100 * (ratio.mean() - 1):+.1f}", f"{100 * ratio.std(ddof=1) / ratio.mean():.1f}", remark
 
 
@@ -415,12 +446,11 @@ def courses(walker: Sixteenth, weights: Array) -> dict[str, Course]:
     def proposed(walk: PaperWalk) -> Course:
         return Course.of(walk.paper, lasso_features(StepFeatures(walk.paper), walk.height) @ weights)
 
-    laps = np.concatenate([EIGHT, EIGHT[1:]])
     raw, best = conventional(walker.track), proposed(walker.track)
     return {
         RAW: raw,
-        CALIBRATED: raw.corrected(fit_to_route(conventional(walker.eight), laps)),
-        ALL: best.corrected(fit_to_route(proposed(walker.eight), laps)),
+        CALIBRATED: raw.corrected(fit_to_route(conventional(walker.eight), EIGHT)),
+        ALL: best.corrected(fit_to_route(proposed(walker.eight), EIGHT)),
     }
 
 
@@ -480,15 +510,20 @@ def corners(walkers: Sequence[Sixteenth], weights: Array) -> ResultTable:
 def _turns(walker: Sixteenth, time: Array, heading: Array) -> Array:
     """Change of heading at each corner ``(3,)``, positive to its side. [deg]"""
     body = walker.track.walk.body
-    at = [body.time[np.argmin(np.hypot(*(body.position - corner).T))] for corner in CORNERS[:-1]]
+    at = [body.time[np.argmin(np.hypot(*(body.position - corner).T))] for corner in HUNDRED_METRES[1:-1]]
     before, after = (np.interp(np.array(at) + off, time, heading) for off in (-4.0, 4.0))
     return np.degrees(after - before) * np.array([1, -1, 1])
 
 
-def _simulated(seed: int, route: list[Any], person: dict[str, Any], **more: Any) -> Simulation:
-    """A walk with the phone in the hand, sampled at 50 Hz."""
+def _route(corners: Array, manner: str = "normal") -> list[Any]:
+    """Stand, walk along corners ``(m, 2)`` [m], and stand."""
+    return [corners[0].tolist(), {"stand": 3}, {"to": corners[1:].tolist(), "manner": manner}, {"stand": 3}]
+
+
+def _simulated(seed: int, route: list[Any], person: dict[str, Any], walker: Pedestrian | None = None) -> Simulation:
+    """A walk with the phone in the hand, sampled at 50 Hz. walker: drawn for the person's height and sex by default."""
     given = {"seed": seed, "route": route, "walker": person, "phone": {"hold": "hand", "rate": 50}}
-    return simulate(Scenario.of(given | more))
+    return simulate(Scenario.of(given), walker)
 
 
 def _sensors(walk: Simulation) -> Recording:

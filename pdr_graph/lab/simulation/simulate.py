@@ -64,11 +64,13 @@ class Simulation(OneLineRepr):
         return Recording("simulated", clock_origin=0.0, epoch=None, **signals)
 
 
-def simulate(scenario: Scenario) -> Simulation:
+def simulate(scenario: Scenario, walker: Pedestrian | None = None) -> Simulation:
     """Simulate the walk of a scenario. Equal scenarios give equal walks, sample by sample.
 
     Each part of the simulation has its own random generator. The effects of steel on the magnetic field and of walls on
     radio depend on the place only, and are equal for all walks there.
+
+    walker: default: drawn at random, of the scenario's height and sex.
     """
     expect("simulate, scenario", scenario, Scenario, instead='Scenario.load("arcade")')
     streams = np.random.default_rng(scenario.seed).spawn(10)
@@ -77,7 +79,7 @@ def simulate(scenario: Scenario) -> Simulation:
     phone = scenario.phone
 
     # Pedestrian and movement of the body
-    walker = Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
+    walker = walker or Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
     rate = phone.rate * np.ceil(100.0 / phone.rate)  # at least 100 Hz
     clearances = {label: (lambda at, plan=plan: plan.distance.at(at)[0]) for label, plan in scenario.plans.items()}
     route = scenario.route
