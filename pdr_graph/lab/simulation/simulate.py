@@ -64,15 +64,18 @@ class Simulation(OneLineRepr):
         return Recording("simulated", clock_origin=0.0, epoch=None, **signals)
 
 
-def simulate(scenario: Scenario, walker: Pedestrian | None = None) -> Simulation:
+def simulate(scenario: Scenario) -> Simulation:
     """Simulate the walk of a scenario. Equal scenarios give equal walks, sample by sample.
 
     Each part of the simulation has its own random generator. The effects of steel on the magnetic field and of walls on
     radio depend on the place only, and are equal for all walks there.
-
-    walker: default: drawn at random, of the scenario's height and sex.
     """
     expect("simulate, scenario", scenario, Scenario, instead='Scenario.load("arcade")')
+    return simulate_person(scenario)
+
+
+def simulate_person(scenario: Scenario, walker: Pedestrian | None = None) -> Simulation:
+    """Simulate the walk of a scenario by a walker; None: one drawn at random, of the scenario's height and sex."""
     streams = np.random.default_rng(scenario.seed).spawn(10)
     frame = next((plan.frame for plan in scenario.plans.values()), enu(*scenario.place[::-1]))
     place = np.random.default_rng(np.round((frame.to_lonlat(np.zeros((1, 2)))[0] + 360) * 1e6).astype(int))
