@@ -71,7 +71,7 @@ class StepFeatures:
 
     @cached_property
     def power(self) -> Array:
-        """Power of |a| around each landing, in four bands of 0–5 Hz ``(n, 4)``. [m²/s⁴]"""
+        """Power of |a| around each landing, in four bands of 0–5 Hz ``(n, 4)``; the first has gravity's. [m²/s⁴]"""
         attitude, window = self.gait.attitude, 2.0  # [s] chosen by hand
         magnitude = np.linalg.norm(attitude.acceleration, axis=1)
         count = min(max(4, round(window / attitude.period)), len(magnitude))
@@ -79,8 +79,7 @@ class StepFeatures:
         first = np.clip(middle - count // 2, 0, len(magnitude) - count)
         windows = magnitude[first[:, None] + np.arange(count)]
         taper = np.hanning(count)
-        level = (windows - windows.mean(axis=1, keepdims=True)) * taper
-        spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (taper**2).sum() / count
+        spectrum = np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / (taper**2).sum() / count
         band = np.digitize(np.fft.rfftfreq(count, attitude.period), BANDS) - 1
         return np.stack([spectrum[:, band == b].sum(axis=1) for b in range(len(BANDS) - 1)], axis=1)
 
@@ -195,7 +194,8 @@ def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
     """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
     |a| in four bands of 0–5 Hz.
 
-    The weights are not published; ours are of 60 simulated walkers (``scripts/train_lasso`` at commit 7d5000e).
+    The weights are not published; ours are of 60 simulated walkers (`lab.papers.calibration_walk.eq7`). The band of P₀
+    begins at 0 Hz, so that gravity gives the model its constant.
     """
     return _plausible(lasso_features(steps, height) @ lasso_weights())
 

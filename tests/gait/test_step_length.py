@@ -81,7 +81,7 @@ def test_lasso_uses_the_five_terms_of_the_paper():
 
 
 def test_taller_people_take_longer_steps():
-    step = features(power=[[0.1, 0.2, 0.1, 0]])
+    step = features(power=[[9.8**2, 0.2, 0.1, 0]])
     for model in (walker.inverted_pendulum, walker.by_height, walker.lasso):
         assert model(step, height=1.9)[0] > model(step, height=1.5)[0]
 

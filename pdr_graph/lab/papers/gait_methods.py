@@ -52,26 +52,39 @@ def trough_to_peak(attitude: Attitude, threshold: float = RISE) -> Landings:
 
 
 def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE) -> Landings:
-    """[calibration-walk] Sec. 3.1, Eqs. (2) to (5): candidates except those that only bring the feet together.
+    """[calibration-walk] Sec. 3.1: candidates except those that only bring the feet together.
 
-    The forward acceleration of a candidate is compared by dynamic time warping with two templates: of walking, where
-    it falls strongly after its rise, since the other foot moves on; and of closing feet, where it only rises. Unlike
-    in the paper, only candidates that no other follows are compared. Requires the extra ``gait``, else InputError.
+    Unlike in the paper, only candidates that no other follows are compared. Requires the extra ``gait``, else
+    InputError.
+    """
+    candidates = trough_to_peak(attitude, threshold)
+    on = ~closing(candidates, attitude, forward)
+    return _landings_at(candidates.time[on], candidates.amplitude[on], attitude)
+
+
+def closing(landings: Landings, attitude: Attitude, forward: Array, every: bool = False) -> Mask:
+    """``(n,)`` True for landings that only bring the feet together: [calibration-walk] Sec. 3.1, Eqs. (2) to (5).
+
+    The forward acceleration of a landing is compared by dynamic time warping with two templates: of walking, where it
+    falls strongly after its rise, since the other foot moves on; and of closing feet, where it only rises.
+
+    every: compare every landing, as the paper does, instead of those that no other follows within `LONGEST`. Requires
+    the extra ``gait``, else InputError.
     """
     try:
         from dtaidistance import dtw
     except ImportError:
         raise InputError("dtaidistance", "", "it is not installed", install("gait")) from None
-    candidates = trough_to_peak(attitude, threshold)
-    shapes = forward_shapes(attitude, forward, candidates)
+    compared = np.full(len(landings), True) if every else np.diff(landings.time, append=np.inf) >= LONGEST
+    shapes = forward_shapes(attitude, forward, landings)
     walking, together = templates().T
-    on = np.diff(candidates.time, append=np.inf) < LONGEST
-    for n in np.flatnonzero(~on):  # one shape may be ahead of the other by two points
+    closes = np.zeros(len(landings), dtype=bool)
+    for n in np.flatnonzero(compared):  # one shape may be ahead of the other by two points
         to_walking, to_closing = (
             dtw.distance(shapes[n], template, window=2, use_c=True) for template in (walking, together)
         )
-        on[n] = to_walking <= to_closing
-    return _landings_at(candidates.time[on], candidates.amplitude[on], attitude)
+        closes[n] = to_walking > to_closing
+    return closes
 
 
 def vertical_forward(attitude: Attitude, forward: Array) -> Landings:

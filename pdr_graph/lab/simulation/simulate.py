@@ -71,13 +71,18 @@ def simulate(scenario: Scenario) -> Simulation:
     radio depend on the place only, and are equal for all walks there.
     """
     expect("simulate, scenario", scenario, Scenario, instead='Scenario.load("arcade")')
+    return simulate_person(scenario)
+
+
+def simulate_person(scenario: Scenario, walker: Pedestrian | None = None) -> Simulation:
+    """Simulate the walk of a scenario by a walker; None: one drawn at random, of the scenario's height and sex."""
     streams = np.random.default_rng(scenario.seed).spawn(10)
     frame = next((plan.frame for plan in scenario.plans.values()), enu(*scenario.place[::-1]))
     place = np.random.default_rng(np.round((frame.to_lonlat(np.zeros((1, 2)))[0] + 360) * 1e6).astype(int))
     phone = scenario.phone
 
     # Pedestrian and movement of the body
-    walker = Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
+    walker = walker or Pedestrian.sample(streams[0], scenario.walker.height or None, scenario.walker.sex or None)
     rate = phone.rate * np.ceil(100.0 / phone.rate)  # at least 100 Hz
     clearances = {label: (lambda at, plan=plan: plan.distance.at(at)[0]) for label, plan in scenario.plans.items()}
     route = scenario.route
