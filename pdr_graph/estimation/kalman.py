@@ -30,7 +30,7 @@ relinearised along its own.
 
 from __future__ import annotations
 
-from bisect import bisect_right, insort
+from bisect import insort
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy, deepcopy
@@ -64,7 +64,7 @@ FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
 EXACT = 1e-3  # [rad] least sigma for the weights of directions
 HELD_BACK = 2.0  # [s] by which a measurement may come late: receivers state where they were a second ago
 LONGEST_CARRY = 60.0  # [s] over which turns carry a heading of earlier steps
-MOST_ARRIVALS = 1000  # measurements that wait for the steps of their time
+MOST_ARRIVALS = 1000  # of a receiver of which a history is kept
 NO_CHANGE = np.zeros(3)
 
 
@@ -326,7 +326,8 @@ class KalmanFilter:
     """The filter of a walk under way: takes steps, fixes and headings; nothing comes back from a graph.
 
     prior: of the calibration; start: of the walk, by default anywhere in any direction; watched: calibrations begin as
-    `CalibrationWatch` says, False: as told by `begin_calibration`.
+    `CalibrationWatch` says, False: as told by `begin_calibration`; most_waiting: measurements that wait for the steps
+    of their time, of more the oldest are dropped.
 
     It follows steps HELD_BACK after they ended: so a fix that comes late by less is used at its time, exactly. One
     that is later is skipped, and a later heading is carried on by the turns since. A measurement of the future waits
@@ -336,12 +337,18 @@ class KalmanFilter:
     fixes that came too late; walked: distance [m].
     """
 
-    def __init__(self, prior: Prior, start: GaussianMixture | None = None, watched: bool = True):
-        self.prior = prior
+    def __init__(
+        self,
+        prior: Prior,
+        start: GaussianMixture | None = None,
+        watched: bool = True,
+        most_waiting: float = np.inf,
+    ):
+        self.prior, self._most_waiting = prior, most_waiting
         self._begin = by_direction(start_mixture(prior, np.zeros(2), (FAR, FAR))) if start is None else start
         self.moment: Moment | None = None
         self.located, self.skipped, self.walked = start is not None, 0, 0.0
-        self._waiting, self._fixes, self._refused = list[Arrival](), 0, 0
+        self._waiting, self._fixes, self._refused = deque[Arrival](), 0, 0
         self._watch = CalibrationWatch() if watched else None
         self._change = NO_CHANGE  # variances of the change of the calibration before the next piece
         self._sources = dict[str, SourceHistory]()
@@ -386,7 +393,8 @@ class KalmanFilter:
 
     def _wait(self, arrival: Arrival) -> None:
         insort(self._waiting, replace(arrival, time=round(arrival.time, DECIMALS)))
-        del self._waiting[:-MOST_ARRIVALS]
+        if len(self._waiting) > self._most_waiting:
+            self._waiting.popleft()
 
     def extend(self, steps: Steps) -> None:
         """Take the next steps; follow those that ended more than HELD_BACK before, several at once."""
@@ -400,6 +408,7 @@ class KalmanFilter:
         """The filter at the end of all steps so far, and of provisional ones, beside this one."""
         other = copy(self)
         other._turned, other._sources, other._watch = self._turned.copy(), deepcopy(self._sources), None
+        other._waiting = self._waiting.copy()
         other._follow([*self._held, *([] if tail is None else [tail])])
         return other
 
@@ -495,8 +504,9 @@ class KalmanFilter:
 
     def _measured(self, moment: Moment) -> Moment:
         """Correct with the arrivals up to a moment, which wait no longer; this is the present moment then."""
-        count = bisect_right(self._waiting, moment.time, key=lambda arrival: arrival.time)
-        due, self._waiting = self._waiting[:count], self._waiting[count:]
+        due = list[Arrival]()
+        while self._waiting and self._waiting[0].time <= moment.time:
+            due.append(self._waiting.popleft())
         for arrival in due:
             if arrival.kind == FIX_ARRIVES:
                 moment = self._fixed(moment, arrival)

@@ -494,3 +494,12 @@ def test_a_walk_that_goes_on_begins_at_its_estimate():
     assert np.abs(graph.chain.time - late.time[0]).min() < 1e-6
     with pytest.raises(ValueError, match="where those before end"):
         first.extended(part(steps, 120, 200))
+
+
+@pytest.mark.parametrize("estimate", [kalman_filter, kalman_smoother])
+def test_a_filter_uses_all_of_more_than_a_thousand_fixes(estimate):
+    """They are known before the first step, and all wait for the steps of their time."""
+    steps, fixes, truth = drawn_from_the_model(1300, seed=1, every=1)
+    found = estimate(WalkGraph(steps, fixes))
+    assert all(fix.weight > 0 for fix in found.fixes[:100])
+    assert np.hypot(*(found.trajectory.position[50:300] - truth.position[50:300]).T).max() < 10
