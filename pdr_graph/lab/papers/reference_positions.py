@@ -17,11 +17,12 @@ from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import dead_reckon, distance_walked, interpolate
 from pdr_graph.lab.papers.result_table import ResultTable
-from pdr_graph.lab.simulation.crowd import SURVEYED, TERMINAL, TERMINAL_PLACE, Crowd, CrowdWalk, crowd
+from pdr_graph.lab.simulation.crowd import DURATION, SURVEYED, TERMINAL, TERMINAL_PLACE, Crowd, CrowdWalk, crowd
 from pdr_graph.priors import BEACONS, LOSSES, REPORTS, changed
 from pdr_graph.types import Array, Closures, Fixes, Index, Levels, Mask, Trajectory
 
-FIRST_SEED, CROWDS, FEW = 100_000, 4, 1
+FIRST_SEED, CROWDS = 100_000, 4
+FEW, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk [s]
 FALSE_SHARE, NEAREST, FARTHEST = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
 IN_REGION = -2 * np.log(1 - 0.9)  # squared Mahalanobis distance in the plane
 UNBOUNDED = 1e3  # [σ] within which the loss of closures is Gaussian
@@ -35,7 +36,8 @@ NEAR_BEACON = BEACONS.nearest  # [m] by its level, within which the paper's refe
 
 def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     """Errors by each reference position, and with false encounters."""
-    crowds = [crowd(FIRST_SEED + n) for n in range(FEW if quick else CROWDS)]
+    number, duration = (FEW, SHORT) if quick else (CROWDS, DURATION)
+    crowds = [crowd(FIRST_SEED + n, duration) for n in range(number)]
     return by_reference(crowds), with_false_encounters(crowds)
 
 
@@ -50,7 +52,7 @@ HEADER = (
     "in the 90 % region [%]",
     "extent of the walk [%]",
 )
-PAPER, GRAPH, ONE_IN_TEN = "paper", "graph", "1 in 10 false"
+PAPER, GRAPH, ONE_IN_TEN, LEFT_OUT = "paper", "graph", "1 in 10 false", "these left out"
 
 
 def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
@@ -64,34 +66,63 @@ def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
             rows.append(score(crowds, strong, by_graph(sources), (title, "graph, rule of the lifelog")))
         if sources == (DESK,):
             rows.append(score(crowds, whole, by_graph(sources, as_beacon=True), (title, "graph, terminal as a beacon")))
-    title = f"Reference positions, [calibration-walk] Sec. 2: {len(crowds)} crowds of twelve walkers, five minutes each"
+    minutes = max(walk.steps.end for walk in crowds[0].walks) / 60
+    title = f"Reference positions, [calibration-walk] Sec. 2: {len(crowds)} × 12 walkers, {minutes:.1f} min each"
     return ResultTable("reference-positions", title, HEADER, tuple(rows), NOTE_REFERENCES)
 
 
 def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     """What false encounters do: one in ten is with a walker who was elsewhere."""
     rows = list[tuple[str, ...]]()
-    for rule, all_sources in ((CLOSE, ((ENCOUNTER,), ALL)), (LIFELOG, ((ENCOUNTER,),))):
+    for rule, sources, without in (
+        (CLOSE, (ENCOUNTER,), True),
+        (CLOSE, ALL, True),
+        (LIFELOG, (ENCOUNTER,), False),  # without false ones: in the other table
+    ):
         pairs = [falsified(walkers, rule.encounters(walkers), FIRST_SEED) for walkers in crowds]
         false, wrong = [met for met, _ in pairs], [of_crowd for _, of_crowd in pairs]
-        kept = [met.only(~of_crowd) for met, of_crowd in pairs]
-        nothing = [np.zeros(len(met), dtype=bool) for met in kept]
-        for sources in all_sources:
-            for name, met, which in ((ONE_IN_TEN, false, wrong), ("these left out", kept, nothing)):
-                title = f"{rule.name}{' and all others' if sources == ALL else ''}, {name}"
-                rows.append((*score(crowds, met, by_paper(sources), (title, PAPER)), ""))
-                rows.append(score_with_rejected(crowds, met, by_graph(sources), (title, GRAPH), which))
-        if rule is CLOSE:
+        title = f"{rule.name}{' and all others' if sources == ALL else ''}, "
+        rows.append((*score(crowds, false, by_paper(sources), (title + ONE_IN_TEN, PAPER)), ""))
+        rows.append(score_with_rejected(crowds, false, by_graph(sources), (title + ONE_IN_TEN, GRAPH), wrong))
+        if rule is CLOSE and sources == (ENCOUNTER,):
             with changed(LOSSES, closure=UNBOUNDED):
-                names = f"{rule.name}, {ONE_IN_TEN}", "graph without robust loss"
-                rows.append((*score(crowds, false, by_graph((ENCOUNTER,)), names), ""))
+                names = title + ONE_IN_TEN, "graph without robust loss"
+                rows.append((*score(crowds, false, by_graph(sources), names), ""))
+        if without:
+            kept = [met.only(~of_crowd) for met, of_crowd in pairs]
+            nothing = [np.zeros(len(met), dtype=bool) for met in kept]
+            rows.append((*score(crowds, kept, by_paper(sources), (title + LEFT_OUT, PAPER)), ""))
+            rows.append(score_with_rejected(crowds, kept, by_graph(sources), (title + LEFT_OUT, GRAPH), nothing))
     title = f"False encounters, {NEAREST:.0f} to {FARTHEST:.0f} m from the other walker"
     header = (*HEADER, "rejected: false, right [%]")
     return ResultTable("false-encounter", title, header, tuple(rows), NOTE_FALSE)
 
 
-NOTE_REFERENCES = ""
-NOTE_FALSE = ""
+NOTE_REFERENCES = """The paper publishes no figure for this: each row of ours stands beside the paper's method alone.
+Known to all methods are the place and the direction of the start, with errors of 0.75 m and 0.2 rad as stated. The
+paper does not say who of two who meet takes the other's position (here who has walked farther since a known place),
+nor how near they are: here at the level of a metre or more, and beacons within 2 m by their level. Halls differ from
+the typical path loss by 8 dB, which the paper's method cannot know: loud beacons are taken for near, and its error
+grows. It keeps the wrong direction of the start; the graph estimates it. The graph also uses later references, but
+for the end of a walk. Extent: spread of the estimated positions of a walk by that of the true ones.
+
+The rule of the lifelog (from −85 dBm on; sigma by the level) is wrong and sure in this hall: the walks contract, and
+the region does not hold. Two causes, measured on seeds 0 and 1. First, the level: pairs that met at 5 m by their
+level were 10 and 14 m apart (medians), since many pairs are far and some of them are received well. Second, the
+closure itself, "at one place, give or take": with the true distances as sigma the region holds 15 and 27 %, with
+neither shadows nor a path loss other than the typical 44 and 60 %, but with only the true distances below 3 m 100 and
+100 %. A contracted walk fits all closures, and nothing says that the walkers were apart. The same holds for fixes at
+a terminal. As a beacon, by levels, the terminal needs no such rule. Close encounters, with the sigma of seeds 0 to 2,
+are few, and contract by a few per cent. Beacons by themselves leave the region too small as well; the cause is not
+known."""
+NOTE_FALSE = """The paper says nothing of false encounters. Of 142 close encounters between walkers (67, 4, 6 and 65
+in the four halls, by their path loss) 15 are false, of 2457 by the rule of the lifelog 251. Between close encounters
+the robust loss rejects half of the false ones (weight below a tenth), and all if there are other references: with
+nothing but a start, walks are so uncertain that 20 m are not far. False close encounters lower the share in the
+region from 87 to 84 %, and to 65 % without the robust loss; with all references from 94 to 93 %. By the rule of the
+lifelog only 4 % are rejected, since 20 to 40 m are 3 to 5 of its largest sigmas; the region, broken without them (40
+%), then holds 35 %."""
+
 
 # Encounters
 

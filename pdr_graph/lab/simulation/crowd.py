@@ -1,8 +1,8 @@
 """Walkers in a hall and what their phones receive: beacons, each other, a terminal; no sensors, only steps and levels.
 
 Each walker goes straight from one random place to the next, some of them switches. Errors of steps are those of
-`town_walks`. Levels follow the path loss of `BeaconRssiFactor`, with a power and an exponent of the hall drawn from its
-priors. All phones are of one model, as those of the workers of one firm are.
+`town_walks`. Levels follow the path loss of the graph's beacons, with a power and an exponent of the hall drawn from
+its priors. All phones are of one model, as those of the workers of one firm are.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pdr_graph.lab.simulation.town_walks import PERIOD, STRIDE, measured_steps
 from pdr_graph.priors import BEACONS, INITIAL
 from pdr_graph.types import Array, Fixes, Headings, Index, Levels, Steps, Trajectory
 
-WALKERS, DURATION = 12, 300.0  # and [s] of their walks
+WALKERS, DURATION = 12, 300.0  # and the time that they walk [s]
 HALL = np.array([90.0, 60.0])  # [m]
 MARGIN = 1.0  # [m] from its walls to the nearest place where a walker turns
 BEACON_PLACES = np.array([[22.0, 15.0], [68.0, 15.0], [22.0, 45.0], [68.0, 45.0]])  # [m]
@@ -77,19 +77,21 @@ class Crowd:
         return np.array([*walking, TERMINAL_PLACE])
 
 
-def crowd(seed: int) -> Crowd:
-    """Twelve walkers for five minutes."""
+def crowd(seed: int, duration: float = DURATION) -> Crowd:
+    """Twelve walkers for some time [s]."""
     random = np.random.default_rng(seed)
     power, exponent, shade = random.normal(BEACONS.path_loss, BEACONS.path_loss_sigma)
     beacons = np.column_stack([random.normal(BEACON_PLACES, SURVEYED), random.normal(0, BEACONS.power_sigma, 4)])
-    walks = tuple(_walk(random, beacons, (power, exponent, shade)) for _ in range(WALKERS))
+    walks = tuple(_walk(random, duration, beacons, (power, exponent, shade)) for _ in range(WALKERS))
     return Crowd(walks, _receptions(walks, random, power, exponent))
 
 
-def _walk(random: np.random.Generator, beacons: Array, path_loss: tuple[float, float, float]) -> CrowdWalk:
-    """A walk through the hall. beacons: x, y [m] and power [dB] of each."""
+def _walk(
+    random: np.random.Generator, duration: float, beacons: Array, path_loss: tuple[float, float, float]
+) -> CrowdWalk:
+    """A walk through the hall. duration [s]; beacons: x, y [m] and power [dB] of each."""
     stride, period = STRIDE * random.normal(1, 0.1), PERIOD * random.normal(1, 0.05)
-    n = int(DURATION / period)
+    n = int(duration / period)
     place, corners = _route(random, stride, n)
     steps = measured_steps(place, random, period)
     move = np.diff(place, axis=0)
