@@ -113,8 +113,9 @@ closure itself, "at one place, give or take": with the true distances as sigma t
 neither shadows nor a path loss other than the typical 44 and 60 %, but with only the true distances below 3 m 100 and
 100 %. A contracted walk fits all closures, and nothing says that the walkers were apart. The same holds for fixes at
 a terminal. As a beacon, by levels, the terminal needs no such rule. Close encounters, with the sigma of seeds 0 to 2,
-are few, and contract by a few per cent. Beacons by themselves leave the region too small as well; the cause is not
-known."""
+are few, and contract by a few per cent. Beacons by themselves leave the region too small, since the search ends in
+one of several optima: of three such walks of seed 1, a search from the truth ends at costs lower by 3.1 and 7.0, and
+equal to 0.1, with median errors of 2.5, 2.4 and 1.6 m for 4.4, 5.7 and 2.6 m."""
 NOTE_FALSE = """The paper says nothing of false encounters. Of 142 close encounters between walkers (67, 4, 6 and 65
 in the four halls, by their path loss) 15 are false, of 2457 by the rule of the lifelog 251. Between close encounters
 the robust loss rejects half of the false ones (weight below a tenth), and all if there are other references: with
