@@ -50,24 +50,29 @@ def town_walk(network: PathNetwork, seed: int, length: float = 1500.0, across: b
     at = np.linspace(0, walked[-1], n + 1)
     place = _smooth(interpolate(at, walked, line), 2.0)  # corners are cut
     along = on[np.clip(np.searchsorted(walked, at, side="right") - 1, 0, len(on) - 1)]
-    move = np.diff(place, axis=0)
+    steps = measured_steps(place, random)
+    return TownWalk(steps, np.append(0.0, steps.time), place, along)
+
+
+def measured_steps(place: Array, random: np.random.Generator, period: float = PERIOD) -> Steps:
+    """The steps between places ``(n + 1, 2)`` [m] as a phone measures them. period: of a step [s]."""
+    move, n = np.diff(place, axis=0), len(place) - 1
     heading = np.unwrap(np.arctan2(move[:, 1], move[:, 0]))
     turn, true = np.diff(heading, prepend=0.0), np.asarray(np.hypot(move[:, 0], move[:, 1]))
-    time = np.arange(n + 1, dtype=np.float64) * PERIOD
+    time = np.arange(n + 1, dtype=np.float64) * period
     turn[0] = 0.0
-    measured = turn * random.normal(1, 0.01) + random.normal(0, 0.02, n) + random.normal(0, 0.001) * PERIOD
-    steps = Steps(
+    measured = turn * random.normal(1, 0.01) + random.normal(0, 0.02, n) + random.normal(0, 0.001) * period
+    return Steps(
         start=0.0,
         end=float(time[-1]) + 0.5,
         time=time[1:],
-        duration=np.full(n, PERIOD),
+        duration=np.full(n, period),
         length=true * random.normal(1, 0.05) + random.normal(0, 0.05, n),
         turn=wrap_angle(measured),
         pause_turn=np.zeros(n),
         sigma_length=np.full(n, 0.07),
         sigma_turn=np.full(n, 0.025),
     )
-    return TownWalk(steps, time, place, along)
 
 
 def _smooth(rows: Array, sigma: float) -> Array:
