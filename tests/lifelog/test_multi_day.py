@@ -12,11 +12,11 @@ from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.apps.lifelog.multi_day import (
     CONTEXT,
     ENCOUNTER_PERIOD,
+    ENCOUNTER_SIGMA,
     MAX_CONTEXT_STEPS,
     MAX_STEPS,
     MAX_WALKS,
     MIN_RSSI,
-    MIN_SIGMA,
     CarriedPhone,
     WalkPlace,
     blocks,
@@ -55,11 +55,10 @@ def test_a_reception_by_either_phone_closes_both_walks_at_its_time(phones, times
     assert closures.walk.tolist() == [[0, 1] if times[0] == 50.0 else [1, 0]]
 
 
-def test_a_stronger_reception_has_a_smaller_sigma():
-    sigma = [encounters([anna(heard([50.0], level)), ben()], PHONES).sigma[0] for level in (-45, -70, -80)]
-    assert sigma == sorted(sigma)
-    assert sigma[0] == MIN_SIGMA
-    assert sigma[2] < 10.0
+def test_only_the_level_of_a_metre_or_more_is_an_encounter():
+    """Levels of ten metres, as closures, contract the walks of a crowd to half of their extent."""
+    met = [encounters([anna(heard([50.0], level)), ben()], PHONES).sigma.tolist() for level in (-45, -62, -63, -80)]
+    assert met == [[ENCOUNTER_SIGMA], [ENCOUNTER_SIGMA], [], []]
 
 
 def test_a_conversation_is_one_encounter_per_period():

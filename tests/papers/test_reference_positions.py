@@ -11,10 +11,10 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.lab.papers.reference_positions import (
     ALL,
     CLOSE,
+    DISTANT,
     ENCOUNTER,
     FALSE_SHARE,
     FARTHEST,
-    LIFELOG,
     NEAREST,
     Encounters,
     Reference,
@@ -102,7 +102,7 @@ def test_without_shadows_a_level_gives_the_true_distance(monkeypatch):
 
 def test_one_in_ten_encounters_is_falsified_by_a_walker_who_was_elsewhere():
     walkers = crowd(0)
-    met = LIFELOG.encounters(walkers)
+    met = DISTANT.encounters(walkers)
     with_false, false = falsified(walkers, met, 1)
     assert false.mean() == pytest.approx(FALSE_SHARE, abs=4 * np.sqrt(FALSE_SHARE / len(met)))
     assert (with_false.pair[~false] == met.pair[~false]).all()

@@ -78,8 +78,8 @@ def blocks(walks: Sequence[WalkPlace]) -> Iterator[WalkBlock]:
 
 
 # Chosen by hand
-MIN_RSSI = -85.0  # [dBm] about ten metres; weaker levels depend more on bodies and reflections than on the distance
-MIN_SIGMA = 1.5  # [m] per axis of the distance of two people who meet
+MIN_RSSI = BEACONS.path_loss[0]  # [dBm] at a metre; from weaker levels walks contract, see docs/results/seeds.md
+ENCOUNTER_SIGMA = 3.0  # [m] per axis of the distance of two people who meet: 3.3 in a simulated crowd
 ENCOUNTER_PERIOD = 15.0  # [s] with one encounter at most: the shadowing by bodies is the same for as long
 
 
@@ -99,11 +99,10 @@ class CarriedPhone:
 def encounters(walks: Sequence[CarriedPhone], phones: Mapping[str, str]) -> Closures:
     """Loop closures between walks of people who met, on any days.
 
-    phones: owner of each phone or tag, by its name in the logs of others. The distance of a strong reception follows
-    from the path loss of a typical phone.
+    phones: owner of each phone or tag, by its name in the logs of others. People met where a level is that of a metre
+    or more, by the path loss of a typical phone.
     """
     rows, which = list[tuple[float, float, float]](), list[tuple[int, int]]()
-    power, exponent, _ = BEACONS.path_loss
     for (n, one), (m, other) in permutations(enumerate(walks), 2):
         if one.person == other.person or one.received is None:
             continue
@@ -113,8 +112,7 @@ def encounters(walks: Sequence[CarriedPhone], phones: Mapping[str, str]) -> Clos
         near = np.flatnonzero(theirs & during & (rssi >= MIN_RSSI))
         loudest = near[np.argsort(-rssi[near], kind="stable")]
         for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
-            moment, distance = float(time[row]), 10 ** ((power - rssi[row]) / (10 * exponent))
-            rows.append((moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))))
+            rows.append((float(time[row]), float(time[row]) + later, ENCOUNTER_SIGMA))
             which.append((n, m))
     return Closures.of(rows, which)
 

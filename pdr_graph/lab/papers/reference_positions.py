@@ -57,13 +57,13 @@ PAPER, GRAPH, ONE_IN_TEN, LEFT_OUT = "paper", "graph", "1 in 10 false", "these l
 
 def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
     """Errors of dead reckoning by each kind of reference position, and by all."""
-    close, strong, whole = ([rule.encounters(walkers) for walkers in crowds] for rule in (CLOSE, LIFELOG, RECEIVED))
+    close, strong, whole = ([rule.encounters(walkers) for walkers in crowds] for rule in (CLOSE, DISTANT, RECEIVED))
     rows = list[tuple[str, ...]]()
     for title, sources in ((START, ()), *((f"+ {source}", (source,)) for source in ALL), ("all of these", ALL)):
         rows.append(score(crowds, close, by_paper(sources), (title, PAPER)))
         rows.append(score(crowds, close, by_graph(sources), (title, GRAPH)))
         if sources in ((ENCOUNTER,), (DESK,)):
-            rows.append(score(crowds, strong, by_graph(sources), (title, "graph, rule of the lifelog")))
+            rows.append(score(crowds, strong, by_graph(sources), (title, "graph, distant encounters too")))
         if sources == (DESK,):
             rows.append(score(crowds, whole, by_graph(sources, as_beacon=True), (title, "graph, terminal as a beacon")))
     minutes = max(walk.steps.end for walk in crowds[0].walks) / 60
@@ -77,7 +77,7 @@ def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     for rule, sources, without in (
         (CLOSE, (ENCOUNTER,), True),
         (CLOSE, ALL, True),
-        (LIFELOG, (ENCOUNTER,), False),  # without false ones: in the other table
+        (DISTANT, (ENCOUNTER,), False),  # without false ones: in the other table
     ):
         pairs = [falsified(walkers, rule.encounters(walkers), FIRST_SEED) for walkers in crowds]
         false, wrong = [met for met, _ in pairs], [of_crowd for _, of_crowd in pairs]
@@ -98,31 +98,22 @@ def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     return ResultTable("false-encounter", title, header, tuple(rows), NOTE_FALSE)
 
 
-NOTE_REFERENCES = """The paper publishes no figure for this: each row of ours stands beside the paper's method alone.
-Known to all methods are the place and the direction of the start, with errors of 0.75 m and 0.2 rad as stated. The
-paper does not say who of two who meet takes the other's position (here who has walked farther since a known place),
-nor how near they are: here at the level of a metre or more, and beacons within 2 m by their level. Halls differ from
-the typical path loss by 8 dB, which the paper's method cannot know: loud beacons are taken for near, and its error
-grows. It keeps the wrong direction of the start; the graph estimates it. The graph also uses later references, but
-for the end of a walk. Extent: spread of the estimated positions of a walk by that of the true ones.
+NOTE_REFERENCES = """The paper publishes no figure for this. Known to all methods are place and direction of the
+start, with errors of 0.75 m and 0.2 rad as stated. Of two who meet, here who has walked less since a known place takes
+the other's position, at the level of a metre or more; a beacon's, within 2 m by its level. Halls differ from the typical
+path loss by 8 dB, which the paper's method cannot know, and it keeps the wrong direction of the start; the graph
+estimates both, and uses later references too, but for the end of a walk. Extent: spread of the estimated positions of a
+walk by that of the true ones.
 
-The rule of the lifelog (from −85 dBm on; sigma by the level) is wrong and sure in this hall: the walks contract, and
-the region does not hold. Two causes, measured on seeds 0 and 1. First, the level: pairs that met at 5 m by their
-level were 10 and 14 m apart (medians), since many pairs are far and some of them are received well. Second, the
-closure itself, "at one place, give or take": with the true distances as sigma the region holds 15 and 27 %, with
-neither shadows nor a path loss other than the typical 44 and 60 %, but with only the true distances below 3 m 100 and
-100 %. A contracted walk fits all closures, and nothing says that the walkers were apart. The same holds for fixes at
-a terminal. As a beacon, by levels, the terminal needs no such rule. Close encounters, with the sigma of seeds 0 to 2,
-are few, and contract by a few per cent. Beacons by themselves leave the region too small, since the search ends in
-one of several optima: of three such walks of seed 1, a search from the truth ends at costs lower by 3.1 and 7.0, and
-equal to 0.1, with median errors of 2.5, 2.4 and 1.6 m for 4.4, 5.7 and 2.6 m."""
-NOTE_FALSE = """The paper says nothing of false encounters. Of 142 close encounters between walkers (67, 4, 6 and 65
-in the four halls, by their path loss) 15 are false, of 2457 by the rule of the lifelog 251. Between close encounters
-the robust loss rejects half of the false ones (weight below a tenth), and all if there are other references: with
-nothing but a start, walks are so uncertain that 20 m are not far. False close encounters lower the share in the
-region from 87 to 84 %, and to 65 % without the robust loss; with all references from 94 to 93 %. By the rule of the
-lifelog only 4 % are rejected, since 20 to 40 m are 3 to 5 of its largest sigmas; the region, broken without them (40
-%), then holds 35 %."""
+Encounters at ten metres (from −85 dBm on; sigma by the level) are wrong and sure in this hall: the walks contract, and
+nothing says so; the lifelog uses close ones. Two causes, on seeds 0 and 1: pairs that met at 5 m by their level were 10
+and 14 m apart (medians), since far pairs are many; and "at one place, give or take" contracts walks even with the true
+distances as sigma (15 and 27 % in the region; only those below 3 m: 100 and 100 %). The same holds for fixes at a
+terminal; as a beacon, by levels, it needs no such rule. Beacons by themselves leave the region too small, since the
+search ends in one of several optima: a search from the truth ends at costs lower by 3.1 and 7.0 in two of three walks."""
+NOTE_FALSE = """Of 142 close encounters between walkers (67, 4, 6 and 65 in the four halls) 15 are false, of 2457 at ten
+metres 251. The robust loss rejects half of the close ones (weight below a tenth), and all if there are other
+references; of those at ten metres 4 %, since 20 to 40 m are 3 to 5 of their largest sigmas."""
 
 
 # Encounters
@@ -176,7 +167,7 @@ def distance_by(rssi: Array) -> Array:
     return 10 ** ((power - rssi) / (10 * exponent))
 
 
-LIFELOG = Rule("encounters by the rule of the lifelog", -85.0, 1.5)  # of `multi_day.encounters`: about ten metres
+DISTANT = Rule("encounters at about ten metres", -85.0, 1.5)  # sigma by the level
 # At the level of a metre; their distance was 3.3 m per axis (root mean square) on seeds 0 to 2
 CLOSE = Rule("close encounters", BEACONS.path_loss[0], 3.0)
 RECEIVED = Rule("all receptions", -np.inf, 3.0)
