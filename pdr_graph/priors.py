@@ -262,7 +262,7 @@ class ForwardPriors(Table):
         1.1,
         "rad",
         "phase by which forward leads vertical acceleration: 33–119° in 16 of 18 real walks",
-        "fit: docs/results/heading.md",
+        "fit: docs/results/seeds.md",
         still=(1, 2),
     )
     band: float = number(
