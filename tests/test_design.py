@@ -74,7 +74,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1450),  # the view for Rerun
     "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
-    "estimation": (19, 3645),  # iSAM2; the filter of a walk under way; poses between steps
+    "estimation": (19, 3651),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
     "estimation/factors": (16, 2934),  # the marginal; increments for a smoother of one's own; a path to go on from
     "estimation/live": (9, 1750),
@@ -84,9 +84,9 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "inertial": (6, 530),
     "io": (20, 2030),  # recorders by the words in their columns, step counters, bags of ROS
     "lab": (2, 0),
-    "lab/papers": (8, 884),  # the experiment of [heading], with real phones
-    "lab/simulation": (9, 1344),
-    "online": (7, 1037),  # the filter beside the smoother
+    "lab/papers": (12, 2179),  # the experiments of the five papers
+    "lab/simulation": (10, 1410),  # a crowd whose phones receive each other
+    "online": (7, 1038),  # the filter beside the smoother
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
