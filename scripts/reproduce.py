@@ -16,12 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import accuracy_page
+import floors
 import gait
 import integrity
 import lifelog
 import live
 import paths
 import recordings
+import routes
 import settings
 from conditions import DATA
 from tables import DIFFERENCES, HELD_BACK, timed
@@ -53,6 +55,8 @@ TABLES = {  # in the order of docs/results/index.md
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True),
     "integrity-live": Made(integrity.integrity_live, some=True),
     "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
+    "routes": Made(lambda: routes.routes(DATA)),
+    "floors": Made(lambda: floors.floors(DATA), quick=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "lifelog": Made(lifelog.lifelog),
