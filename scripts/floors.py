@@ -37,7 +37,7 @@ def floors(data):
 
 
 def recorded(data):
-    """Real walks, those of the same climbs together. The floor where each began is given; landmarks are scores alone."""
+    """Real walks, those of the same climbs together. The floor where each begins is given; landmarks only score."""
     groups = {}
     for name, walk in (recordings(data, "conditions:museum") | recordings(data, "nju")).items():
         recording = walk.evidence.walk

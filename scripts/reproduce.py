@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import accuracy_page
+import assumptions
 import floors
 import gait
 import integrity
@@ -57,6 +58,9 @@ TABLES = {  # in the order of docs/results/index.md
     "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
     "routes": Made(lambda: routes.routes(DATA)),
     "floors": Made(lambda: floors.floors(DATA), quick=True),
+    "drift": Made(lambda: assumptions.drift(DATA), quick=True),
+    "outliers": Made(lambda: assumptions.outliers(DATA), quick=True),
+    "protection": Made(lambda: assumptions.protection(DATA), quick=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "lifelog": Made(lifelog.lifelog),

@@ -63,13 +63,19 @@ def routes(data):
                 jobs += [partial(simulated, kind, floor, lengths, int(seed)) for seed in seeds]
     with ProcessPoolExecutor() as pool:
         outcomes = [outcome for some in pool.map(_call, jobs) for outcome in some]
-    for name, unplaced in (("routes", False), ("no position", True)):
-        some = [o for o in outcomes if o.given.startswith(NOTHING) is unplaced]
-        names = [(plan, given) for plan in (MALLS, PLANS, RECORDED) for given in GIVEN]
-        by_name = {key: [o for o in some if (o.plan, o.given) == key] for key in names}
-        rows = [described(key, found) for key, found in by_name.items() if found]
-        rows.append(described(("**all**", ""), some))
-        publish("results/routes.md", name, f"{table(HEADER, rows)}\n\n{reliability(some)}")
+    unplaced = [outcome for outcome in outcomes if outcome.given.startswith(NOTHING)]
+    placed = [outcome for outcome in outcomes if outcome not in unplaced]
+    publish("results/routes.md", "routes", tables(placed))
+    publish("results/routes.md", "no position", tables(unplaced))
+
+
+def tables(outcomes):
+    """Table of the outcomes by plan and what is given, and how far the stated probability is right."""
+    names = [(plan, given) for plan in (MALLS, PLANS, RECORDED) for given in GIVEN]
+    by_name = {key: [o for o in outcomes if (o.plan, o.given) == key] for key in names}
+    rows = [described(key, some) for key, some in by_name.items() if some]
+    rows.append(described(("**all**", ""), outcomes))
+    return f"{table(HEADER, rows)}\n\n{reliability(outcomes)}"
 
 
 def _call(job):
