@@ -77,8 +77,11 @@ def drift(data):
     publish("results/drift.md", "drift", table(["phone", "sessions", "b [mrad/s]"], rows))
     usual = np.array([[each.density(sigma) for sigma in SIGMAS] for each in every])
     wide = np.array([[each.density(WIDE)] for each in every])
-    near = np.array([abs(each.value) < WIDE for each in every])
-    populations = {"one population": usual, f"without {np.sum(~near)} beyond {1e3 * WIDE:.0f} mrad/s": usual[near]}
+    near = np.array([abs(each.value) < max(WIDE, 3 * each.sigma) for each in every])
+    populations = {
+        "one population": usual,
+        f"without {np.sum(~near)} that is beyond {1e3 * WIDE:.0f} mrad/s": usual[near],
+    }
     mixed = f"{100 * RARE:.0f} % of them from another, of {1e3 * WIDE:.0f} mrad/s"
     populations[mixed] = (1 - RARE) * usual + RARE * wide
     nats = {name: -np.log(likelihood).sum(axis=0) for name, likelihood in populations.items()}
