@@ -18,7 +18,7 @@ from pdr_graph.types import Fixes, Headings
 DRAWN = (("mall", None), ("arcade", None), ("office", None), ("two_floors", "1"))  # of maps/, and their labels
 MALLS, PLANS, RECORDED = "simulated, real malls", "simulated, drawn", "Microsoft's fifteen recordings"
 PLACED, UNPLACED = (60.0, 200.0), (120.0, 400.0)  # [m] walked with a position and without, where the floor has as much
-WALKS = {PLACED: 8, UNPLACED: 3}  # on each floor
+WALKS = {PLACED: 6, UNPLACED: 3}  # on each floor
 SIGMA = 0.5  # [m] of a position that is given
 NOTHING = "no position"
 GIVEN = {  # rows of the truth whose position is given, and True with the compass
@@ -144,7 +144,7 @@ def reliability(some):
     stated, right = np.array([(o.stated, o.right) for o in some]).T
     rows = []
     for low, high in pairwise(BINS):
-        here = (stated > low) & (stated <= high) | (stated == low == 0)
+        here = ((stated > low) | (low == 0)) & (stated <= high)
         if here.any():
             share = [f"{100 * values[here].mean():.0f} %" for values in (stated, right)]
             rows.append([f"{100 * low:.0f}–{100 * high:.0f} %", here.sum(), *share])
