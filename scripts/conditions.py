@@ -6,7 +6,7 @@ A walk is a `BenchWalk`: its evidence with the steps, and its truth.
 import os
 import zlib
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
 from pdr_graph import FloorPlan, detect_steps, magnetic_headings, smooth
-from pdr_graph.apps.bench.data_sets import BenchWalk, given, walks_of
+from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded, walks_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL, Area
@@ -27,6 +27,7 @@ from pdr_graph.gait.learned import Velocities
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate, length_along, rotation, unit, wrap_angle
+from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.tables import SURVEY_SIGMA
 from pdr_graph.lab.simulation.body import Body
 from pdr_graph.lab.simulation.recorders import write
@@ -58,6 +59,19 @@ def percentiles(errors):
 def recordings(data, of):
     """The walks of a data set of the bench by name, as they are read."""
     return {name: read() for name, read in walks_of(of, data)}
+
+
+def museum(data):
+    """All museum recordings at hand, those of the bench and seven more, as a data set of the bench."""
+    for path in sorted(data.glob("ipin2023_*/*Trial*.txt")):
+        yield path.stem.removeprefix("IPIN2023_T3_Training"), partial(recorded, path, Options())
+
+
+def malls(data):
+    """All mall recordings at hand without their plans, those of the bench and two more on each of 13 floors."""
+    for path in sorted(data.glob("ms_indoor20/site*/*/*.txt")) + sorted(data.glob("ms_more/site*/*/*.txt")):
+        name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
+        yield name, partial(recorded, path, Options(), WAYPOINT_SIGMA)
 
 
 @cache
@@ -239,7 +253,12 @@ def simulated_walk(setting, seed):
     """Walk of a setting: another walker, phone and route for each seed."""
     random = np.random.default_rng((seed, 7))
     plan, corners, content = route_of(setting, seed, random, WAYS)
-    content |= {"seed": seed, "phone": {"rate": 50, "disturbance": DISTURBANCE}}
+    return walk_along(corners, setting, seed, random, plan, content)
+
+
+def walk_along(corners, setting, seed, random, plan, content):
+    """Walk along corners ``(k, 2)`` [m] with a few stops. content: what the scenario says of the plan."""
+    content = content | {"seed": seed, "phone": {"rate": 50, "disturbance": DISTURBANCE}}
     simulation = simulate(Scenario.of(content | {"route": with_stands(corners, random)}))
     gaits = gait_signals(simulation.recording())
     steps, factor = detect_steps(gaits), np.exp(WALKER_STRIDE * random.standard_normal())

@@ -20,12 +20,15 @@ from functools import partial
 from random import Random
 
 import accuracy_page
+import assumptions
+import floors
 import gait
 import integrity
 import lifelog
 import live
 import paths
 import recordings
+import routes
 import seeds
 import settings
 from conditions import DATA
@@ -60,6 +63,11 @@ TABLES = {  # in the order of docs/results/index.md
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True, alone="integrity"),
     "integrity-live": Made(integrity.integrity_live, some=True, alone="integrity live"),
     "paths": Made(lambda *rows: paths.paths(DATA, *rows), some=True),
+    "routes": Made(lambda: routes.routes(DATA)),
+    "floors": Made(lambda: floors.floors(DATA), quick=True),
+    "drift": Made(lambda: assumptions.drift(DATA), quick=True),
+    "outliers": Made(lambda: assumptions.outliers(DATA), quick=True),
+    "protection": Made(lambda: assumptions.protection(DATA), quick=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "lifelog": Made(lifelog.lifelog),

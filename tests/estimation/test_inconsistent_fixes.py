@@ -167,12 +167,20 @@ def test_a_jump_there_and_back_is_an_outlier():
 
 
 def test_of_two_equal_chains_the_one_without_a_rejected_fix_is_consistent():
-    """The third fix, or the last, is 40 m off: only that the walk has rejected one of them tells which."""
+    """The first two fixes, or the last two, are 90 m off: only that the walk has rejected one of them tells which."""
     steps = straight(50)
+    fixes = fixes_at(np.arange(4) * 4.0, [[0, 0], [5, 0], [10, 90], [15, 90]])
+    used, share = np.ones(4, dtype=bool), np.array([1.0, FIXES.rejected, 1.0, 1.0])
+    assert consistent_chains(steps, fixes, fixes.sigma, used)[1].tolist() == [True, True, False, False]
+    assert consistent_chains(steps, fixes, fixes.sigma, used, share)[1].tolist() == [False, False, True, True]
+
+
+def test_a_fix_that_a_chain_passes_over_does_not_count_for_it():
+    """The third can be reached from the first alone: a chain through it has two fixes, the other three."""
     fixes = fixes_at([0.0, 6.0, 16.0, 22.0], [[0, 0], [8, 0], [8, 30], [30, 0]])
-    used, share = np.ones(4, dtype=bool), np.array([1.0, 1.0, FIXES.rejected, 1.0])
-    assert consistent_chains(steps, fixes, fixes.sigma, used)[1].tolist() == [True, True, True, False]
-    assert consistent_chains(steps, fixes, fixes.sigma, used, share)[1].tolist() == [True, True, False, True]
+    run, believed = reached(straight(50), fixes)
+    assert run.tolist() == [0, 0, 1, 2]
+    assert believed.tolist() == [True, True, False, True]
 
 
 def by_bus(n=60):

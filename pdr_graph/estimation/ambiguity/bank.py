@@ -202,7 +202,7 @@ def probabilities(optima: Sequence[Optimum], path: Index) -> Array:
 
     path: ``(n,)`` see `paths`; solutions on one path share the weight of the best. The remainder to 1 is the
     probability of paths that the search missed; it grows with the excess of the best cost over the usual cost. On
-    simulated walks (docs/results/topology.md shows others) cost and price need no scale; the curvature at a
+    simulated walks (docs/results/routes.md shows others) cost and price need no scale; the curvature at a
     solution (Laplace's approximation) and the number of particles on its path add no information.
     """
     surprise = np.array([optimum.surprise for optimum in optima])

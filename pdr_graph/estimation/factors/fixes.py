@@ -437,7 +437,8 @@ def longest_consistent_chain(
 
     position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` largest error [m]; way: ``(f,)`` longest possible path
     since the start [m]. jump: fixes that an impossible jump costs a chain; ends: number of fixes at the end of a run,
-    and at the start of the next, any of which may connect them; share: ``(f,)`` of each fix in the length of a chain.
+    and at the start of the next, any of which may connect them: those passed over do not count; share: ``(f,)`` of each
+    fix in the length of a chain.
     """
 
     def reaches(earlier: Index, later: Index) -> Mask:
@@ -450,14 +451,16 @@ def longest_consistent_chain(
     begins = np.append(True, ~reaches(every[:-1], every[1:]))
     first, run = np.flatnonzero(begins), np.cumsum(begins) - 1
     last = np.append(first[1:], len(position)) - 1
-    length = (last - first + 1).astype(float) if share is None else np.add.reduceat(share, first)
+    share = np.ones(len(position)) if share is None else share
+    length, total = np.add.reduceat(share, first), np.cumsum(share)
     before = np.full(len(first), -1)
     for n in range(1, len(first)):
         earlier = np.arange(max(0, n - MOST_RUNS), n)
         leaving = np.maximum(last[earlier, None] - np.arange(ends), first[earlier, None])
         entering = np.minimum(first[n] + np.arange(ends), last[n])
-        led = np.any([reaches(leaving, np.full_like(leaving, at)) for at in entering], axis=(0, 2))
-        gain = length[earlier] - np.where(led, 0.0, jump)
+        led = np.array([reaches(leaving, np.full_like(leaving, at)) for at in entering])
+        passed = total[last[earlier], None] - total[leaving] + (total[entering] - total[first[n]])[:, None, None]
+        gain = length[earlier] - np.minimum(np.where(led, passed, jump).min(axis=(0, 2)), jump)
         if gain.max() > 0:
             before[n] = earlier[np.argmax(gain)]
             length[n] += gain.max()

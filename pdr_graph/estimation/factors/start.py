@@ -30,7 +30,7 @@ class Prior:
     """Prior of walker, gyro and walls.
 
     mean, sigma: of R_s [-], R_d [-], b [rad/s]. A tighter R_s bends walks instead of scaling them (design section 3);
-        the sigma of b covers the phones of docs/results/drift.md, real and simulated.
+        the sigma of b covers all sessions of docs/results/drift.md but one.
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
