@@ -700,7 +700,12 @@ class BeaconPriors(Table):
 
     level_sigma: float = number(7.0, "dB", "of a mean level: reflections, people, furniture")
     height: float = number(1.5, "m", "of a beacon above the phone")
-    power_sigma: float = number(4.0, "dB", "of a beacon's power")
+    power_sigma: float = number(
+        6.0,
+        "dB",
+        "of a beacon's power; 6 to 10 alike",
+        "ten museum logs: residuals at surveyed places, by beacon and log",
+    )
     weakest: float = number(-97.0, "dBm", "that phones receive")
     most_evidence: float = number(4.5, "log-odds", "of one level at most")
     grid: float = number(5.0, "m", "spacing of candidate positions")
@@ -1219,7 +1224,12 @@ class VerdictPriors(Table):
         3.0, "σ", "of a receiver from the way of the steps; sound ones to 2.1", "36 walks, 3 of them real"
     )
     beside_jump: int = number(5, "fixes", "before and after a jump, whose medians are compared")
-    seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
+    widest: float = number(
+        12.0,
+        "m",
+        "radius of the 90 % region, in the median, beyond which a walk is no place",
+        "50 runs of ten museum logs",
+    )
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
     strides: tuple[float, float] = number(
         (0.72, 1.6), "ratio", "of strides to those by height and pace, beyond which no position confirms them"

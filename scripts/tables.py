@@ -45,6 +45,16 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows that match
     "stride": (("spread",), r"lasso|cadence"),
     "live compass": (("with a heading",), r"simulated, (breast|trouser)"),
     "lifelog-visits": ((), r"0\.(05–0\.20|20–0\.40|60–0\.80) "),
+    "heading": (
+        ("roll [rad/s]", "pitch [rad/s]", "yaw [rad/s]", "vertical [m/s²]"),
+        r"– (median|greatest|least|errors wrapped|error of the axis, attitude)",
+    ),
+    "gps-dr": (("median [m]", "at the end, median [m]"), "(?!)"),
+    "map-matching": (
+        ("least [m] (paper)", "where", "of it along [m]", "across [m]"),
+        r"strides × 0\.(95|7)|strides × 0\.8, without|turns × 1\.05|the same, (strides|without)|loop of",
+    ),
+    "reference-positions": (("75 % [m]", "median at the end [m]"), r"\+ encounters with a fixed terminal \| paper"),
 }
 
 

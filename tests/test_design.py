@@ -65,7 +65,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (15, 3005),  # the pose of an estimate at any time; declared columns
+    ".": (14, 3011),  # the pose of an estimate at any time; declared columns
     "apps": (3, 189),  # the filter beside a replay
     "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
@@ -74,9 +74,9 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1450),  # the view for Rerun
     "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
-    "estimation": (19, 3651),  # iSAM2; the filter of a walk under way; poses between steps
+    "estimation": (19, 3662),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
-    "estimation/factors": (16, 2934),  # the marginal; increments for a smoother of one's own; a path to go on from
+    "estimation/factors": (16, 2936),  # the marginal; increments for a smoother of one's own; a path to go on from
     "estimation/live": (9, 1750),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),

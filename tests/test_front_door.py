@@ -74,7 +74,7 @@ def test_dead_reckoning_is_turned_and_scaled_by_nothing(tmp_path, felt):
     path = exported("phyphox", tmp_path, felt)
     code, _, summary = smoothed(path, tmp_path / "out", "--method", "pdr")
     assert code == 3
-    assert [reason["source"] for reason in summary["verdict"]["reasons"]] == ["route"]
+    assert {reason["source"] for reason in summary["verdict"]["reasons"]} == {"route", "place"}
     run("steps", path, "--out", tmp_path / "steps.csv")
     lengths = np.loadtxt(tmp_path / "steps.csv", delimiter=",", skiprows=1, usecols=1)
     track = read_trajectory(tmp_path / "out" / "trajectory.csv")

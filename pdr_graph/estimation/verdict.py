@@ -15,21 +15,22 @@ from pdr_graph.estimation.factors.fixes import alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
-from pdr_graph.geometry import interpolate, peaks
+from pdr_graph.geometry import horizontal_sigma, interpolate, peaks
 from pdr_graph.priors import FIXES, PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
-ROUTE = "route"  # source of a contradiction that only leaves open where the walk went
+ROUTE, PLACE = "route", "place"  # sources of contradictions that only leave open where the walk went
 STEPS_AND_REST = "steps and the rest"  # what contradicts fixes without another source of positions
 NO_EVIDENCE = (LOUD_BEACON, REPEATED, FIRST_ONLY)  # reasons of fixes that neither confirm nor contradict a walk
+RADIUS_90 = 2.146  # [σ] of a circle that holds 90 % of a Gaussian with this sigma per axis
 FIXES_COMPARED = 200  # among which the two farthest apart are searched
 
 
 def verdict(estimate: Estimate) -> Verdict:
     """The verdict on an estimate: the contradictions found when it was solved, and those that its reports show."""
     found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _network)
-    found = (*found, _stride, _probability, _convergence)
+    found = (*found, _stride, _probability, _width, _convergence)
     return Verdict.of((*estimate.contradictions, *(reason for rule in found for reason in rule(estimate))))
 
 
@@ -173,11 +174,22 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:
     """A route that is one of several; on a plan beside all fixes (`plan_placement`) its probability is 0."""
-    limit = REPORTS.sure if estimate.routes and not is_measured(estimate) else VERDICTS.seldom_right
-    if 0 < estimate.probability < limit:
+    if 0 < estimate.probability < REPORTS.sure:
         text = f"this route has a probability of {percent(estimate.probability)}: another may be right"
         check = "the report's map; another fix would decide"
         yield Contradiction(ROUTE, "other routes", estimate.probability, "probability", text, check)
+
+
+def _width(estimate: Estimate) -> Iterator[Contradiction]:
+    """A measured place that is known less well than "ok" promises, in half of the rows."""
+    covariance = estimate.trajectory.covariance
+    if covariance is None or not is_measured(estimate):
+        return
+    radius = RADIUS_90 * float(np.median(horizontal_sigma(covariance)))
+    if radius > VERDICTS.widest:
+        text = f"the place is known to {radius:.0f} m only, the radius of the 90 % region of half of the walk"
+        check = "the report's map; more positions, a plan or a compass would decide"
+        yield Contradiction(PLACE, "other places", radius, "m", text, check)
 
 
 def _convergence(estimate: Estimate) -> Iterator[Contradiction]:
@@ -228,9 +240,11 @@ def independent_positions(estimate: Estimate) -> dict[str, float]:
 def teaches_profile(estimate: Estimate) -> bool:
     """True if the walker's profile may be learnt from this estimate.
 
-    It is "ok", no error of a source explains it, and three or more independent positions determine the stride scale.
+    It is "ok" but for how well its place is known, no error of a source explains it, and three or more independent
+    positions determine the stride scale.
     """
-    return not estimate.assumed and stride_determined(estimate, PATHS.fewest_fixes) and verdict(estimate).ok
+    sound = all(reason.source == PLACE for reason in verdict(estimate).reasons)
+    return not estimate.assumed and stride_determined(estimate, PATHS.fewest_fixes) and sound
 
 
 def _accepted(estimate: Estimate) -> list[FixReport]:

@@ -444,7 +444,7 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
         assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 7.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
         (factor,) = factors_with(graph, state, "beacons.place", ("b", m))
-        assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 4.0])
+        assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 6.0])
     (factor,) = factors_with(graph, state, "beacons.path_loss", ("q", 0))
     assert factor.residual == pytest.approx((state["q"][0] - [-62, 2.2, 3]) / [8, 0.5, 3])
 
@@ -520,16 +520,15 @@ def test_a_closure_is_the_distance_at_any_headings(seed):
     assert not factors_with(unbound, state, "closures")
 
 
-def test_the_sigma_of_an_encounter_follows_the_path_loss():
-    """σ = max(1.5 m, d/√2) per axis, with d by the path loss of any phone; levels below −85 dBm are not used."""
-    heard = Sightings(np.array([10.0, 40.0, 70.0]), ("her phone",) * 3, np.array([-60.0, -80.0, -86.0]))
+def test_an_encounter_has_a_sigma_of_3_m():
+    """Per axis; levels below −62 dBm, that of any phone at a metre, are not used."""
+    heard = Sightings(np.array([10.0, 40.0, 70.0]), ("her phone",) * 3, np.array([-60.0, -62.0, -63.0]))
     walks = [
         multi_day.CarriedPhone("his", 1000.0, 0.0, 100.0, heard),
         multi_day.CarriedPhone("hers", 990.0, 0.0, 100.0, None),
     ]
     met = multi_day.encounters(walks, {"her phone": "hers"})
-    distance = 10 ** ((-62.0 - np.array([-60.0, -80.0])) / (10 * 2.2))
-    assert met.sigma == pytest.approx(np.maximum(1.5, distance / np.sqrt(2)))
+    assert met.sigma.tolist() == [3.0, 3.0]
     assert met.time == pytest.approx(np.array([[10, 20], [40, 50]]))
 
 

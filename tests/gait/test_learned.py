@@ -100,7 +100,7 @@ def test_what_is_no_network_is_refused(tmp_path):
 
 def test_without_onnxruntime_one_line_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    refused(Network, tmp_path / "net.onnx", r"pip install pdr_graph\[learned\]")
+    refused(Network, tmp_path / "net.onnx", r"pip install \'\.\[learned\]\'")
 
 
 def test_the_features_of_the_test_network_in_onnx_are_those_in_numpy(tmp_path):

@@ -89,10 +89,14 @@ def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) ->
 
 
 def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the verdict with the key figures, the errors if a truth is known, the reasons and the warnings."""
+    """Yield the verdict with the key figures, the errors if a truth is known, the reasons and the warnings.
+
+    The first line begins with "ok:" if and only if the exit code is 0.
+    """
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
     sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
-    yield f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
+    begin = f"{state}, incomplete" if state == "ok" and summary["missing"] else state
+    yield f"{begin}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
     yield from live_lines(summary.get("live"))
     if "live" not in summary:
         yield from score_lines(summary["scores"])

@@ -24,7 +24,7 @@ from pdr_graph.apps.lifelog.sessions import (
 from pdr_graph.apps.lifelog.stays import follow_positions, segments_of, stays_of, stays_of_positions
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.verdict import ROUTE, teaches_profile, verdict
+from pdr_graph.estimation.verdict import PLACE, ROUTE, teaches_profile, verdict
 from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
@@ -86,7 +86,7 @@ class EstimatedWalk(OneLineRepr):
     @property
     def may_bind(self) -> bool:
         """True if other walks may be bound to this one: no source contradicts another; its route may be open."""
-        return all(reason.source == ROUTE for reason in verdict(self.estimate).reasons)
+        return all(reason.source in (ROUTE, PLACE) for reason in verdict(self.estimate).reasons)
 
     def _summary(self) -> list[str]:
         return [repr(self.session), repr(self.estimate)]
