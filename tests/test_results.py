@@ -360,7 +360,9 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     second = (tmp_path / "walk2", tmp_path / "second", "--no-recorded-fixes", "--radio-map", radio_map)
     for plan in (("--map", ARCADE), ()):  # or in the map's own frame
         _, _, summary = smoothed(*second, *plan)
-        assert {reason["source"] for reason in summary["verdict"]["reasons"]} <= {"place", "route"}, "how sure, not what is wrong"
+        assert {reason["source"] for reason in summary["verdict"]["reasons"]} <= {"place", "route"}, (
+            "how sure, not what is wrong"
+        )
         assert len(summary["fixes"]) > 5
     elsewhere = tmp_path / "elsewhere.geojson"
     elsewhere.write_text(ARCADE.read_text().replace('"origin": [135.0, 35.0]', '"origin": [135.0, 34.9999]'))

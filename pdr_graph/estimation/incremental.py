@@ -34,7 +34,7 @@ from pdr_graph.estimation.factors.base import (
 from pdr_graph.estimation.factors.gtsam_export import unit_noise
 from pdr_graph.estimation.factors.marginal import MarginalFactor
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.types import Array, Index, Mask
+from pdr_graph.types import FARTHEST, Array, Index, Mask
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.graph import WalkGraph
@@ -176,9 +176,12 @@ class IncrementalSmoother:
         self._fixed = {each for each in _keys(self.point) if fixed.count(each)}
 
     def _read(self) -> None:
-        """Read linearisation point and estimate."""
+        """Read linearisation point and estimate. Raises RuntimeError for an estimate that nothing determines."""
         self.point = self._state(self._smoother.getLinearizationPoint())
         self.estimate = self._state(self._smoother.calculateEstimate())
+        for symbol, rows in self.estimate.arrays.items():
+            if not (np.abs(rows) < FARTHEST).all():  # QR goes on with pivots that are rounding errors
+                raise RuntimeError(f"nothing determines variable {symbol}")
 
     def _state(self, values: gtsam.Values) -> State:
         """The variables of the walk in ``values``, in its order."""

@@ -17,7 +17,8 @@ from pdr_graph.estimation.incremental import IncrementalSmoother
 from pdr_graph.estimation.live.finalization import FinalizedTrajectory
 from pdr_graph.estimation.live.live_ambiguity import Deferred
 from pdr_graph.estimation.optimizer import Descent
-from pdr_graph.types import Steps
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import Fixes, Steps
 
 
 def fixes_at_1_hz(n=330):
@@ -157,3 +158,19 @@ def test_a_smoother_that_was_replaced_is_freed():
             graph.moved()
     assert len(smoothers) > 100
     assert sum(each() is not None for each in smoothers) <= 1
+
+
+def test_a_receiver_whose_fixes_come_back_after_the_lag_has_its_prior_again():
+    """Its offset left the window with its last fix; without a prior it was 10^15 m, and the walk went with it."""
+    steps, _, truth = walk_and_truth(500, 10)
+    time = np.arange(0.4, steps.end, 31.4)  # the last fix leaves when the next one comes
+    place = interpolate(time, truth.time, truth.position)
+    rare = Fixes(time, place, np.full(len(time), 3.0), source=("GNSS",) * len(time))
+    nav = Navigator(lag=28.0, executor=None)
+    for event in live_events(steps, rare):
+        nav.push(event)
+        if nav._window.keyframes:
+            estimate = nav._graph.graph.isam.estimate
+            assert all(np.abs(rows).max(initial=0.0) < 1e3 for rows in estimate.arrays.values())
+    assert nav.status.rebuilds == ()
+    assert np.hypot(*(np.array([nav.pose.x, nav.pose.y]) - truth.position[-1])) < 40

@@ -225,6 +225,10 @@ class LiveGraph:
                 bound = [any((symbol, of[n]) in gone for symbol, of in numbers) for n in range(len(block))]
                 self._priors -= {(block.name, number) for number in block.number[bound].tolist()}
         self.marginals = [marginal for marginal in self.marginals if gone.isdisjoint(marginal.names)]
+        self._others = {  # the offset of a receiver may come back with its next fix: it needs its prior again
+            symbol: {number: value for number, value in rows.items() if (symbol, number) not in gone}
+            for symbol, rows in self._others.items()
+        }
         assert self._isam is not None
         try:
             self._isam.leave(leaving)
