@@ -17,7 +17,7 @@ MADE = re.findall(r'^    "([a-z-]+)": Made\(', (SCRIPTS / "reproduce.py").read_t
 QUICK = ("microsoft", "steps", "compass", "settings")  # five minutes in all, on a core of its own
 MADE_ONCE = r"Made by `scripts/\w+\.py` at commit [0-9a-f]{7}"
 MADE_AT = r"Made at (or before )?commit [0-9a-f]{7}( \+ changes)?(: .*; the others before)?\."
-NO_COMMAND = {"index", "metrics", "papers"}
+NO_COMMAND = {"index", "metrics"}
 MOST_WORDS = 1500
 
 # Page and sentence: the cells that its figures are, each a document, marker, beginning of the row, column, decimals
@@ -160,6 +160,8 @@ def test_every_script_finds_the_place_of_its_table(scripts):
     for script in SCRIPTS.glob("*.py"):
         text = script.read_text(encoding="utf-8")
         published |= set(re.findall(r'publish\(\s*"results/([\w-]+)\.md",\s*"([^"]+)"', text))
+    seeds = (SCRIPTS / "seeds.py").read_text(encoding="utf-8")
+    published |= {("seeds", name) for name in re.findall(r'^    "([\w-]+)": \w+\.experiment', seeds, re.MULTILINE)}
     markers = {(page, name) for page, text in RESULTS.items() for name in re.findall(r"<!-- ([^/].*?) -->", text)}
     of_old = {(page, name) for page, name in markers if page not in MADE}
     of_old |= {
@@ -250,15 +252,6 @@ def test_two_scripts_agree_on_microsofts_walks():
                 assert cell.split(" / ") == by_method[help_, method][::2], (given, method)
                 seen += 1
     assert seen == 15
-
-
-def test_figures_of_the_papers_stand_on_their_pages():
-    """Published or ours, whatever has a decimal."""
-    for row in (line for line in RESULTS["papers"].splitlines() if "](" in line):
-        _, _, published, ours, link = cells(row)
-        [page] = re.findall(r"\]\(([\w-]+)\.md", link)
-        for figure in re.findall(r"\d+\.\d+", f"{published} {ours}"):
-            assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", RESULTS[page]), (figure, row)
 
 
 def cell_of(tables, document, name, row, column, decimals):
