@@ -768,10 +768,10 @@ class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
     joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
-    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 1))
+    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 2))
     any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
     scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", still=(0.5, 2))
-    huber: float = number(2.0, "σ", "width of Huber's weight", still=(0.5, 1))
+    huber: float = number(2.0, "σ", "width of Huber's weight", still=(0.5, 2))
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
     beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", still=(0.5, 2))
