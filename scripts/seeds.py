@@ -1,7 +1,9 @@
 """The experiments of the five papers, their published figures beside ours."""
 
 import sys
+from functools import partial
 
+from conditions import DATA
 from tables import DOCS, HELD_BACK, publish, table
 
 from pdr_graph.apps.report.plotting import plot_regions
@@ -16,8 +18,8 @@ from pdr_graph.lab.papers import (
 from pdr_graph.lab.papers.map_matching import correct
 
 EXPERIMENTS = {
-    "heading": heading_experiment.experiment,
-    "gps-dr": gps_dr.experiment,
+    "heading": partial(heading_experiment.experiment, data=DATA),
+    "gps-dr": partial(gps_dr.experiment, data=DATA),
     "map-matching": map_matching_loop.experiment,
     "calibration-walk": calibration_walk.experiment,
     "reference-positions": reference_positions.experiment,

@@ -161,7 +161,7 @@ def test_every_script_finds_the_place_of_its_table(scripts):
         text = script.read_text(encoding="utf-8")
         published |= set(re.findall(r'publish\(\s*"results/([\w-]+)\.md",\s*"([^"]+)"', text))
     seeds = (SCRIPTS / "seeds.py").read_text(encoding="utf-8")
-    published |= {("seeds", name) for name in re.findall(r'^    "([\w-]+)": \w+\.experiment', seeds, re.MULTILINE)}
+    published |= {("seeds", name) for name in re.findall(r'^    "([\w-]+)": .*\w+\.experiment', seeds, re.MULTILINE)}
     markers = {(page, name) for page, text in RESULTS.items() for name in re.findall(r"<!-- ([^/].*?) -->", text)}
     of_old = {(page, name) for page, name in markers if page not in MADE}
     of_old |= {

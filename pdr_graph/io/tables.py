@@ -42,6 +42,18 @@ FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the star
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 
 
+def workbook_columns(path: Path) -> dict[str, Array]:
+    """The columns of numbers of a workbook's first sheet, by name."""
+    try:
+        from python_calamine import CalamineWorkbook
+    except ImportError:
+        raise InputError(path, "", "a workbook", "pip install '.[bench]' in a clone, which reads it") from None
+
+    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
+    columns = zip(head, zip(*rows, strict=True), strict=True)
+    return {str(name): np.array(column, dtype=float) for name, column in columns if name}
+
+
 def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:
     """The likely cause of times that miss the recording, as the end of a message; empty if none is evident.
 

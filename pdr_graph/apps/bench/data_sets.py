@@ -24,6 +24,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
+from pdr_graph.io.tables import workbook_columns
 from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Recording, Signal, Trajectory
 from pdr_graph.walk import Evidence, Options, read
 
@@ -214,7 +215,7 @@ def _of_foot_sensor(path: Path) -> BenchWalk:
 
 def _of_camera(path: Path) -> BenchWalk:
     """A walk of ``ridi``."""
-    column = _columns(path)
+    column = workbook_columns(path)
     time = column["time"] - column["time"][0]
     acceleration, rate, position = (
         np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("acce", "gyro", "pos")
@@ -255,18 +256,6 @@ def visual_inertial(time: Array, position: Array, magnitude: Array) -> tuple[int
     landed, _ = find_peaks(sosfiltfilt(band, level), height=0.2)
     x, y = (gaussian_filter1d(values, HEAD_SWAY / GRID)[::5] for values in (x, y))
     return int(moving[landed].sum()), float(np.hypot(np.diff(x), np.diff(y)).sum())
-
-
-def _columns(path: Path) -> dict[str, Array]:
-    """The columns of numbers of a workbook's first sheet, by name."""
-    try:
-        from python_calamine import CalamineWorkbook
-    except ImportError:
-        raise InputError(path, "", "a workbook", "pip install '.[bench]' in a clone, which reads it") from None
-
-    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
-    columns = zip(head, zip(*rows, strict=True), strict=True)
-    return {str(name): np.array(column, dtype=float) for name, column in columns if name}
 
 
 # What is given

@@ -26,13 +26,13 @@ from pdr_graph.gait.walker import (
 )
 from pdr_graph.geometry import dead_reckon, interpolate, length_along, unit
 from pdr_graph.lab.papers.gait_methods import accumulate_turn, closing, trough_to_peak, without_closing
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.body import Body, Pedestrian
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import Simulation, simulate_person
 from pdr_graph.types import Array, Recording, Steps
 
-SEEDS, TRAINING = 100_000, 1_000  # first seeds of the published walks, and of those that the Lasso learns from
+TRAINING = 1_000  # first seed of the walks that the Lasso learns from
 PENALTY = 1e-4  # [m] of the Lasso
 MANNERS = ("normal", "fast", "narrow", "wide")
 PEOPLE = ("m", "m", "m", "f")  # sex of the four people of Sec. 4.1
@@ -82,13 +82,14 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     walkers = [Sixteenth.simulated(group, n) for group in range(groups) for n in range(len(HEIGHTS))]
     others = people(20 if quick else 60)
     weights = eq7(others)
+    walks = [(walker, courses(walker, weights), product_steps(walker)) for walker in walkers]
     return (
         twenty_steps(1 if quick else 2),
         features_kept(others),
         distance(walkers, others),
         step_spread(),
-        position(walkers, weights),
-        corners(walkers, weights),
+        position(walks),
+        corners(walks),
     )
 
 
@@ -101,7 +102,7 @@ def twenty_steps(groups: int) -> ResultTable:
     for group in range(groups):
         for n, sex in enumerate(PEOPLE):
             for manner in MANNERS:
-                gait = gait_signals(_sensors(twenty(SEEDS + 4 * group + n, sex, manner)))[0]
+                gait = gait_signals(_sensors(twenty(FIRST_SEED + 4 * group + n, sex, manner)))[0]
                 found = trough_to_peak(gait.attitude)
                 doubtful = closing(found, gait.attitude, gait.forward, every=True)
                 counted = len(found), len(without_closing(gait.attitude, gait.forward)), int((~doubtful).sum())
@@ -221,7 +222,8 @@ class Sixteenth:
 
         Both walks have one seed, and so one person, hold and phone.
         """
-        seed, person = SEEDS + 100 * (group + 1) + number, {"height": HEIGHTS[number], "sex": "mf"[number in WOMEN]}
+        seed = FIRST_SEED + 100 * (group + 1) + number
+        person = {"height": HEIGHTS[number], "sex": "mf"[number in WOMEN]}
         return cls(
             PaperWalk.simulated(seed, _route(HUNDRED_METRES), person),
             PaperWalk.simulated(seed, _route(EIGHT), person),
@@ -320,7 +322,7 @@ def distance(walkers: Sequence[Sixteenth], others: Sequence[PaperWalk]) -> Resul
     walks = [walker.track for walker in walkers]
     groups = len(walkers) // len(HEIGHTS)
     even = [
-        alike(SEEDS + 1000 + 100 * group + n, height=height, sex="mf"[n in WOMEN])
+        alike(FIRST_SEED + 1000 + 100 * group + n, height=height, sex="mf"[n in WOMEN])
         for group in range(groups)
         for n, height in enumerate(HEIGHTS)
     ]
@@ -371,7 +373,7 @@ def distance_errors(walks: Sequence[PaperWalk], length: Callable[[PaperWalk], fl
 
 def step_spread() -> ResultTable:
     """Step lengths by Eq. (6) over those of people: simulated ones at ease, and real ones."""
-    random = np.random.default_rng(SEEDS)
+    random = np.random.default_rng(FIRST_SEED)
     at_ease, same_cadence = list[float](), list[float]()
     for _ in range(100):
         for n, height in enumerate(HEIGHTS):
@@ -479,26 +481,29 @@ def product_steps(walker: Sixteenth) -> dict[str, Steps]:
     return {name: detect_steps([track.product], Walker(track.height, profile=profile)) for name, profile in of.items()}
 
 
-def position(walkers: Sequence[Sixteenth], weights: Array) -> ResultTable:
+Reckoned = tuple[Sixteenth, dict[str, Course], dict[str, Steps]]  # a walker, `courses` and `product_steps`
+
+
+def position(walks: Sequence[Reckoned]) -> ResultTable:
     """Errors of the position over 100 m; all start where and in the direction in which the first leg does."""
     errors: dict[str, list[tuple[float, float]]] = {}
-    for walker in walkers:
+    for walker, of_paper, of_product in walks:
         body = walker.track.walk.body
 
         def add(name: str, time: Array, place: Array, body: Body = body) -> None:
             apart = np.hypot(*(place - interpolate(time, body.time, body.position)).T)
             errors.setdefault(name, []).append((float(apart.mean()), float(apart[-1])))
 
-        for name, course in courses(walker, weights).items():
+        for name, course in of_paper.items():
             add(name, course.time, course.track(0.0)[1:])
-        for name, steps in product_steps(walker).items():
+        for name, steps in of_product.items():
             add(name, steps.time, dead_reckon(steps).position[1:-1])
     published = {RAW: "8.26", CALIBRATED: "5.91", ALL: "5.67"}
     rows = []
     for name, each in errors.items():
         along, end = np.mean(each, axis=0)
         rows.append((name, f"{along:.2f}", f"{end:.2f}", published.get(name, "")))
-    refused = sum(walker.profile is None for walker in walkers)
+    refused = sum(walker.profile is None for walker, _, _ in walks)
     note = (
         f"The product refused {refused} calibration walks; it is uncalibrated there. The paper does not say whether "
         "its error is of the end or the mean along the way. The paper's methods and the product are given start, "
@@ -508,17 +513,17 @@ def position(walkers: Sequence[Sixteenth], weights: Array) -> ResultTable:
         " size is not published) the calibrated height's 4.8 m of 16 walks for development become 4.0."
     )
     header = ("method", "mean along the way [m]", "at the end [m]", "paper [m]")
-    title = f"Position over 100 m with corners, {len(walkers)} walks, Secs. 4.3 and 4.4"
+    title = f"Position over 100 m with corners, {len(walks)} walks, Secs. 4.3 and 4.4"
     return ResultTable("position", title, header, tuple(rows), note)
 
 
-def corners(walkers: Sequence[Sixteenth], weights: Array) -> ResultTable:
+def corners(walks: Sequence[Reckoned]) -> ResultTable:
     """Estimated turns at the three corners of 90°, of each method."""
     turns: dict[str, list[Array]] = {}
-    for walker in walkers:
-        for name, course in courses(walker, weights).items():
+    for walker, of_paper, of_product in walks:
+        for name, course in of_paper.items():
             turns.setdefault(name, []).append(_turns(walker, course.time, np.cumsum(course.turn)))
-        for name, steps in product_steps(walker).items():
+        for name, steps in of_product.items():
             turns.setdefault(name, []).append(_turns(walker, steps.time, np.cumsum(steps.turn)))
     rows = []
     for name, each in {**turns, "paper: walkers A, D, I, O, B, E, G, M": TURNS_PUBLISHED}.items():

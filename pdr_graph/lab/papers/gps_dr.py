@@ -9,7 +9,6 @@ field (`gait.compass`), one filter for heading, stride and position (`kalman_fil
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,16 +31,16 @@ from pdr_graph.io.loading import load
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lab.papers.attitude_filters import GravityFilter, run_filter
 from pdr_graph.lab.papers.gait_methods import accumulate_turn, peak_pairs, principal_axis, vertical_forward
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import NORTH
 from pdr_graph.types import GNSS, Array, Fixes, Mask, Recording, Trajectory
 from pdr_graph.walk import Options, read
 
-FIRST_SEED, WALKS, QUICK = 100_000, 40, 6
-RECORDING = "nju_phyphox_outdoor"  # of a phone in the hand, in $PDR_GRAPH_DATA
-IN_HAND = (  # name, files in $PDR_GRAPH_DATA, and the time from which they are walked with [s]
+WALKS, QUICK = 40, 6
+RECORDING = "nju_phyphox_outdoor"  # of a phone in the hand
+IN_HAND = (  # name, files, and the time from which they are walked with [s]
     ("recorded, malls", "ms_indoor20/site*/*/*.txt", -np.inf),
     ("recorded, museum", "ipin2023_*/*Trial*.txt", 65.0),
     ("recorded, campus", RECORDING, -np.inf),
@@ -370,7 +369,7 @@ def _cells(error: Array) -> tuple[str, ...]:
     return f"{error.mean():.1f}", *(f"{value:.1f}" for value in np.percentile(error, [50, 95]))
 
 
-def in_hands(quick: bool) -> Iterator[tuple[str, list[Recording], float]]:
+def in_hands(quick: bool, data: Path | None) -> Iterator[tuple[str, list[Recording], float]]:
     """Name, recordings of phones in the hand, and the time after which they are walked with [s]."""
     seeds = range(FIRST_SEED, FIRST_SEED + (QUICK if quick else WALKS))
     route = [[0, 0], {"stand": 5}, {"to": [[60, 0]]}, {"stand": 2}]
@@ -378,7 +377,7 @@ def in_hands(quick: bool) -> Iterator[tuple[str, list[Recording], float]]:
     yield "simulated", [simulate(each).recording() for each in scenarios], -np.inf
     few = QUICK if quick else None
     for name, pattern, start in IN_HAND:
-        if files := sorted(data().glob(pattern))[:few]:
+        if data is not None and (files := sorted(data.glob(pattern))[:few]):
             yield name, [uninterrupted(load(file))[0] for file in files], start
 
 
@@ -398,13 +397,11 @@ def axis_row(name: str, recordings: list[Recording], start: float) -> tuple[str,
     return name, f"{np.median(angles):.0f}", far, f"{np.median(along):.2f}", f"{np.median(across):.2f}", wide
 
 
-def data() -> Path:
-    """The folder of the recordings."""
-    return Path(os.environ.get("PDR_GRAPH_DATA", "../shared/data"))
+def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTable, ...]:
+    """Sec. 4: the walk with GPS, and outages of 20 s and of 2 min; simulated, and of the recording if it is there.
 
-
-def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
-    """Sec. 4: the walk with GPS, and outages of 20 s and of 2 min; simulated, and of the recording if it is there."""
+    data: folder with the real recordings; those that are not there have no rows.
+    """
     walks = [Observed.of(simulated(FIRST_SEED + n)) for n in range(QUICK if quick else WALKS)]
     minutes = np.mean([np.ptp(each.walk.truth.time) for each in walks]) / 60
     title = f"[gps-dr] Sec. 4: 1650 m in {minutes:.0f} min [paper: 12 min], {len(walks)} simulated walkers"
@@ -421,10 +418,10 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
         "across > along",
     )
     about = f"[gps-dr] Sec. 2: forward axis by principal component, {STRAIGHT:.0f} s of walking, phone in the hand"
-    rows = tuple(axis_row(*group) for group in in_hands(quick))
+    rows = tuple(axis_row(*group) for group in in_hands(quick, data))
     tables.append(ResultTable("gps-dr-axis", about, ("walks", *columns), rows))
     sets = {"gps-dr": (walks, f"{len(walks)} simulated walks")}
-    if (path := data() / RECORDING).exists():
+    if data is not None and (path := data / RECORDING).exists():
         sets["gps-dr-recorded"] = [Observed.of(recorded(path))], "a campus walk of 730 m, against its own GPS"
     for name, (each, what) in sets.items():
         for length, seconds in OUTAGES.items():

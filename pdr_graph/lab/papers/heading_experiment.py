@@ -6,7 +6,6 @@ simulated ones are like them.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,12 +16,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from pdr_graph.errors import InputError, install
 from pdr_graph.gait.heading import Direction, forward_axis
 from pdr_graph.gait.steps import gait_signals, uninterrupted
 from pdr_graph.geometry import as_complex, interpolate
 from pdr_graph.inertial.attitude import Attitude, attitude_of, required, runs
 from pdr_graph.io.loading import load
+from pdr_graph.io.tables import workbook_columns
 from pdr_graph.lab.papers.attitude_filters import imu_filter
 from pdr_graph.lab.papers.gait_methods import (
     PRINCIPAL_WINDOW,
@@ -31,7 +30,7 @@ from pdr_graph.lab.papers.gait_methods import (
     accumulate_turn,
     angular_rate_axis,
 )
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
@@ -44,26 +43,26 @@ PUBLISHED = {  # Table 1: mean of the trials' root mean square errors [deg], by 
 }
 TRIALS, RATE = 62, 25.0  # of the experiment; [Hz] of the sensors
 EXPERIMENTS = 10  # repetitions of the 62 trials, with other walkers
-SEED = 100_000  # of the first trial
 PART = 45.0  # [s] of a real walk that are evaluated: about the duration of a trial
 
 
 def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTable, ...]:
     """The tables of [heading]. quick: one experiment of 62 trials instead of ten.
 
-    data: folder with the real recordings ``ridi``, ``ms_indoor20`` and ``ms_more``; default: $PDR_GRAPH_DATA. Data sets
-    that are not there have no rows.
+    data: folder with the real recordings ``ridi``, ``ms_indoor20`` and ``ms_more``; those that are not there have no
+    rows.
     """
     experiments = [[l_walk(n, repetition) for n in range(TRIALS)] for repetition in range(1 if quick else EXPERIMENTS)]
     reheld = [reheld_walk(n) for n in range(8 * len(experiments))]
     by_hold = {hold: [t for trials in experiments for t in trials[n :: len(HOLDS)]] for n, hold in enumerate(HOLDS)}
-    groups = _simulated_and_real(by_hold, real_trials(data or Path(os.environ.get("PDR_GRAPH_DATA", ""))))
+    groups = _simulated_and_real(by_hold, real_trials(data) if data else {})
+    movements = {name: [movement(trial) for trial in trials] for name, trials in groups.items()}
     return (
         _table_1(experiments, reheld),
         _readings(by_hold),
         _real_phones(groups),
-        _movements(groups),
-        _by_ratio(groups),
+        _movements(movements),
+        _by_ratio(groups, movements),
     )
 
 
@@ -89,14 +88,14 @@ class Trial:
 
 def l_walk(number: int, experiment: int = 0) -> Trial:
     """Trial ``number`` of 62 in an L-shaped corridor, west and then north; the holds take turns."""
-    return walk(HOLDS[number % len(HOLDS)], seed=SEED + 100 * experiment + number // len(HOLDS))
+    return walk(HOLDS[number % len(HOLDS)], seed=FIRST_SEED + 100 * experiment + number // len(HOLDS))
 
 
 def reheld_walk(number: int) -> Trial:
     """The same walk with the phone taken from the hand to another place half-way along the first leg, or back."""
     others = HOLDS[1:]
     holds = ("hand", others[number % 4])
-    return walk(*(holds if number % 8 < 4 else holds[::-1]), seed=SEED + number)
+    return walk(*(holds if number % 8 < 4 else holds[::-1]), seed=FIRST_SEED + number)
 
 
 def walk(hold: str, new_hold: str = "", seed: int = 0) -> Trial:
@@ -282,17 +281,12 @@ SLOWEST, TURNS_BACK = 0.5, np.radians(135.0)  # [m/s] of walking; [rad] within a
 
 def _ridi(path: Path) -> Iterator[Trial]:
     """A walk of RIDI: position and attitude by a visual-inertial device."""
-    try:
-        from python_calamine import CalamineWorkbook
-    except ImportError:
-        raise InputError(path, "", "a workbook", install("bench")) from None
-    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
-    columns = dict(zip(head, zip(*rows, strict=True), strict=True))
+    columns = workbook_columns(path)
 
     def columns_of(name: str, axes: str = "xyz") -> Array:
-        return np.array([columns[f"{name}_{axis}"] for axis in axes], dtype=float).T
+        return np.stack([columns[f"{name}_{axis}"] for axis in axes], axis=1)
 
-    time = np.array(columns["time"], dtype=float)
+    time = columns["time"]
     grid, recording = _at_25_hz(path, Signal(time, columns_of("acce")), Signal(time, columns_of("gyro")))
     position = gaussian_filter1d(interpolate(grid, time, columns_of("pos", "xy")), 0.5 * RATE, axis=0)
     velocity = as_complex(np.gradient(position, 1 / RATE, axis=0))
@@ -439,11 +433,10 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
     )
 
 
-def _movements(groups: dict[str, list[Trial]]) -> ResultTable:
+def _movements(groups: dict[str, list[Movement]]) -> ResultTable:
     """How simulated and real phones move."""
     rows = list[tuple[str, ...]]()
-    for name, trials in groups.items():
-        movements = [movement(trial) for trial in trials]
+    for name, movements in groups.items():
         cells = [f"{v:.2f}" for v in np.mean([[*m.acceleration, *m.rate] for m in movements], axis=0)]
         for amplitudes in ([m.step for m in movements], [m.stride for m in movements]):
             cells.append(f"{np.mean(amplitudes):.2f} ({100 * np.std(np.log(amplitudes)):.0f} %)")
@@ -470,16 +463,16 @@ RATIOS = (0.0, 1.0, 1.25, 1.5, 1.75, 2.0, np.inf)
 STEADY = ("hand", "breast pocket", "at the body")  # neither swung nor hanging
 
 
-def _by_ratio(groups: dict[str, list[Trial]]) -> ResultTable:
+def _by_ratio(groups: dict[str, list[Trial]], movements: dict[str, list[Movement]]) -> ResultTable:
     """Errors of the principal components by the ratio of the movements that they compare."""
     columns = list[list[str]]()
     for real in (False, True):
         names = [n for n in groups if n.endswith(STEADY) and n.startswith("simulated") != real]
         trials = [trial for name in names for trial in groups[name]]
-        movements = [movement(trial) for trial in trials]
+        moves = [each for name in names for each in movements[name]]
         for method, ratios in (
-            ("acceleration PCA", [m.fore_aft for m in movements]),
-            ("angular-rate PCA", [m.pitch for m in movements]),
+            ("acceleration PCA", [m.fore_aft for m in moves]),
+            ("angular-rate PCA", [m.pitch for m in moves]),
         ):
             by_trial, interval = [errors(trial, METHODS[method]) for trial in trials], np.digitize(ratios, RATIOS[1:])
             within = ([by_trial[k] for k in np.flatnonzero(interval == n)] for n in range(len(RATIOS) - 1))

@@ -23,12 +23,11 @@ from pdr_graph.geometry import dead_reckon, interpolate, length_along
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.papers.gait_methods import accumulate_turn, peak_pairs
 from pdr_graph.lab.papers.map_matching import correct, match, straightened
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Fixes, Headings, Steps, Trajectory
 
-FIRST_SEED = 100_000
 SHARES = np.sort([*np.arange(1, 11) / 10, 0.35, 0.53, 0.56])  # of the route, where the paper measures
 PAPER = {  # mean, greatest, least error of the 13 points [m], Table 1
     "dead reckoning": (6.76, 10.78, 2.01),

@@ -16,12 +16,12 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import dead_reckon, distance_walked, interpolate
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.crowd import DURATION, SURVEYED, TERMINAL, TERMINAL_PLACE, Crowd, CrowdWalk, crowd
 from pdr_graph.priors import BEACONS, LOSSES, REPORTS, changed
 from pdr_graph.types import Array, Closures, Fixes, Index, Levels, Mask, Trajectory
 
-FIRST_SEED, CROWDS = 100_000, 4
+CROWDS = 4
 FEW, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk [s]
 FALSE_SHARE, NEAREST, FARTHEST = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
 IN_REGION = -2 * np.log(1 - 0.9)  # squared Mahalanobis distance in the plane

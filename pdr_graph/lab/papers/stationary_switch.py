@@ -16,12 +16,12 @@ from pdr_graph.frames import earth_field
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import Attitude, at_rest, attitude_of, lasting_runs, required
 from pdr_graph.lab.papers.attitude_filters import strapdown, switching
-from pdr_graph.lab.papers.result_table import ResultTable
+from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
-FIRST_SEED, CARTS, QUICK = 100_000, 200, 40
+CARTS, QUICK = 200, 40
 CALIBRATION, WAIT, STOP, AFTER = 30.0, 5.3, 4.0, 5.0  # [s] at rest: for λ, before the cart starts, between, at the end
 OUT, BACK = 0.95, 1.05  # [m] there and back again
 LAST = OUT - BACK  # [m] along x, where the cart stops
