@@ -1227,7 +1227,7 @@ class VerdictPriors(Table):
     widest: float = number(
         12.0,
         "m",
-        "radius of the 90 % region, in the median, beyond which a walk is no place",
+        "median radius of the 90 % region beyond which the place counts as unknown",
         "50 runs of ten museum logs",
     )
     crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)

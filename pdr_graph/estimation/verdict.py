@@ -187,7 +187,7 @@ def _width(estimate: Estimate) -> Iterator[Contradiction]:
         return
     radius = RADIUS_90 * float(np.median(horizontal_sigma(covariance)))
     if radius > VERDICTS.widest:
-        text = f"the place is known to {radius:.0f} m only, the radius of the 90 % region of half of the walk"
+        text = f"the place is known only to {radius:.0f} m (median radius of the 90 % region)"
         check = "the report's map; more positions, a plan or a compass would decide"
         yield Contradiction(PLACE, "other places", radius, "m", text, check)
 
