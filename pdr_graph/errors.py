@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+PASSWORD = re.compile(r"(://[^/@\s:]*:)[^/@\s]*@")  # in an address
 LONGEST_PART = 250  # characters of a message's part: file names and contents are untrusted and may be very long
 
 
@@ -63,8 +64,9 @@ def expect(place: str, argument: object, *kinds: type | None, instead: str = "")
 
 
 def one_line(text: str) -> str:
-    """`text` on one line, without control characters; the middle of a long text is replaced by an ellipsis."""
+    """`text` on one line, without control characters and passwords of addresses; … for the middle of a long text."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    plain = PASSWORD.sub(r"\1…@", plain)
     half = LONGEST_PART // 2
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
 

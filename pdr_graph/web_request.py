@@ -9,11 +9,13 @@ caller agrees with its address.
 from __future__ import annotations
 
 import asyncio
+import socket
 import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
+from ipaddress import ip_address
 from typing import Any, BinaryIO, Literal
 
 REDIRECTS, MOST_REDIRECTS = (301, 302, 303, 307, 308), 5
@@ -42,7 +44,7 @@ async def request(
     silence: float,
     whole: float,
     most: int,
-    follow: Literal["", "same host", "anywhere"] = "",
+    follow: Literal["", "same host", "public"] = "",
     *,
     method: str = "GET",
     body: bytes | None = None,
@@ -53,8 +55,9 @@ async def request(
     """Send a request and return the answer.
 
     silence: longest time without a byte, whole: until the end of the body [s]; most: bytes of the body; follow: where
-    redirects of a GET to another http or https address are followed; another host gets no Authorization; proxies: use
-    those of the environment; out: takes the body instead of the answer.
+    redirects of a GET to another http or https address are followed; another host gets no Authorization, and "public"
+    leads to none in a private network, unless the first is in one; proxies: use those of the environment; out: takes
+    the body instead of the answer.
     Raises OSError, of them TimeoutError after `whole` and TooLongError for a longer body.
     """
     import httpx
@@ -67,7 +70,9 @@ async def request(
             for _ in range(MOST_REDIRECTS):
                 answer = await client.send(sent, stream=True)
                 next_ = answer.next_request if body is None else None
-                allowed = follow == "anywhere" or (follow and next_ and next_.url.host == sent.url.host)
+                allowed = follow and next_ and next_.url.host == sent.url.host
+                if follow == "public" and next_ and not allowed:
+                    allowed = await _is_public(next_.url.host) or not await _is_public(sent.url.host)
                 if next_ is None or next_.url.scheme not in ("http", "https") or not allowed:
                     content, size = out or BytesIO(), 0
                     async for piece in answer.aiter_raw():
@@ -88,6 +93,13 @@ async def request(
             text = str(cause) if isinstance(cause, OSError) else text
             cause = cause.__cause__ or cause.__context__
         raise OSError(text or type(error).__name__) from None
+
+
+async def _is_public(host: str) -> bool:
+    """True if no address of a host is of this machine or of a private network. Raises OSError if it has none."""
+    found = await asyncio.get_running_loop().getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    addresses = [ip_address(str(each[4][0]).partition("%")[0]) for each in found]
+    return all((getattr(address, "ipv4_mapped", None) or address).is_global for address in addresses)
 
 
 @cache

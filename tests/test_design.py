@@ -65,7 +65,7 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (14, 3011),  # the pose of an estimate at any time; declared columns
+    ".": (14, 3019),  # the pose of an estimate at any time; declared columns
     "apps": (3, 189),  # the filter beside a replay
     "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
@@ -73,7 +73,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/lifelog": (28, 5723),
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1450),  # the view for Rerun
-    "apps/serve": (14, 2810),  # Home Assistant, receivers that hear the phone
+    "apps/serve": (14, 2948),  # Home Assistant, receivers that hear the phone
     "estimation": (19, 3664),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
     "estimation/factors": (16, 2936),  # the marginal; increments for a smoother of one's own; a path to go on from

@@ -9,6 +9,7 @@ import hostile_server
 import pytest
 from hostile_server import ATTACKS, attacking, body, redirect
 
+from pdr_graph import web_request
 from pdr_graph.web_request import TooLongError, ask
 
 SILENCE, WHOLE = 0.5, 1.0  # [s]
@@ -97,10 +98,27 @@ def test_redirects_are_followed_where_the_caller_agrees():
         assert paths == ["/"]
         assert fetched(host, follow="same host") == (200, b"here")
         with pytest.raises(OSError, match="more than 5 redirects"):
-            fetched(host, "/round", follow="anywhere")
+            fetched(host, "/round", follow="public")
     for target in ("http://192.0.2.1/", "https://127.0.0.1.example.org/", "file:///etc/passwd", "ftp://127.0.0.1/"):
         with attacking(lambda path, target=target: redirect(target)) as (host, _):
             assert fetched(host, follow="same host")[0] == 302
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.1", "2130706433", "[::ffff:127.0.0.1]", "[::1]", "10.0.0.1"])
+def test_a_public_host_leads_into_no_private_network(host, monkeypatch):
+    """The first answer comes from this machine, as if it had a public address."""
+    is_public = web_request._is_public
+
+    async def first_is_public(name):
+        return name == "localhost" or await is_public(name)
+
+    monkeypatch.setattr(web_request, "_is_public", first_is_public)
+    secret = body(b"of the private network")
+    with attacking(lambda _: secret) as (inside, _):
+        target = f"http://{host}:{inside.rpartition(':')[2]}/"
+        with attacking(lambda _: redirect(target)) as (outside, _):
+            address = f"localhost:{outside.rpartition(':')[2]}"
+            assert fetched(address, follow="public")[0] == 302
 
 
 def test_another_host_gets_no_authorization():
@@ -120,7 +138,7 @@ def test_another_host_gets_no_authorization():
         threading.Thread(target=serve, daemon=True).start()
         with attacking(lambda path: redirect(f"http://127.0.0.1:{other.getsockname()[1]}/")) as (host, _):
             secret = {"Authorization": "secret", "X-Kept": "1"}
-            answer = ask(f"http://{host}/", SILENCE, WHOLE + MARGIN, MOST, "anywhere", headers=secret)
+            answer = ask(f"http://{host}/", SILENCE, WHOLE + MARGIN, MOST, "public", headers=secret)
     assert answer.status == 200
     [head] = heads
     assert b"x-kept: 1" in head

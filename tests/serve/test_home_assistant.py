@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from plans import plan
 from scipy.stats import norm
 from streamed_walks import bodies, outdoors, soon
 
+from pdr_graph.apps.serve import home_assistant as module
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, announce, phone_of, rooms_of, state_of
 from pdr_graph.apps.serve.publishing import MOST_SUBSCRIBERS, Hub, nowhere, region
@@ -61,8 +63,11 @@ def test_all_routes_count_and_nothing_is_said_where_nothing_is_known():
 
 def test_a_phone_keeps_its_topics_from_walk_to_walk_and_users_have_their_own():
     assert phone_of(OWNER, "Pixel 7") == phone_of(OWNER, "pixel/7") == "pixel_7"
-    assert phone_of("bob", "Pixel 7") == "bob_pixel_7"
-    assert phone_of(OWNER, "+#/") == "phone"
+    assert phone_of("bob", "Pixel 7") == phone_of("bob", "Pixel 7")
+    several = [("bob", "pixel 7"), (OWNER, "bob_pixel_7"), ("bob pixel", "7"), ("李", "alice"), (OWNER, "alice")]
+    several += [(OWNER, "+#/"), (OWNER, "李"), ("+", "#")]
+    assert len({phone_of(*each) for each in several}) == len(several)
+    assert all(re.fullmatch("[a-z0-9_]+", phone_of(*each)) for each in several)
     with pytest.raises(InputError, match="--home-assistant"):
         broker_of("http://home", option="--home-assistant")
 
@@ -101,7 +106,7 @@ def decoded(topics, phone="pixel_7"):
 async def test_a_phone_is_announced_moves_ends_and_is_forgotten(port):
     hub = Hub()
     async with home_assistant(port) as topics:
-        work = asyncio.create_task(announce(broker_of(f"mqtt://127.0.0.1:{port}"), hub, HOME, print))
+        work = asyncio.create_task(announce(broker_of(f"mqtt://127.0.0.1:{port}"), hub, HOME, {"pixel_7"}.copy, print))
         await soon(lambda: topics.get(STATUS) == b"online")
         hub.pose(OWNER, pose(2.0, 2.0))
         await soon(lambda: f"{PREFIX}/pixel_7/status" in topics)
@@ -146,6 +151,25 @@ async def test_a_server_announces_the_phones_that_post_to_it(tmp_path, port):
             assert state["room"] is None, "there is no plan"
             assert 0 < state["accuracy"] < 20
         await soon(lambda: topics[STATUS] == b"offline")
+
+
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_a_phone_that_was_deleted_while_the_broker_was_away_is_removed(port, monkeypatch):
+    monkeypatch.setattr(module, "RETAINED_TIME", 0.5)
+    address, here, gone = broker_of(f"mqtt://127.0.0.1:{port}"), f"{PREFIX}/here/status", f"{PREFIX}/gone/status"
+    async with home_assistant(port) as topics:
+        async with aiomqtt.Client("127.0.0.1", port) as client:
+            for topic in (here, gone, f"{PREFIX}/gone/position", f"homeassistant/device/{PREFIX}_gone/config"):
+                await client.publish(topic, b"online", retain=True)
+        hub = Hub()
+        work = asyncio.create_task(announce(address, hub, HOME, {"here"}.copy, print))
+        await soon(lambda: topics.get(gone) == b"")
+        await soon(lambda: topics[f"homeassistant/device/{PREFIX}_gone/config"] == b"")
+        await soon(lambda: topics[f"{PREFIX}/gone/position"] == b"")
+        hub.close()
+        await work
+        assert topics[here] == b"online"
 
 
 @pytest.mark.anyio

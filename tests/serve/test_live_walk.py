@@ -219,6 +219,15 @@ def test_the_order_does_not_depend_on_when_it_is_asked_for():
     assert [*order, *emptied(live)] == emptied(again) == [0, 2, 1, 3, 4, 5]
 
 
+@pytest.mark.parametrize("jump", [-3600.0, 3600.0])
+def test_a_clock_that_is_set_keeps_no_message_waiting(jump):
+    """Message 1 is missing when the clock is set; those after it come a second apart."""
+    queue = Queue(ordered=True)
+    for identity, received in ((0, 5000.0), (2, 5001.0), (3, 5002.0 + jump), (4, 5003.0 + jump), (5, 5004.0 + jump)):
+        queue.add(entry(identity, received))
+    assert emptied(queue, 5004.5 + jump) == [0, 2, 3, 4, 5]
+
+
 def emptied(queue, now=np.inf):
     """Identities of the messages that are due."""
     order = []

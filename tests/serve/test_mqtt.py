@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import sys
+from types import SimpleNamespace
 
 import pytest
 from streamed_walks import PATIENCE, bodies, outdoors, soon
@@ -161,6 +162,42 @@ async def test_messages_of_a_broker_are_walkers_and_others_are_ignored(tmp_path,
         await soon(lambda: broker.subscribers.get(TOPIC))
         await publish(broker, b"no JSON", bodies(outdoors())[0])
         await soon(lambda: "walk-one" in walkers and walkers["walk-one"].pose["message"] == 1)
+
+
+async def test_what_is_not_used_is_told_once_and_what_is_retained_is_old(tmp_path, broker, capsys):
+    sources = Sources(broker=broker_of(f"mqtt://127.0.0.1:{broker.port}"))
+    app = build(Settings(tmp_path, workers=0, sources=sources))
+    async with app.router.lifespan_context(app):
+        await soon(lambda: broker.subscribers.get(TOPIC))
+        await publish(broker, *[b'{"messageId": %d}' % n for n in range(30)], *[b"[]"] * 5, bodies(outdoors())[0])
+        await soon(lambda: "walk-one" in app.state.server.hub.walkers)
+    said = [line for line in capsys.readouterr().err.splitlines() if "not used" in line]
+    assert len(said) == 2, said
+    assert all("expected" in line for line in said)
+
+
+def test_a_flood_is_one_line():
+    said = []
+    queue = pulling.BoundedQueue(2, said.append)
+    for _ in range(1000):
+        queue.put_nowait(SimpleNamespace(payload=b"x"))
+    assert queue.qsize() == 2
+    assert len(said) == 1
+    queue.get_nowait()
+    queue.put_nowait(SimpleNamespace(payload=b"x" * pulling.WAITING_BYTES))
+    assert queue.qsize() == 1, "too long with the one that waits"
+
+
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_a_retained_message_is_not_used(port):
+    """The walk it belongs to may have been deleted."""
+    async with aiomqtt.Client("127.0.0.1", port) as phone:
+        await phone.publish(TOPIC, b"old", retain=True)
+        async with listening(f"mqtt://127.0.0.1:{port}") as (messages, _):
+            await phone.publish(TOPIC, b"new")
+            await soon(lambda: messages)
+            assert messages == [b"new"]
 
 
 def test_an_address_names_broker_and_user_and_a_password_may_come_from_the_environment(monkeypatch):

@@ -117,6 +117,43 @@ def test_slow_silent_and_flooding_clients_harm_nobody(start):
         server.published(len(BODIES))
 
 
+BRIEF = "from pdr_graph.apps.serve import serving; serving.HEAD_TIME = serving.BODY_TIME = 1.0\n"
+UNKNOWN = b"GET /walkers" + HEAD + b"Authorization: Bearer no\r\n\r\n"
+DRIPS = {
+    "a first head": b"GET /",
+    "a second head": UNKNOWN + b"GET /",
+    "a body that nobody reads": b"POST /walkers" + HEAD + b"Content-Length: 100000\r\n\r\n{",
+}
+
+
+@pytest.mark.parametrize("drip", DRIPS)
+def test_a_connection_that_drips_ends(start, drip):
+    server = start("--token", OWNERS, before=BRIEF)
+    with server.connected() as connection:
+        connection.sendall(DRIPS[drip])
+        connection.settimeout(0.2)
+        began = time.monotonic()
+        with suppress(OSError):  # it was closed
+            while time.monotonic() < began + PATIENCE:
+                connection.sendall(b"x")
+                with suppress(TimeoutError):
+                    if not connection.recv(65536):
+                        break
+                time.sleep(0.1)
+        assert time.monotonic() < began + PATIENCE
+
+
+def test_whoever_holds_all_connections_does_not_keep_the_owner_out(start):
+    server = start(
+        "--token", OWNERS, before="from pdr_graph.apps.serve import serving; serving.MOST_CONNECTIONS = 30\n"
+    )
+    with ExitStack() as stack:
+        connect(stack, server, *[UNKNOWN + b"GET /"] * 60)
+        time.sleep(0.5)
+        status, _ = server.ask(f"/walkers?token={OWNERS}")
+        assert status == 200
+
+
 def test_streams_that_a_user_leaves_unread_do_not_keep_the_owner_waiting(start, tmp_path):
     """150 of them, of the 100 that a server has; the oldest of the user's end, and the owner's go on."""
     server = start("--token", OWNERS, "--user", "ann")

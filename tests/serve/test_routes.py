@@ -3,6 +3,7 @@
 import gzip
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from starlette.testclient import TestClient
 from streamed_walks import bodies, finished_recording, local_server, outdoors, until, used
 
 import pdr_graph
+from pdr_graph.apps.serve import application
 from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
+from pdr_graph.apps.serve.live_walk import read_session, write_session
 from pdr_graph.apps.serve.reception import Limits
-from pdr_graph.apps.serve.serving import Settings, build
+from pdr_graph.apps.serve.serving import Recorder, Settings, build
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.streaming import message
@@ -30,6 +33,13 @@ def client(tmp_path_factory):
     folder = tmp_path_factory.mktemp("serve")
     with TestClient(build(Settings(folder, workers=0, tokens=TOKENS, limits=LIMITS)), headers=OWN) as client:
         client.folder = folder
+        yield client
+
+
+@pytest.fixture
+def guarded(tmp_path):
+    """A server as `client`, of one test."""
+    with TestClient(build(Settings(tmp_path, workers=0, tokens=TOKENS, limits=LIMITS)), headers=OWN) as client:
         yield client
 
 
@@ -201,6 +211,58 @@ def test_pages_of_other_sites_and_ports_show_nothing_of_an_answer(client):
         assert client.get(path).headers["cross-origin-resource-policy"] == "same-origin"
     headers = {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}
     assert client.get("/walkers", headers=headers).status_code == 403
+
+
+def test_the_positions_of_another_user_have_an_id_that_no_message_can_take(guarded):
+    place = {"id": "tracker", "lat": 48.1, "lon": 11.5, "timestamp": 1_700_000_000}
+    assert guarded.get("/osmand", params=place, headers=ANN).status_code == 200
+    [id_] = [each["id"] for each in guarded.get("/walkers").json() if each["name"] == "tracker"]
+    assert post(guarded, first_message(id_)).status_code in (200, 499)
+    assert guarded.get(f"/walkers/{id_}", headers=ANN).json()["protocol"] == "osmand"
+
+
+def test_unfinished_messages_of_a_user_are_limited_together(guarded, monkeypatch):
+    arriving = guarded.app.state.server.arriving
+    monkeypatch.setitem(arriving, "ann", application.ARRIVING * LIMITS.body)
+    one_line(post(guarded, first_message("many"), headers=ANN), 429)
+    assert post(guarded, first_message("many")).status_code in (200, 499), "another user is not concerned"
+    assert arriving["ann"] == application.ARRIVING * LIMITS.body, "what did not stay is not counted"
+
+
+def test_positions_of_sensor_logger_alone_are_a_track(local):
+    values = {"latitude": 48.0, "longitude": 11.0, "horizontalAccuracy": 5.0}
+    for n in range(8):
+        values["latitude"] += 2e-4
+        sample = {"name": "location", "time": (1_700_000_000 + 40 * n) * 10**9, "values": values}
+        body = {"messageId": n, "sessionId": "track", "payload": [sample]}
+        assert local.post("/sensorlogger", json=body).status_code in (200, 499)
+    content = finished_recording(local, "track")
+    assert content.count(b"<trkpt") == 8
+
+
+def test_all_walks_that_end_together_have_their_recordings(tmp_path):
+    """More than one process makes; and those that a server did not make before its end, the next one makes."""
+    ids = [f"w{n}" for n in range(Recorder.TASKS + 3)]
+    with local_server(tmp_path) as client:
+        for n, id_ in enumerate(ids):
+            for second in (0, 40):
+                place = {"id": id_, "lat": 48 + 1e-4 * second, "lon": 11, "timestamp": 1_700_000_000 + 500 * n + second}
+                client.get("/osmand", params=place).raise_for_status()
+        walks = [each["id"] for each in client.get("/walkers").json()]
+        for id_ in walks:
+            client.post(f"/walkers/{id_}/finish").raise_for_status()
+        until(lambda: len(recordings(tmp_path)) == len(ids))
+        until(lambda: all(read_session(file.parent).recorded for file in recordings(tmp_path)))
+    recordings(tmp_path)[0].unlink()
+    unmade = recordings(tmp_path)[0].parent
+    write_session(unmade, replace(read_session(unmade), recorded=False))
+    (unmade / "recording.gpx").unlink()
+    with local_server(tmp_path):
+        until(lambda: len(recordings(tmp_path)) == len(ids))
+
+
+def recordings(folder):
+    return sorted(folder.glob("sessions/*/recording.*"))
 
 
 @pytest.mark.parametrize("when", ["9999-12-31T23:59:59Z", "99999999999", "-1", "1e300", "1" * 5000])

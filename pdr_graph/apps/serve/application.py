@@ -9,9 +9,10 @@ import asyncio
 import html
 import re
 import zlib
+from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -44,6 +45,7 @@ from pdr_graph.errors import InputError
 
 WEB, OPENAPI = Path(__file__).parent / "web", Path(__file__).parent / "openapi.json"
 HEARTBEAT = 15.0  # [s] after which a silent stream sends a comment, by which proxies and the page know that it lives
+ARRIVING = 4  # unfinished messages of a user, of the largest size, that are kept in memory at once
 SLOWEST_BODY = 30.0  # [s] for a message to arrive completely
 SLOWEST_READER = 30.0  # [s] for an event to be taken
 SHOW_TO_USER = 499  # status by which Sensor Logger shows the text of the answer
@@ -58,7 +60,8 @@ class Server:
     """What the routes share.
 
     hub: the published walkers; access: who may see them; plan: of `plan_layers`, None without; tiles: address of a tile
-    server; reception: the sessions, None for tests of the page; study: reports for studies, None without.
+    server; reception: the sessions, None for tests of the page; study: reports for studies, None without; arriving:
+    bytes of the messages of each user that have not arrived completely.
     """
 
     hub: Hub
@@ -67,6 +70,7 @@ class Server:
     tiles: str | None = None
     reception: Reception | None = None
     study: StudyReports | None = None
+    arriving: Counter[str] = field(default_factory=Counter)
 
 
 def application(server: Server, lifespan: Any = None) -> Starlette:
@@ -166,19 +170,25 @@ def _json(value: Any, media_type: str = "application/json") -> Response:
 
 async def _body(request: Request) -> bytes:
     """The body of a request. Raises HTTPException 413 if it is too large, 408 if it takes too long, 400 if it ends."""
-    most, body = _reception(request).limits.body, bytearray()
-    closing = {"Connection": "close"}
+    most, body, arriving = _reception(request).limits.body, bytearray(), _server(request).arriving
+    closing, user = {"Connection": "close"}, request.scope["user"]
     too_large = HTTPException(413, f"found more than {most >> 20} MB, expected smaller messages", closing)
     try:
         async with asyncio.timeout(SLOWEST_BODY):
             async for part in request.stream():
                 body += part
+                arriving[user] += len(part)
                 if len(body) > most:
                     raise too_large
+                if arriving[user] > ARRIVING * most:
+                    text = f"found {arriving[user] >> 20} MB of unfinished messages, expected fewer at once"
+                    raise HTTPException(429, text, {**closing, "Retry-After": f"{SLOWEST_BODY:.0f}"})
     except TimeoutError:
         raise HTTPException(408, f"found no end of the message in {SLOWEST_BODY:.0f} s", closing) from None
     except ClientDisconnect:
         raise HTTPException(400, "found a connection that ended within the message") from None
+    finally:
+        arriving[user] -= len(body)
     encoding = request.headers.get("content-encoding", "identity")
     if encoding not in ("gzip", "identity"):
         raise HTTPException(415, f"found the encoding {encoding[:40]!r}, expected gzip or none")
@@ -277,7 +287,7 @@ async def recording(request: Request) -> Response:
     id_ = _walker(request).pose["id"]
     file = _reception(request).recording(id_)
     if file is None:
-        raise HTTPException(409, "found a walk under way, expected a finished one: POST /walkers/ID/finish")
+        raise HTTPException(409, "found no recording yet, expected a walk that was finished: POST /walkers/ID/finish")
     return FileResponse(file, filename=f"{id_}{file.suffix}")
 
 
@@ -401,9 +411,13 @@ def checked_tiles(url: str | None) -> str | None:
     """The address of a tile server, ``https://host/{z}/{x}/{y}.png``; None without one. Raises InputError."""
     if url is None:
         return None
-    parts = urlsplit(url)
     places = all(place in url for place in ("{z}", "{x}", "{y}"))
-    if parts.scheme not in ("http", "https") or not HOST.fullmatch(parts.netloc) or not places:
+    try:
+        parts = urlsplit(url)
+        right = parts.scheme in ("http", "https") and HOST.fullmatch(parts.netloc) and places
+    except ValueError:
+        right = False
+    if not right:
         raise InputError("--tiles", "", repr(url), "an address such as https://host/{z}/{x}/{y}.png")
     return url
 

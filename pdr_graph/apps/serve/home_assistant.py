@@ -11,9 +11,11 @@ starts later has them, and Home Assistant's history has the room and its probabi
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -34,6 +36,7 @@ STATUS = f"{PREFIX}/status"  # of the server
 ONLINE, ABSENT = "online", "offline"
 FINISHED = "finished"  # state of a walk that is over
 LEAST_SHOWN = 0.05  # probability from which a room is among the attributes
+RETAINED_TIME = 2.0  # [s] for the broker to send what it has retained
 LONGEST_PAUSE = 60.0  # [s] without news after which the connection is still looked at
 
 
@@ -112,16 +115,26 @@ def discovery_of(phone: str, name: str, tracked: bool) -> dict[str, Any]:
 
 
 def phone_of(user: str, name: str) -> str:
-    """The identifier of a phone in topics: letters, digits and underscores of its user's and its own name."""
+    """The identifier of a phone in topics: letters, digits and underscores of its user's and its own name.
+
+    Names of different users never have the same: those of others than the owner, and those that would be empty, end
+    with a checksum.
+    """
     own = name if user == OWNER else f"{user} {name}"
-    return re.sub(r"\W+", "_", own, flags=re.ASCII).strip("_").lower() or "phone"
+    plain = re.sub(r"\W+", "_", own, flags=re.ASCII).strip("_").lower()
+    if user == OWNER and plain:
+        return plain
+    return f"{plain or 'phone'}_{hashlib.sha256(msgspec.json.encode((user, name))).hexdigest()[:8]}"
 
 
 class Announcer:
-    """Publishes the phones of a hub. One that was recorded several times is one device: its newest walk counts."""
+    """Publishes the phones of a hub. One that was recorded several times is one device: its newest walk counts.
 
-    def __init__(self, hub: Hub, building: Building | None):
-        self._hub, self._building = hub, building
+    known: the phones that have a walk, also those that the hub does not show.
+    """
+
+    def __init__(self, hub: Hub, building: Building | None, known: Callable[[], set[str]]):
+        self._hub, self._building, self._known = hub, building, known
         self._announced = dict[str, bool]()  # phones: with a position on earth
         self._walks = dict[str, tuple[str, float]]()  # of each phone the walk that is shown, and the time of its pose
 
@@ -131,6 +144,8 @@ class Announcer:
         subscriber = self._hub.subscribe(OWNER, connection=False)
         try:
             await client.publish(STATUS, ONLINE, retain=True)
+            for phone in await _retained(client) - self._known():  # deleted while there was no connection
+                await self._remove(client, phone)
             while not subscriber.ended:
                 if await subscriber.wait(LONGEST_PAUSE):
                     for kind, data in subscriber.events():
@@ -165,16 +180,34 @@ class Announcer:
     async def _forget(self, client: Any, id_: str) -> None:
         """Remove the device of a walk that was deleted, if it is the one that is shown; empty messages do."""
         for phone in [phone for phone, (shown, _) in self._walks.items() if shown == id_]:
-            del self._walks[phone]
-            self._announced.pop(phone, None)
-            for topic in (f"homeassistant/device/{PREFIX}_{phone}/config", *_topics(phone)):
-                await client.publish(topic, b"", retain=True)
+            await self._remove(client, phone)
+
+    async def _remove(self, client: Any, phone: str) -> None:
+        self._walks.pop(phone, None)
+        self._announced.pop(phone, None)
+        for topic in (f"homeassistant/device/{PREFIX}_{phone}/config", *_topics(phone)):
+            await client.publish(topic, b"", retain=True)
 
 
 def _topics(phone: str) -> list[str]:
     return [f"{PREFIX}/{phone}/{part}" for part in ("state", "position", "status")]
 
 
-async def announce(broker: Broker, hub: Hub, building: Building | None, say: Say) -> None:
-    """Publish the phones of a hub to a broker, for ever; a lost connection is made again."""
-    await connected(broker, Announcer(hub, building).run, say, last_will=(STATUS, ABSENT))
+async def _retained(client: Any) -> set[str]:
+    """The phones whose status a broker has retained."""
+    phones, topics = set[str](), f"{PREFIX}/+/status"
+    await client.subscribe(topics)
+    with suppress(TimeoutError):
+        async with asyncio.timeout(RETAINED_TIME):
+            async for message in client.messages:
+                if message.retain:
+                    phones.add(str(message.topic).split("/")[1])
+    await client.unsubscribe(topics)
+    return phones
+
+
+async def announce(
+    broker: Broker, hub: Hub, building: Building | None, known: Callable[[], set[str]], say: Say
+) -> None:
+    """Publish the phones of a hub to a broker, for ever; a lost connection is made again. known: see `Announcer`."""
+    await connected(broker, Announcer(hub, building, known).run, say, last_will=(STATUS, ABSENT))

@@ -39,6 +39,7 @@ LONGEST_WAIT = 2.0  # [s] for which a message waits for those before it
 MOST_WAITING = 64  # messages that wait for one; then it is given up
 OF_RECEIVERS = -(1 << 62)  # identities of what receivers hear are negative, and grow: none waits for another
 LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
+NOT_RECORDED = "the recording could not be completed"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
 
 
@@ -48,7 +49,7 @@ class Session:
 
     id: in addresses; key: the app's name of it; name: for people; user: to whom it belongs; protocol: of its messages;
     platform: "ios" or "android" if it was stated; began: Unix time of the first message [s];
-    phone: the app's name of it, if it states one.
+    phone: the app's name of it, if it states one; recorded: False from its end until its recording is made.
     """
 
     id: str
@@ -60,6 +61,7 @@ class Session:
     began: float
     finished: bool = False
     phone: str = ""
+    recorded: bool = True
 
 
 class MessageLog(RecordLog):
@@ -97,19 +99,21 @@ class Queue:
         self._ordered, self._expected = ordered, -1
         self._arrived = deque[tuple[float, Entry]]()  # with the time of arrival [s], by a clock that is never set back
         self._waiting = list[tuple[int, int, float, Entry]]()
-        self._clock, self._count = -np.inf, 0
+        self._clock = self._latest = 0.0  # [s] of the last arrival, by that clock and by this machine's
+        self._count = 0
 
     def __len__(self) -> int:
         return len(self._arrived) + len(self._waiting)
 
     def add(self, entry: Entry) -> None:
         """Add a message that arrived."""
-        self._clock = max(self._clock, entry.received)
+        self._clock += max(0.0, entry.received - self._latest)  # it stands still where this machine's is set back
+        self._latest = entry.received
         self._arrived.append((self._clock, entry))
 
     def next(self, now: float) -> Entry | None:
         """The next message if it is its turn at the Unix time ``now`` [s], and remove it."""
-        if now < self.due or not self._waiting:
+        if now < self.due or not self._waiting:  # also moves what has arrived
             return None
         identity, _, _, entry = heapq.heappop(self._waiting)
         self._expected = max(self._expected, identity + 1)
@@ -123,7 +127,7 @@ class Queue:
             self._count += 1
             identity = entry.identity if self._ordered else self._count
             heapq.heappush(self._waiting, (identity, self._count, arrival, entry))
-        return self._first_due()
+        return self._first_due() - self._clock + self._latest
 
     def _first_due(self) -> float:
         """`due` of the messages that wait."""
@@ -297,11 +301,12 @@ def write_recording(folder: Path) -> Path:
     Raises InputError if the log is damaged or has no samples; OSError of the disk.
     """
     session = read_session(folder)
-    target = folder / RECORDINGS[0 if session.protocol == SENSOR_LOGGER else 1]
+    of_sensors = session.protocol == SENSOR_LOGGER and _has_sensors(folder)
+    target = folder / RECORDINGS[0 if of_sensors else 1]
     new = target.with_name(f"new-{target.name}")
     new.unlink(missing_ok=True)
     new.touch(mode=0o600)
-    write = _write_export if session.protocol == SENSOR_LOGGER else _write_track
+    write = _write_export if of_sensors else _write_track
     write(new, folder, session)
     new.replace(target)
     return target
@@ -314,21 +319,24 @@ def _messages(folder: Path, ordered: bool) -> Iterator[bytes]:
         yield read_body(folder / LOG, entry)
 
 
+def _has_sensors(folder: Path) -> bool:
+    """True if messages of Sensor Logger have more than positions: a walk needs an accelerometer."""
+    payloads = (sensor_messages.samples_of(body) for body in _messages(folder, ordered=False))
+    return any("accelerometer" in sample.name.lower() for payload in payloads for sample in payload)
+
+
 def _write_export(file: Path, folder: Path, session: Session) -> None:
     """Write tables as the app does, in its units and signs, as the numbers came."""
     signs, start = sensor_messages.Signs(), 0
     with TemporaryDirectory(dir=folder) as scratch, ExitStack() as files:
         tables = dict[str, TextIO]()
         for body in _messages(folder, ordered=True):
-            try:
-                message = sensor_messages.parse(body)
-            except InputError:
-                continue
+            payload = sensor_messages.samples_of(body)
             if not signs.acceleration:  # as the live walk decided
-                columns, _ = sensor_messages.tables_of(message.payload)
-                android = sensor_messages.from_android(message.payload)
+                columns, _ = sensor_messages.tables_of(payload)
+                android = sensor_messages.from_android(payload)
                 sensor_messages.signals_of(columns, signs, session.platform, android)
-            for sample in sorted(message.payload, key=lambda sample: sample.time):
+            for sample in sorted(payload, key=lambda sample: sample.time):
                 name, time = sample.name.lower(), int(sample.time)
                 if name not in COLUMNS:
                     continue
@@ -357,8 +365,10 @@ def _cell(value: Any) -> str:
 
 def _write_track(file: Path, folder: Path, session: Session) -> None:
     """Write the positions as GPX, with their accuracies."""
-    fixes = [sensor_messages.parse_positions(session.protocol, body)[1] for body in _messages(folder, ordered=False)]
-    rows = np.concatenate([np.column_stack([part.time, part.position, part.sigma]) for part in fixes])
+    fixes = [sensor_messages.positions_of(session.protocol, body) for body in _messages(folder, ordered=False)]
+    rows = np.concatenate([np.empty((0, 4)), *(np.column_stack([f.time, f.position, f.sigma]) for f in fixes if f)])
+    if not len(rows):
+        raise InputError(folder, "", "no samples", "a session with samples")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     points = gpx.Points(rows[:, 1:3], rows[:, 0], RADIUS_68 * rows[:, 3])
     file.write_bytes(gpx.document([gpx.Track(session.name, (points,))]))
@@ -381,7 +391,6 @@ def finish(folder: Path, store: Path | None, plan: Path | None) -> str:
             if added.refused:
                 raise InputError(store, "", added.refused[0], "a recording that the lifelog takes")
             build(store)
-        damaged = sum(entry.skipped for entry in read_entries(folder / LOG))
     except (InputError, OSError) as error:
-        return f"the recording could not be completed: {error}"
-    return f"{count(damaged, 'byte')} of {LOG} are damaged: not in the recording" if damaged else ""
+        return f"{NOT_RECORDED}: {error}"
+    return ""  # a damaged log is an issue of the walk

@@ -15,9 +15,10 @@ What is new becomes messages as Sensor Logger sends them, so that phones of both
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
+import re
 import ssl
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -163,9 +164,16 @@ class PhyphoxPhone:
         self, url: str, stored: Callable[[str], Stored | None] = lambda run: None, timeout: float = POLL_TIMEOUT
     ) -> None:
         """Check and complete the address. Raises InputError if it is none."""
-        parts = urlsplit(url if "://" in url else f"http://{url}")
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise InputError("--phyphox", "", repr(url), "an address as phyphox shows it: http://192.168.0.12:8080")
+        expected = "an address as phyphox shows it: http://192.168.0.12:8080"
+        try:
+            parts = urlsplit(url if "://" in url else f"http://{url}")
+            host, _ = parts.hostname, parts.port
+        except ValueError:
+            raise InputError("--phyphox", "", "no address", expected) from None
+        if parts.scheme not in ("http", "https") or not host:
+            raise InputError("--phyphox", "", repr(url), expected)
+        if "@" in parts.netloc:  # it would be in each line about the phone
+            raise InputError("--phyphox", "", "an address with a name or a password", expected)
         self.url, self._stored, self._timeout = f"{parts.scheme}://{parts.netloc}", stored, timeout
         self._name, self._session, self._run, self._ignored = "phyphox", "", "", tuple[str, ...]()
         self._inputs, self._since = list[Input](), dict[str, float]()
@@ -268,8 +276,8 @@ def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
             name, keys = MESSAGE_NAMES[sensor]
             rows = table[order[sensor][ends[sensor][n - 1] if n else 0 : ends[sensor][n]]]
             stamps = np.round(rows[:, 0] * 1e9).astype(np.int64).tolist()
-            for time, values in zip(stamps, rows[:, 1:].tolist(), strict=True):
-                payload.append({"name": name, "time": time, "values": dict(zip(keys, values, strict=True))})
+            for stamp, values in zip(stamps, rows[:, 1:].tolist(), strict=True):
+                payload.append({"name": name, "time": stamp, "values": dict(zip(keys, values, strict=True))})
         message = {"messageId": number, "sessionId": poll.run, "deviceId": "phyphox", "payload": payload}
         yield msgspec.json.encode(message)  # NaN becomes null
         number += 1
@@ -337,7 +345,7 @@ async def running(
         for url in sources.phyphox
     ]
     if sources.broker is not None:
-        work.append(subscribe(sources.broker, partial(receive_once, reception), say))
+        work.append(subscribe(sources.broker, receiving_once(reception, say), say))
     if sources.study is not None:
         work.append(sources.study.run())
     work += more
@@ -382,10 +390,21 @@ async def receive_patiently(reception: Reception, say: Say, body: bytes, name: s
         await asyncio.sleep(REFUSAL_PAUSE)
 
 
-def receive_once(reception: Reception, body: bytes) -> None:
-    """Store a message of a broker; one that is refused is lost, as by MQTT it may be."""
-    with contextlib.suppress(HTTPException, InputError):
-        reception.receive(SENSOR_LOGGER, OWNER, body)
+def receiving_once(reception: Reception, say: Say) -> Callable[[bytes], None]:
+    """Store a message of a broker; one that is refused is lost, as by MQTT it may be, and each reason is told once."""
+    reasons = set[str]()
+
+    def receive(body: bytes) -> None:
+        try:
+            reception.receive(SENSOR_LOGGER, OWNER, body)
+        except (HTTPException, InputError) as refused:
+            text = str(refused.detail if isinstance(refused, HTTPException) else refused)
+            kind = re.sub(r"\d+", "", text)
+            if kind not in reasons and len(reasons) < MOST_REASONS:
+                reasons.add(kind)
+                say(f"mqtt: a message was not used: {text}")
+
+    return receive
 
 
 TOPIC = "sensor-logger"  # the app's default
@@ -393,6 +412,8 @@ PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 8000, "wss": 8884}  # by scheme
 PASSWORD = "PDR_GRAPH_MQTT_PASSWORD"  # environment variable: an address is seen by all users of a machine
 # Messages that wait for this process, and their bytes; further ones are lost, as QoS 0 may
 WAITING_MESSAGES, WAITING_BYTES = 500, 32 << 20
+MOST_REASONS = 20  # why messages were not used, that are told
+LOST_INTERVAL = 60.0  # [s] between two lines about lost messages
 FIRST_RECONNECT, LAST_RECONNECT = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
 
 
@@ -442,14 +463,21 @@ def broker_of(url: str, topic: str = TOPIC, option: str = "--mqtt") -> Broker:
 
 
 class BoundedQueue(asyncio.Queue[Any]):
-    """A queue that is full with WAITING_BYTES of payload: a single message may have 256 MB."""
+    """A queue that is full with WAITING_BYTES of payload: a single message may have 256 MB. What is lost is told."""
 
-    size = 0  # [bytes]
+    def __init__(self, maxsize: int = 0, say: Say = print):
+        super().__init__(maxsize)
+        self._say, self._lost, self._said_at = say, 0, -LOST_INTERVAL
+        self.size = 0  # [bytes]
 
     def put_nowait(self, item: Any) -> None:
-        """Append a message. Raises asyncio.QueueFull."""
-        if self.size + len(item.payload) > WAITING_BYTES:
-            raise asyncio.QueueFull
+        """Append a message, or lose it."""
+        if self.full() or self.size + len(item.payload) > WAITING_BYTES:
+            self._lost += 1
+            if (now := time.monotonic()) - self._said_at >= LOST_INTERVAL:
+                self._say(f"mqtt: more messages than can be used, lost so far: {self._lost}")
+                self._said_at = now
+            return
         super().put_nowait(item)
         self.size += len(item.payload)
 
@@ -470,7 +498,8 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) 
         await client.subscribe(broker.topic)
         say(f"mqtt: subscribed to {broker.address}")
         async for message in client.messages:
-            receive(bytes(message.payload))
+            if not message.retain:  # a retained one may be of a walk that was deleted
+                receive(bytes(message.payload))
 
     await connected(broker, listen, say)
 
@@ -500,7 +529,7 @@ async def connected(
                 websocket_path=broker.path if broker.websocket else None,
                 will=aiomqtt.Will(*last_will, retain=True) if last_will else None,
                 max_queued_incoming_messages=WAITING_MESSAGES,
-                queue_type=BoundedQueue,
+                queue_type=partial(BoundedQueue, say=say),  # type: ignore[arg-type]
                 timeout=10.0,  # [s] for the broker to answer
             ) as client:
                 wait = FIRST_RECONNECT

@@ -13,7 +13,7 @@ import re
 import shutil
 import time
 from collections import OrderedDict, deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -87,12 +87,12 @@ class State:
     behind: deque[float] = field(default_factory=lambda: deque(maxlen=60))
 
 
-Finishing = Callable[[Session], Awaitable[str]]
+Finishing = Callable[[Path], Awaitable[str]]
 
 
 class Reception:
-    """All sessions below a folder. finishing: makes the recording of a finished one, and returns an issue or ""; say:
-    called with a line about files that are left out.
+    """All sessions below a folder. finishing: makes the recording of a finished one in its folder, and returns an issue
+    or ""; say: called with a line about files that are left out.
     """
 
     def __init__(
@@ -140,6 +140,9 @@ class Reception:
             except (OSError, ValueError, LookupError, TypeError) as error:
                 issue = f"{PUBLISHED}, its last pose and path: {one_line(str(error))}"
                 self.hub.pose(session.user, blank_pose(session) | {"state": "finished", "issues": [issue]})
+        for _, session, _ in sorted(finished, key=lambda row: row[0]):
+            if not (session.recorded and self.recording(session.id)):  # the server ended before
+                self._in_background(self._record(self._states[session.id]))
 
     def started(self, number: int) -> None:
         """Tell an estimating process that has started of its unfinished sessions."""
@@ -231,7 +234,7 @@ class Reception:
             earlier = [s for s in self._states.values() if (s.session.protocol, s.session.user, s.session.key) == names]
             last = max(earlier, key=lambda state: state.last_received, default=None)
             device = hashlib.sha256("\0".join(names).encode()).hexdigest()[:12]
-            id_ = f"{protocol}-{device}-{time.time():.0f}"
+            id_ = f"{protocol}~{device}~{time.time():.0f}"  # no id that a message of Sensor Logger can name
             if last is not None and not last.session.finished:
                 id_ = last.session.id
         state = self._states.get(id_)
@@ -318,14 +321,16 @@ class Reception:
         elif kind == "path":
             self.hub.path(update)
         elif kind == "finished":
-            task = asyncio.get_running_loop().create_task(self._finished(state))
-            self._background.add(task)
-            task.add_done_callback(self._background.discard)
+            self._in_background(self._finished(state))
         elif kind == "failed":
             published = self.hub.walkers.get(state.session.id)
             pose = published.pose if published else blank_pose(state.session)
             issue = f"the estimate failed: {update['text']}"
             self.hub.pose(state.session.user, pose | {"issues": [issue]})
+
+    def sessions(self) -> list[Session]:
+        """All sessions, also finished ones."""
+        return [state.session for state in self._states.values()]
 
     # ── the end of a session ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -359,17 +364,32 @@ class Reception:
         """Store what is published of a finished session, and make its recording."""
         if state.announced:
             return  # a message came meanwhile
-        self._store(state, replace(state.session, finished=True))
+        self._store(state, replace(state.session, finished=True, recorded=False))
         self._close(state.session.id)
         walker = self.hub.walkers.get(state.session.id)
         if walker is not None:
             path = {"finalised": walker.finalised, "current": walker.current}
             published = encode_json({"pose": walker.pose, "path": path}).encode()
             write(self.root / state.session.id / PUBLISHED, published, durable=True)
-        if self._finishing is not None:
-            issue = await self._finishing(state.session)
-            if issue and walker is not None:
-                self.hub.pose(state.session.user, walker.pose | {"issues": [*walker.pose["issues"], issue]})
+        await self._record(state)
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._background.add(task)
+        task.add_done_callback(self._background.discard)
+
+    async def _record(self, state: State) -> None:
+        """Make the recording of a finished session; what prevents it is an issue, and the next start tries it again."""
+        if self._finishing is None:
+            return
+        id_ = state.session.id
+        issue, walker = await self._finishing(self.root / id_), self.hub.walkers.get(id_)
+        if not state.session.finished or id_ not in self._states:
+            return  # resumed or deleted meanwhile
+        if not issue:
+            self._store(state, replace(state.session, recorded=True))
+        elif walker is not None:
+            self.hub.pose(state.session.user, walker.pose | {"issues": [*walker.pose["issues"], issue]})
 
     def forget(self, id_: str) -> None:
         """Delete a session with all its files."""

@@ -98,6 +98,22 @@ def parse(body: bytes) -> Message:
     return message
 
 
+def samples_of(body: bytes) -> list[Sample]:
+    """The samples of a message; none of one that cannot be used."""
+    try:
+        return parse(body).payload
+    except InputError:
+        return []
+
+
+def positions_of(protocol: str, body: bytes) -> Fixes | None:
+    """The positions in a message of any app; None without."""
+    if protocol != SENSOR_LOGGER:
+        return parse_positions(protocol, body)[1]
+    tables, _ = tables_of(samples_of(body))
+    return fixes_of(tables, [])
+
+
 def is_test(body: bytes) -> bool:
     """True for what the app's button "Tap to Test Pushing" sends: samples named ``test``, of no recording."""
     try:

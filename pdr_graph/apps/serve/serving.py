@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import h11
 import uvicorn
 from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -25,8 +26,8 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
-from pdr_graph.apps.serve.home_assistant import announce
-from pdr_graph.apps.serve.live_walk import Session, finish
+from pdr_graph.apps.serve.home_assistant import announce, phone_of
+from pdr_graph.apps.serve.live_walk import NOT_RECORDED, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.receivers import listen
@@ -66,19 +67,13 @@ def read_inputs(options: Mapping[str, Any]) -> tuple[Building | None, Beacons | 
 
 def build(settings: Settings, building: Building | None = None) -> Starlette:
     """The application, whose lifespan starts and stops everything. building: of `read_inputs`."""
-    hub = Hub()
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=20)
-
-    async def finishing(session: Session) -> str:
-        arguments = (reception.root / session.id, settings.store, settings.options.get("plan"))
-        try:
-            return await asyncio.get_running_loop().run_in_executor(pool, finish, *arguments)
-        except (RuntimeError, OSError) as error:  # the pool was shut down, or its process was killed
-            return f"the recording could not be completed: {error}"
-
-    reception = Reception(settings.folder / SESSIONS, hub, settings.limits, finishing, say)
+    hub, recorder = Hub(), Recorder(settings.store, settings.options.get("plan"))
+    reception = Reception(settings.folder / SESSIONS, hub, settings.limits, recorder.record, say)
     estimators = Estimators(settings.workers, reception.root, settings.options, reception.update, reception.started)
     reception.estimators = estimators
+
+    def known() -> set[str]:
+        return {phone_of(session.user, session.name) for session in reception.sessions()}
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -86,7 +81,7 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         await estimators.start()
         try:
             home, receivers = settings.sources.home, settings.sources.receivers
-            more = [] if home is None else [announce(home, hub, building, say)]
+            more = [] if home is None else [announce(home, hub, building, known, say)]
             more += [] if receivers is None else [listen(receivers, reception, say)]
             async with running(settings.sources, reception, say, more):
                 try:
@@ -96,13 +91,53 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         finally:
             await estimators.stop()
             reception.close()
-            finishers = list((pool._processes or {}).values())  # else the interpreter's end waits for them
-            pool.shutdown(wait=False, cancel_futures=True)
-            await end_all(finishers, STOPPING, force=True)
+            await recorder.close()
 
     access, study = Access(settings.tokens), settings.sources.study
     plan = plan_layers(building)
     return application(Server(hub, access, plan, settings.tiles, reception, study), lifespan)
+
+
+class Recorder:
+    """Makes the recordings of finished walks in one process, one after the other; another after TASKS, or if it ended.
+
+    Its executor's own ``max_tasks_per_child`` stops for ever where tasks wait (cpython issue 115634, 3.11 to 3.13).
+    """
+
+    TASKS = 20  # recordings of a process, whose memory grows
+
+    def __init__(self, store: Path | None, plan: Path | None):
+        self._arguments = store, plan
+        self._turn, self._tasks, self._closed = asyncio.Lock(), 0, False
+        self._pool: ProcessPoolExecutor | None = None
+
+    async def record(self, folder: Path) -> str:
+        """Make the recording of a walk's folder; returns an issue, or ""."""
+        async with self._turn:
+            if self._tasks == self.TASKS:
+                await self._end()
+            if self._closed:
+                return NOT_RECORDED
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+            self._tasks += 1
+            try:
+                return await asyncio.get_running_loop().run_in_executor(self._pool, finish, folder, *self._arguments)
+            except (RuntimeError, OSError) as error:  # its process was killed, or is ended with the server
+                await self._end()
+                return f"{NOT_RECORDED}: {error}"
+
+    async def _end(self) -> None:
+        pool, self._pool, self._tasks = self._pool, None, 0
+        if pool is not None:
+            processes = list((pool._processes or {}).values())  # else the interpreter's end waits for them
+            pool.shutdown(wait=False, cancel_futures=True)
+            await end_all(processes, STOPPING, force=True)
+
+    async def close(self) -> None:
+        """End its process; no other is begun."""
+        self._closed = True
+        await self._end()
 
 
 def say(text: str) -> None:
@@ -110,16 +145,69 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+MOST_CONNECTIONS = 1000
+HEAD_TIME, BODY_TIME = 20.0, 40.0  # [s] for all of a head and of a body to arrive; phones' bodies have less
+
+
 class Protocol(H11Protocol):
-    """HTTP that closes connections which send no complete head in time; uvicorn's own waits for ever."""
+    """HTTP whose connections end if a head or a body does not arrive in time, however it drips; uvicorn's own wait.
+
+    Where MOST_CONNECTIONS are near, a new one ends the one that has longest had no request to be answered.
+    """
+
+    _end: asyncio.TimerHandle | None = None  # of the head or body that is arriving
+    _of_body = False
+    _idle_since = 0.0  # [s] of the loop
 
     def connection_made(self, transport: Any) -> None:
         """Begin to wait for the first request."""
         super().connection_made(transport)
-        self.loop.call_later(20.0, self._close_if_silent)  # [s] for the head of a request to arrive
+        self._idle_since = self.loop.time()
+        self._end = self.loop.call_later(HEAD_TIME, self._close)
+        if len(self.connections) > 0.9 * MOST_CONNECTIONS:
+            others = (each for each in self.connections if isinstance(each, Protocol) and each is not self)
+            idle = min(filter(Protocol.is_idle, others), key=lambda each: each._idle_since, default=None)
+            if idle is not None:
+                idle._close()
 
-    def _close_if_silent(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
+    def is_idle(self) -> bool:
+        """True while it is open and no request is answered."""
+        return not self.transport.is_closing() and (self.cycle is None or self.cycle.response_complete)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what arrived."""
+        super().data_received(data)
+        self._watch()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, or for the rest of a body that nobody read."""
+        self._idle_since = self.loop.time()
+        super().on_response_complete()
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End the timer."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        """Start the time of a head or a body that is arriving; it ends when that is complete."""
+        body, begun = self.conn.their_state is h11.SEND_BODY, bool(self.conn.trailing_data[0])
+        if self not in self.connections or not (body or (begun and self.conn.their_state is h11.IDLE)):
+            self._stop_timer()
+        elif self._end is None or body != self._of_body:
+            self._stop_timer()
+            self._end = self.loop.call_later(BODY_TIME if body else HEAD_TIME, self._close)
+            self._of_body = body
+
+    def _stop_timer(self) -> None:
+        if self._end is not None:
+            self._end.cancel()
+            self._end = None
+
+    def _close(self) -> None:
+        self._stop_timer()
+        if self in self.connections and not self.transport.is_closing():  # else it is a WebSocket's
             self.transport.close()
 
 
@@ -166,7 +254,7 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
         ws="websockets-sansio",
         log_level="warning",
         access_log=False,  # it would have the tokens of the addresses
-        limit_concurrency=1000,  # connections
+        limit_concurrency=MOST_CONNECTIONS,
         timeout_keep_alive=75,  # [s]: a phone that posts every minute keeps its connection
         timeout_graceful_shutdown=3,
         server_header=False,

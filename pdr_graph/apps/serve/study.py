@@ -178,7 +178,7 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
 async def fetch(api: str, upload: Upload, file: Path) -> None:
     """Download a recording. Raises CloudError."""
     with file.open("wb") as out:
-        await _ask(api, "study/file/v1", upload, DOWNLOAD, follow="anywhere", out=out)
+        await _ask(api, "study/file/v1", upload, DOWNLOAD, follow="public", out=out)
 
 
 async def _ask(api: str, path: str, upload: Upload, whole: float, **options: Any) -> None:
