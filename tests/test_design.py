@@ -90,7 +90,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (31, 5827),
+    "estimation.smoother": (31, 5829),
     "online.navigator": (69, 13525),
 }
 
