@@ -22,7 +22,16 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, float_of, iso_time, plausible_times, receiver_fixes
+from pdr_graph.io.validation import (
+    NO_ZONE,
+    build_recording,
+    float_of,
+    iso_time,
+    plausible_times,
+    receiver_fixes,
+    without_rollover,
+    zoneless,
+)
 from pdr_graph.io.xml_elements import XmlElements
 from pdr_graph.types import INSTANT, Array, Fixes, Index, OneLineRepr, Recording, Steps, Trajectory, time_span
 
@@ -72,7 +81,10 @@ def _table(source: Source, notes: list[str]) -> Array:
         raise InputError(where, "", f"{len(points)} track points{end}, none with a time", "<trkpt> with <time>")
     if len(times) < len(points):
         notes.append(f"GPX: {len(points) - len(times)} of {len(points)} track points have no time")
-    table = np.column_stack([_unix_times(times), [place for time, *place in points if time]])
+    if zoneless(times):
+        notes.append(f"GPX: {NO_ZONE}")
+    unix = without_rollover(_unix_times(times), "GPX", notes)
+    table = np.column_stack([unix, [place for time, *place in points if time]])
     damaged = ~(np.isfinite(table[:, :3]).all(axis=1) & plausible_times(table[:, 0]))
     if damaged.sum() > 0.2 * len(table):
         row = int(np.argmax(damaged))

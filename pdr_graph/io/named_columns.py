@@ -36,6 +36,7 @@ NOT_IN_A_NAME = re.compile(r"\([^()]*\)|[^a-z0-9]")  # units, spaces, dots and u
 FIRST_DATE = 2 * 365 * DAY_LENGTH  # [s] a later time is a Unix time: a phone runs for less since it booted
 DOT, MTI = 1e-6, 1e-4  # [s] ticks of SampleTimeFine
 LARGEST_TICK = 2000  # of DOT at 120 Hz are 8333 ticks from sample to sample, of an MTi at 5 Hz 2000
+SLOWEST_COUNT = 100.0  # [s] a step where somebody walks: more are milliseconds
 DEGREE = np.pi / 180
 
 
@@ -203,6 +204,11 @@ def _times(table: Table, columns: Mapping[str, int], kind: str, above: str) -> t
     if cells and np.isnan(float_of(cells[0])) and not np.isnan(iso_time(_iso(cells[0]))):
         return np.array([iso_time(_iso(cell)) for cell in cells]), 1.0
     time = table.rows.floats([columns[name]])[:, 0]
+    if kind == COUNTER:
+        passed, counted = np.diff(time), np.diff(table.rows.floats([columns["steps"]])[:, 0])
+        walked = counted > 0
+        if walked.any() and np.median(passed[walked] / counted[walked]) > SLOWEST_COUNT:
+            return time * 1e-3, 1e-3
     if kind != DEVICE_MOTION:
         return in_seconds(time), 1.0
     return time * 1e-3, 1e-3

@@ -6,12 +6,13 @@ their directory; members with names that lead outside the archive are refused.
 
 from __future__ import annotations
 
+import gzip
 import lzma
 import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, cast
@@ -26,6 +27,7 @@ MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
 ZIP_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
 OTHER_METHODS = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}
+GZIP, GZIP_MAGIC = ".gz", b"\x1f\x8b"
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -74,7 +76,8 @@ class Source(OneLineRepr):
             entries = {path.name: path.name}
         if len(entries) > most_files:
             raise InputError(path, "", f"more than {most_files} files", f"the files of one {subject}")
-        self._entries = _without_top_folder(entries)
+        entries = _without_top_folder(entries)
+        self._entries = {_unpacked_name(name, entries): entry for name, entry in entries.items()}
 
     def _summary(self) -> list[str]:
         return [repr(str(self.path)), count(len(self._entries), "file")]
@@ -149,17 +152,32 @@ class Source(OneLineRepr):
         """A file opened for reading. Raises InputError where an archive cannot be unpacked."""
         entry = self._entries[name]
         if self._zip is None:
-            with self._file(entry).open("rb") as stream:
-                yield stream
+            with self._file(entry).open("rb") as stream, self._unpacking(name, stream) as unpacked:
+                yield unpacked
             return
         try:
-            with self._zip.open(entry) as stream:
-                yield stream
+            with self._zip.open(entry) as stream, self._unpacking(name, stream) as unpacked:
+                yield unpacked
         except InputError:
             raise
         except ZIP_ERRORS as error:
             found = f"an archive member that cannot be unpacked ({error})"
             raise InputError(self.where(name), "", found, "an undamaged zip without a password") from None
+
+    @contextmanager
+    def _unpacking(self, name: str, stream: IO[bytes]) -> Iterator[IO[bytes]]:
+        """A file, or what is packed in it by gzip. Raises InputError where that is damaged."""
+        if self._entries[name].lower().endswith(GZIP) and stream.read(2) == GZIP_MAGIC:
+            stream.seek(0)
+            try:
+                with gzip.open(stream) as unpacked:
+                    yield cast("IO[bytes]", unpacked)
+            except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+                found = f"a damaged gzip file ({error})"
+                raise InputError(self.where(name), "", found, "a whole file: was the download cut off?") from None
+        else:
+            stream.seek(0)
+            yield stream
 
     def _file(self, entry: str) -> Path:
         """The path of a file that is not in an archive."""
@@ -176,6 +194,8 @@ class Source(OneLineRepr):
         """
         member = self._zip.getinfo(self._entries[name]) if self._zip is not None else None
         if member is None or member.compress_type != zipfile.ZIP_DEFLATED or not 0 < member.file_size <= self._left:
+            return None
+        if member.filename.lower().endswith(GZIP):
             return None
         try:
             from isal import isal_zlib
@@ -284,6 +304,12 @@ def _folder_entries(folder: Path, most_files: int, deepest: int) -> dict[str, st
                     raise InputError(folder, "", found, "a folder of plain files: copy it with cp -rL")
                 entries[name.as_posix()] = str(name)
     return entries
+
+
+def _unpacked_name(name: str, others: Collection[str]) -> str:
+    """The name of what a file has, ``walk.gpx`` of ``walk.gpx.gz``; its own where another file has that name."""
+    inner = name[: -len(GZIP)] if name.lower().endswith(GZIP) else name
+    return name if inner in others else inner
 
 
 CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")  # what operating systems add to folders and zips

@@ -7,8 +7,9 @@ appear among the warnings of ``summary.json``. The same rules hold for all recor
 from __future__ import annotations
 
 import math
+import re
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, TypeVar
@@ -342,6 +343,29 @@ def iso_time(value: Any) -> float:
         return math.nan
 
 
+ROLLOVER = 1024 * 7 * 86400.0  # [s] after which GPS counts its weeks anew: some receivers then lose them
+
+
+def without_rollover(time: Array, name: str, notes: list[str]) -> Array:
+    """Times ``(n,)`` [s] of a track that leaps back by 1024 weeks and on again, put right. name: for the note."""
+    leaps = np.diff(time, prepend=time[:1])
+    missing = np.cumsum(np.select([np.abs(leaps + ROLLOVER) < 3600.0, np.abs(leaps - ROLLOVER) < 3600.0], [1, -1], 0))
+    missing = missing - missing.min(initial=0)  # the first may be among them
+    if missing.any():
+        times = count(int((missing > 0).sum()), "time")
+        notes.append(
+            f"{name}: {times} 1024 weeks early, as of a receiver whose weeks overflowed: put right"
+        )
+    return time + ROLLOVER * missing
+
+
+def zoneless(texts: Iterable[Any]) -> bool:
+    """True if one of the texts is a time of day without a zone."""
+    return any(isinstance(text, str) and ZONELESS.search(text) for text in texts)
+
+
+ZONELESS = re.compile(r"[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?\Z")
+NO_ZONE = "times without a zone were taken as UTC"
 TIME_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # a larger Unix time is in ns, µs, ms
 
 

@@ -6,7 +6,7 @@ from refusals import refused
 
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
-from pdr_graph.io.validation import RADIUS_68, receiver_fixes
+from pdr_graph.io.validation import RADIUS_68, receiver_fixes, without_rollover
 from pdr_graph.types import LONLAT, Recording, Signal
 
 UNIX = 1_700_000_000.0  # 2023-11-14T22:13:20Z
@@ -144,3 +144,15 @@ def test_invalid_positions_are_left_out():
     assert fixes.time.tolist() == [4.0, 5.0]
     assert fixes.sigma[0] == pytest.approx(1.0)
     assert [note.split()[1] for note in notes] == ["4", "1", "1"]
+
+
+@pytest.mark.parametrize("first", [0, 1], ids=["the first is right", "the first is among them"])
+def test_times_of_a_receiver_that_lost_1024_weeks_are_put_right(first):
+    time, lost = 1.7e9 + 30 * np.arange(12.0), np.arange(12) % 3 != first
+    notes = []
+    mended = without_rollover(time - 1024 * 7 * 86400 * lost, "GPX", notes)
+    assert mended == pytest.approx(time)
+    assert len(notes) == 1
+    years = np.array([1.1e9, 1.1e9 + 60, 1.7e9, 1.7e9 + 60])  # two days of one person
+    assert without_rollover(years, "GPX", notes) == pytest.approx(years)
+    assert len(notes) == 1

@@ -285,3 +285,16 @@ def test_reader_movella(tmp_path, sampled, device):
 def test_packets_without_times_and_rate_are_refused(tmp_path, sampled):
     (tmp_path / "walk.csv").write_text(movella(sampled, "MTw").replace("Update Rate: 50.0Hz", ""), encoding="utf-8")
     refused(load, tmp_path / "walk.csv", "packets by number alone")
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0], ids=["seconds", "milliseconds"])
+def test_the_times_of_a_step_counter_are_in_the_unit_in_which_somebody_walks(tmp_path, unit):
+    """Two steps a second, and a rest of an hour, in rows a second apart."""
+    time = np.append(np.arange(60.0), 3660.0)
+    steps = np.append(2 * np.arange(60), 118)
+    path = tmp_path / "wheel.csv"
+    rows = "".join(f"{unit * t:.1f};{n};{1.4 * n:.2f}\n" for t, n in zip(time, steps, strict=True))
+    path.write_text(f"time;steps;distance\n{rows}")
+    counter = load(path).step_counter
+    assert counter.values[-1, 0] == 118
+    assert counter.time[-1] - counter.time[0] == pytest.approx(59.0)

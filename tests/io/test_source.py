@@ -1,5 +1,6 @@
 """Files are untrusted: sizes in a zip directory are ignored, and no member is read or written outside the archive."""
 
+import gzip
 import os
 import random
 import stat
@@ -34,6 +35,27 @@ def test_a_zip_bomb_raises_at_the_limit_of_unpacked_bytes(tmp_path, files, monke
     monkeypatch.setenv("PDR_GRAPH_MAX_MB", "lots")
     with pytest.raises(InputError, match="a number of megabytes"):
         load(path)
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["a file", "in a zip"])
+def test_what_is_packed_by_gzip_is_read_as_it_is(tmp_path, packed):
+    """As sites have it in their exports; one that is cut off, or grows beyond the limit, is refused."""
+    table = "time,steps\n" + "".join(f"{n},{2 * n}\n" for n in range(60))
+    content = gzip.compress(table.encode())
+    path = in_zip(tmp_path / "walk.zip", {"walk.csv.gz": content}) if packed else tmp_path / "walk.csv.gz"
+    if not packed:
+        path.write_bytes(content)
+    assert load(path).step_counter.values[-1, 0] == 118
+    broken = tmp_path / "cut.csv.gz"
+    broken.write_bytes(content[:-20])
+    refused(load, broken, "damaged gzip")
+    broken.write_bytes(gzip.compress(b"time,steps\n" + bytes(1_100_000_000)))
+    refused(load, broken, "more than 1000 MB")
+
+
+def test_a_packed_file_beside_its_original_is_another(tmp_path):
+    folder = in_folder(tmp_path / "two", {"a.csv": "x", "a.csv.gz": "y"})
+    assert source.Source(folder).names == ("a.csv", "a.csv.gz")
 
 
 ELSEWHERE = ["../Accelerometer.csv", "/etc/Accelerometer.csv", "a/../../b.csv", "C:\\b.csv"]

@@ -240,6 +240,16 @@ def test_times_are_understood_in_any_unit_and_zone():
     assert np.isnan(unix_times(["", None, "Z", "soon", {}, True, "2024-13-01T00:00:00Z"])).all()
 
 
+def test_times_without_a_zone_are_said_to_be_taken_as_utc(tmp_path):
+    point = '<trkpt lat="48" lon="11"><time>2024-05-01T09:00:{:02}{}</time></trkpt>'
+    for zone, notes in (("Z", 0), ("+02:00", 0), ("", 1)):
+        track = "".join(point.format(n, zone) for n in range(20))
+        path = tmp_path / f"track{len(zone)}.gpx"
+        path.write_text(f'<gpx version="1.1"><trk><trkseg>{track}</trkseg></trk></gpx>')
+        result = imported(tmp_path / f"d{len(zone)}.db", path)
+        assert len([note for note in result.notes if "UTC" in note]) == notes
+
+
 def test_longitudes_that_lost_their_sign_get_it_back(tmp_path):
     unsigned = [location(NOON + n) | {"longitudeE7": 2**32 - 734_000_000} for n in range(2)]
     imported(tmp_path / "log", records(tmp_path / "a", unsigned))

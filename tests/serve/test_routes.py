@@ -229,6 +229,16 @@ def test_unfinished_messages_of_a_user_are_limited_together(guarded, monkeypatch
     assert arriving["ann"] == application.ARRIVING * LIMITS.body, "what did not stay is not counted"
 
 
+def test_positions_in_the_address_of_a_post_are_taken_without_the_token(guarded):
+    """As Traccar Client up to version 8 sends them."""
+    address = f"/osmand?id=old&lat=48&lon=11&timestamp=1700000000&token={TOKENS['ann']}"
+    assert guarded.post(address, headers={"Authorization": ""}).status_code == 200
+    [id_] = [each["id"] for each in guarded.get("/walkers").json() if each["name"] == "old"]
+    logs = list(guarded.app.state.server.reception.root.glob(f"{id_}/*"))
+    assert logs
+    assert not any(TOKENS["ann"].encode() in log.read_bytes() for log in logs)
+
+
 def test_positions_of_sensor_logger_alone_are_a_track(local):
     values = {"latitude": 48.0, "longitude": 11.0, "horizontalAccuracy": 5.0}
     for n in range(8):

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 import msgspec
 from starlette.applications import Starlette
@@ -213,7 +213,8 @@ def _reception(request: Request) -> Reception:
 async def _receive(request: Request, protocol: str, name: str = "") -> str:
     """Log the message of a request; returns what its user should know, or "". Raises HTTPException, InputError."""
     query = request.query_params
-    body = await _body(request) or (request.url.query.encode() if request.method == "GET" else b"")
+    stated = urlencode([(name, value) for name, value in query.multi_items() if name != "token"])  # for any method
+    body = await _body(request) or (stated.encode() if protocol == "osmand" else b"")
     user, platform = request.scope["user"], query.get("platform", "").lower()
     return _reception(request).receive(protocol, user, body, platform, query.get("name", "") or name)
 

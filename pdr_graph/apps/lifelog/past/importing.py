@@ -256,7 +256,8 @@ class _Reading:
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
                 self.guesses += [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
-                self.notes += [f"{file.where}: {note}" for note in batch.notes]
+                notes = (f"{file.where}: {note}" for note in batch.notes)
+                self.notes += [note for note in notes if note not in self.notes]
         except InputError as error:
             before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
             refused.append(f"{error}{before}")

@@ -28,7 +28,16 @@ from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.errors import count
 from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
-from pdr_graph.io.validation import RECEIVER, float_of, in_seconds, iso_time, plausible_times
+from pdr_graph.io.validation import (
+    NO_ZONE,
+    RECEIVER,
+    float_of,
+    in_seconds,
+    iso_time,
+    plausible_times,
+    without_rollover,
+    zoneless,
+)
 from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
@@ -130,14 +139,17 @@ def batch_of(
 
     unreadable: number of elements that could not be read; left_out: numbers of others, by reason.
     """
-    time = unix_times([point[0] for point in points])
+    texts, notes = [point[0] for point in points], list[str]()
+    time = without_rollover(unix_times(texts), "positions", notes)
+    notes += [NO_ZONE] if zoneless(texts) else []
     lat, lon = np.array([point[1] for point in points], float).reshape(-1, 2).T
     accuracy = np.array([point[2] for point in points], float)
     batch = valid_positions(time, lat, lon, accuracy, np.array([point[3] for point in points], np.uint8))
     items = tuple(guesses)
     valid = tuple(item for item in items if math.isfinite(item.start))
     lost = {"unreadable": unreadable, "a visit or activity without a valid time": len(items) - len(valid)}
-    return replace(batch, guesses=valid, left_out=+(batch.left_out + Counter(left_out) + Counter(lost)))
+    left_out = +(batch.left_out + Counter(left_out) + Counter(lost))
+    return replace(batch, guesses=valid, left_out=left_out, notes=tuple(notes))
 
 
 def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tuple[float, float], share: Any) -> Guess:
