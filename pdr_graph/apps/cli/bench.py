@@ -76,10 +76,11 @@ def run(
     pdr-graph bench run matrix.toml --only ridi --only graph
     """
     from pdr_graph.apps.bench.matrix import RESULTS, Matrix, key_of
+    from pdr_graph.apps.lifelog.workers import cores
 
     table, wanted = Matrix.load(matrix, _data(data)), only or ()
     missing, failed, made = table.missing(wanted, again), 0, 0
-    with closing(table.rows(missing, workers or os.cpu_count() or 1, time_limit)) as rows:
+    with closing(table.rows(missing, workers or cores(), time_limit)) as rows:
         for row in rows:
             made += 1
             failed += "failed" in row

@@ -292,6 +292,13 @@ def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]
         yield Fleet(number, time_limit, lambda: executor, (KilledWorker,), losses, check)
 
 
+def cores() -> int:
+    """Number of cores that this process may use, by its affinity and its container too."""
+    from joblib import cpu_count
+
+    return cpu_count()
+
+
 def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
     """Pack items into tasks of similar size, the largest first, so that all workers finish at about the same time."""
     enough = min(MAX_TASK_SIZE, -(-sum(sizes) // (TASKS_PER_WORKER * workers)))
