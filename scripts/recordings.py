@@ -72,6 +72,7 @@ CELLS = {  # of bench stats, by their names in these tables
     "in 99 %": "in 99 %",
     "log score [nats]": "log score [nats]",
     "energy score [m]": "energy score [m]",
+    "walks up to 60 % in 90 %": "walks up to 60 % in 90 %",
 }
 NAMED = 5  # of the worst walks
 

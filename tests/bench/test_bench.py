@@ -17,7 +17,7 @@ from commands import run
 from numpy.testing import assert_allclose, assert_array_equal
 
 from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded
-from pdr_graph.apps.bench.matrix import RESULTS, calibration, error_percentiles, with_intervals
+from pdr_graph.apps.bench.matrix import RESULTS, calibration, error_percentiles, low_walks, with_intervals
 from pdr_graph.apps.bench.methods import live
 from pdr_graph.apps.replay import events_within
 from pdr_graph.frames import Frame
@@ -216,6 +216,14 @@ def test_coverage_is_that_of_each_level():
     for size, shares in ((1, [50, 90, 99]), (2, [100 * (1 - (1 - p) ** 0.25) for p in (0.5, 0.9, 0.99)])):
         found = calibration(np.column_stack([size**2 * squared, squared, squared]))
         assert_allclose(found[:3], shares, atol=1)
+
+
+def test_low_walks_are_counted_beside_their_number_by_chance():
+    """Of walks of two places that are each inside with 90 %, independently, 0.19 have at most one."""
+    squared = np.random.default_rng(3).exponential(2.0, (1000, 2))
+    found, chance = low_walks([np.column_stack([each, each, each]) for each in squared]).split(" (by chance ")
+    assert chance == "190.0)"
+    assert abs(int(found) - 190) < 4 * np.sqrt(1000 * 0.19 * 0.81)
 
 
 UNRELIABLE = """import os, signal, time

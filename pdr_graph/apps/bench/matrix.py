@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pdr_graph.apps.bench.data_sets import BenchWalk, given, selection, walks_of
-from pdr_graph.apps.bench.methods import Method, judged, method_of, particles
+from pdr_graph.apps.bench.methods import Method, method_of, particles, with_verdict
 from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, LostItem, fleet
 from pdr_graph.apps.report.evaluation import (
     REGION_90,
@@ -173,13 +173,15 @@ def _rows_of_walk(commands: Mapping[str, str], missing: Sequence[Missing]) -> It
     for what, alike in groupby(missing, key=lambda each: each.name[2]):
         helped, evidence, reason = None, None, unread
         if walk is not None:
-            helped = given(walk, what)
-            evidence, reason = _tried(partial(observe, helped.evidence)) if helped else (None, "")
+            helped, reason = _tried(partial(given, walk, what))
+        if helped is not None:
+            evidence, reason = _tried(partial(observe, helped.evidence))
         for each in alike:
-            if helped and evidence:
-                yield _row(each, helped, evidence, method_of(each.name[3], commands))
-            else:
-                yield each.failed(reason) if reason else None
+            row = None
+            if helped is not None and evidence is not None:
+                method = method_of(each.name[3], commands)
+                row, reason = _tried(partial(_row, each, helped, evidence, method))
+            yield each.failed(reason) if reason else row
 
 
 def _tried(make: Callable[[], Made]) -> tuple[Made | None, str]:
@@ -196,10 +198,7 @@ def _row(each: Missing, walk: BenchWalk, evidence: Evidence, method: Method) -> 
     if method is particles and evidence.building is None:
         return None
     began = time.perf_counter()
-    found, reason = _tried(partial(judged, each.name[3], method, evidence))
-    if found is None:
-        return each.failed(reason)
-    track, verdict = found
+    track, verdict = with_verdict(each.name[3], method, evidence)
     seconds = round(time.perf_counter() - began, 3)
     steps = np.nan if evidence.steps is None else len(evidence.steps) / walk.steps
     way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
@@ -251,7 +250,15 @@ LEVELS = (50, 90, 99)  # [%] of the regions whose coverage is counted
 GROUP = "data set", "given", "method"
 COVERAGE = tuple(f"in {level} %" for level in LEVELS)
 STATISTICS = (*GROUP, "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE)
-STATISTICS += ("log score [nats]", "energy score [m]", "across walls", "length", "steps", "seconds")
+LOW = 0.6  # share of a walk's places in the 90 % region, up to which the walk is counted
+STATISTICS += (
+    "log score [nats]",
+    "energy score [m]",
+    f"walks up to {100 * LOW:.0f} % in 90 %",
+    "across walls",
+    "length",
+)
+STATISTICS += ("steps", "seconds")
 WORST = (*GROUP, "walk", "places", "CE50 [m]", "CE95 [m]", "in 90 %", "log score [nats]", "verdict")
 
 
@@ -309,6 +316,18 @@ def stated(row: Row) -> Array:
     return np.column_stack(columns if all(map(len, columns)) else [np.empty(0)] * len(STATED))
 
 
+def low_walks(regions: Sequence[Array]) -> str:
+    """How many walks have at most LOW of their places in the 90 % region, and how many would by chance alone, were each
+    place in it with a probability of 90 %, independent of the others.
+    """
+    from scipy.stats import binom
+
+    size = np.array(list(map(len, regions)))
+    inside = np.array([np.sum(each[:, 0] < REGION_90) for each in regions])
+    chance = binom.cdf(np.floor(LOW * size + 1e-9), size, 0.9).sum()
+    return f"{np.sum(inside <= LOW * size + 1e-9)} (by chance {chance:.1f})"
+
+
 def statistics(rows: Iterable[Row]) -> list[list[str]]:
     """The cells of STATISTICS, a line for each group, with intervals for errors, coverage and scores; means of the
     rest. "—" where no row has the number.
@@ -327,6 +346,7 @@ def statistics(rows: Iterable[Row]) -> list[list[str]]:
             if regions
             else [UNKNOWN] * len(CALIBRATION_FORMATS)
         )
+        cells.append(low_walks(regions) if regions else UNKNOWN)
         cells.append(f"{100 * np.mean(walls):.1f} %" if walls else UNKNOWN)
         for name in ("length", "steps"):
             off = [100 * (row[name] - 1) for row in done if row[name] is not None]

@@ -33,7 +33,7 @@ def by_name(method: str, evidence: Evidence) -> Trajectory:
     return estimate(replace(evidence, options=replace(evidence.options, method=method))).estimate.trajectory
 
 
-def judged(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str]:
+def with_verdict(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str]:
     """The trajectory of a method, and the state of its verdict, "" if it states none."""
     if name not in ESTIMATES:
         return method(evidence), ""
