@@ -175,6 +175,17 @@ def test_a_wrong_matrix_is_one_line(bench, content, said):
     assert said in errors[0]
 
 
+def test_a_text_that_no_row_has_and_missing_data_are_one_line(bench, tmp_path):
+    (bench / "malls.toml").write_text('data_sets = ["malls"]')
+    for command, said in (
+        (("matrix.toml", "--only", "thre"), "--only: found 'thre', expected texts of one row's name"),
+        (("malls.toml", "--data", tmp_path), "malls: found no walk, expected its recordings"),
+    ):
+        code, _, errors = run("bench", "run", *command, cwd=bench)
+        assert (code, len(errors)) == (2, 1)
+        assert said in errors[0]
+
+
 def walk_with(fixes, truth):
     evidence = Evidence(Recording("made", 0.0, None), Walker(), None, Frame(), fixes)
     return BenchWalk(evidence, truth)

@@ -166,7 +166,8 @@ def walks_of(name: str, data: Path, beside: Path = Path()) -> Walks:
     """
     folder = beside / name
     if name in DATA_SETS:
-        place, expected, walks = data, "its recordings", list(DATA_SETS[name](data))
+        expected = "its recordings, as python scripts/data.py fetches them, or --data"
+        place, walks = data, list(DATA_SETS[name](data))
     elif folder.is_dir():
         place, expected, walks = folder, "recordings, each a folder with its truth.csv", list(_own(folder))
     elif ":" in name:

@@ -88,13 +88,17 @@ class Matrix:
         have = set() if again else {key_of(row) for row in self.results() if set(STATED) <= set(row)}
         for what in self.given:
             selection(what)
-        return [
+        wanted = [
             Missing(key, read)
             for of in self.data_sets
             for walk, read in walks_of(of, self.data, self.path.parent)
             for key in product((of,), (walk,), self.given, self.methods)
-            if key not in have and is_wanted(key, only)
+            if is_wanted(key, only)
         ]
+        if not wanted:
+            text = " and ".join(map(repr, only))
+            raise InputError("--only", "", text, "texts of one row's name, 'data set | walk | given | method'")
+        return [each for each in wanted if each.name not in have]
 
     def rows(
         self, missing: Sequence[Missing], workers: int = 1, time_limit: float = ITEM_LIMIT
