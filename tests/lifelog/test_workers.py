@@ -276,8 +276,8 @@ def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
 def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monkeypatch):
     log, paths = added(tmp_path, people=2, days=4)
 
-    def losing(self, work, tasks, written):
-        for number, task in enumerate(tasks):
+    def losing(self, work, tasks, written, running):
+        for number, task in list(tasks.items()):
             if number:
                 raise FleetLostError("all workers gone")
             yield number, work(task)
