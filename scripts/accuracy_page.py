@@ -46,7 +46,7 @@ def outage():
 
 
 def plan():
-    """Microsoft's walks: median and 95 % by six methods."""
+    """Walks in malls: median and 95 % by six methods, with intervals those of the graph."""
     methods = {
         "dead reckoning": "dead reckoning",
         "filter": "filter (causal)",
@@ -58,12 +58,15 @@ def plan():
     rows = []
     for given in ("every second waypoint", "first and last", "first only"):
         found = [record("microsoft", "microsoft", given, method) for method in methods.values()]
-        errors = [f"{one['CE50 [m]'].split()[0]} / {one['CE95 [m]'].split()[0]}" for one in found]
-        rows.append([given, *errors, found[-1]["in 90 % region"]])
+        pairs = [
+            [one[column] if name.startswith("graph") else one[column].split()[0] for column in ("CE50 [m]", "CE95 [m]")]
+            for name, one in zip(methods, found, strict=True)
+        ]
+        rows.append([given, *map(" / ".join, pairs), found[-1]["in 90 % region"]])
     return table(["positions given", *(f"{name} [m]" for name in methods), "in 90 % region"], rows)
 
 
-README = {  # rows of its table: those of the page of Microsoft's walks
+README = {  # rows of its table: those of the page of walks in malls
     "every second waypoint: straight lines between them": ("every second waypoint", "straight lines"),
     "every second waypoint: Kalman filter and smoother (RTS)": ("every second waypoint", "filter, smoothed (RTS)"),
     "every second waypoint: **graph**": ("every second waypoint", "graph"),
@@ -83,18 +86,17 @@ def readme():
     rows = []
     for label, keys in README.items():
         found = record("microsoft", "microsoft", *keys)
-        rows.append([label, *(f"{found[f'CE{p} [m]'].split()[0]} m" for p in (50, 75, 95))])
-    return table(["given to the estimate", "CE50", "CE75", "CE95"], rows)
+        rows.append([label, *(found[f"CE{p} [m]"] for p in (50, 75, 95)), found["in 90 % region"]])
+    return table(["given to the estimate", *(f"CE{p} [m]" for p in (50, 75, 95)), "in 90 % region"], rows)
 
 
 def beacons():
-    """Beacons, simulated and of three museum walks."""
+    """Beacons, simulated and of museum logs."""
     given = ["beacons", "GNSS, beacons", "GNSS, beacons: of another building", "beacons: a pair swapped"]
     rows = [integrity("integrity", "indoors", one, f"simulated walks, {one}") for one in given]
-    museum = ["GNSS, beacons: the published list"]
-    return region_table(
-        rows + [integrity("integrity recorded", "IPIN 2023, all", one, f"3 museum walks, {one}") for one in museum]
-    )
+    museum = "IPIN 2023, all", "GNSS, beacons: the published list"
+    logs = record("integrity", "integrity recorded", *museum)["walks"]
+    return region_table([*rows, integrity("integrity recorded", *museum, f"{logs} museum logs, {museum[1]}")])
 
 
 def live():

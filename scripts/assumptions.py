@@ -20,8 +20,8 @@ RARE, WIDE = 0.05, 0.03  # share of sessions of another population, and its sigm
 APART, PLACE, CLEAR = 5.0, 0.5, 0.006  # [s] between places, [m] their sigma, [rad/s] largest sigma of a listed session
 SESSIONS = {  # by data set and phone: which part of a recording's name is the session's
     ("conditions:malls", "OPPO PBCM10, malls"): r"site\d/\w+ .{4}",  # four digits of its number: 18 hours
-    ("conditions:museum", "SM-A520F, museum"): r"Trial(01|02|22|23|27)",
-    ("conditions:museum", "SM-G930F, museum"): r"Trial(05|21|24|26|52)",
+    ("museum", "SM-A520F, museum"): r"Trial(01|02|22|23|27)",
+    ("museum", "SM-G930F, museum"): r"Trial(05|21|24|26|52)",
     ("ipin21", "Samsung S10, IPIN21"): "landmarks",
     ("nju", "unknown, NJU campus"): "",
     ("ridi", "Tango, RIDI"): r"(?=.*_(bag|body|handheld|leg)\d$)",  # without the walks sideways

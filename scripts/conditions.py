@@ -61,12 +61,6 @@ def recordings(data, of):
     return {name: read() for name, read in walks_of(of, data)}
 
 
-def museum(data):
-    """All museum recordings at hand, those of the bench and seven more, as a data set of the bench."""
-    for path in sorted(data.glob("ipin2023_*/*Trial*.txt")):
-        yield path.stem.removeprefix("IPIN2023_T3_Training"), partial(recorded, path, Options())
-
-
 def malls(data):
     """All mall recordings at hand without their plans, those of the bench and two more on each of 13 floors."""
     for path in sorted(data.glob("ms_indoor20/site*/*/*.txt")) + sorted(data.glob("ms_more/site*/*/*.txt")):

@@ -1,6 +1,6 @@
 """Download the real recordings of others that tests and tables read, and check that each is the expected file.
 
-python scripts/data.py [FOLDER …]     into $PDR_GRAPH_DATA, or ../shared/data; all folders, 100 MB, without names
+python scripts/data.py [FOLDER …]     into $PDR_GRAPH_DATA, or ../shared/data; all folders, 260 MB, without names
 
 `data.tsv` lists each file: SHA-256, path here, and repository, commit and path on GitHub.
 Files that are there already are checked, not fetched again.

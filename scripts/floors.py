@@ -39,7 +39,7 @@ def floors(data):
 def recorded(data):
     """Real walks, those of the same climbs together. The floor where each begins is given; landmarks only score."""
     groups = {}
-    for name, walk in (recordings(data, "conditions:museum") | recordings(data, "nju")).items():
+    for name, walk in (recordings(data, "museum") | recordings(data, "nju")).items():
         recording = walk.evidence.walk
         steps, truth = detect_steps(recording), walk.truth
         start = truth.floor[0] if len(truth) else "0"

@@ -27,7 +27,7 @@ from tables import HELD_BACK, is_wanted, marked, publish, table
 
 from pdr_graph import smooth, verdict
 from pdr_graph.apps.bench.data_sets import given
-from pdr_graph.apps.report.evaluation import REGION_90, pair, stated_covariance
+from pdr_graph.apps.report.evaluation import REGION_90, pair, squared_distance, stated_covariance
 from pdr_graph.online.interface import trajectory_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Estimate, Steps
@@ -265,7 +265,7 @@ def score(estimate, truth, noise=0.0):
     small, large = np.sqrt(np.maximum(variance, 1e-12)).T
     return Score(
         error=np.hypot(*gap.T),
-        distance=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap),
+        distance=squared_distance(gap, covariance),
         size=np.sqrt(REGION_90 * small * large),
         radius=large * np.interp(small / large, RATIO, RADIUS_95),
         probability=estimate.probability,
@@ -371,25 +371,29 @@ def scored(walk):
     return score(smoothed(walk), walk.truth, walk.noise)
 
 
+def all_scored(walks):
+    """The scores of walks, which are estimated on all cores."""
+    with ProcessPoolExecutor() as pool:
+        return list(pool.map(scored, walks))
+
+
 def malls(data):
-    """Microsoft's fifteen walks by what is given."""
+    """Walks in malls by what is given."""
     for what, name in HELP.items():
-        without, with_plan = (
-            [scored(walk) for walk in walks_given(data, "microsoft", what + plan).values()] for plan in ("", ", plan")
-        )
+        without, with_plan = (all_scored(walks_given(data, "malls", what + plan).values()) for plan in ("", ", plan"))
         yield ["Microsoft", name, *cells(without, None)]
         yield ["Microsoft", f"{name}, plan", *cells(with_plan, without)]
 
 
 def museum(data):
-    """IPIN 2023, three logs: GNSS alone, and with each list."""
-    alone = [scored(walk) for walk in walks_given(data, "ipin2023", "recorded, no beacons").values()]
+    """IPIN 2023: GNSS alone, and with each list."""
+    alone = all_scored(walks_given(data, "museum", "recorded, no beacons").values())
     yield ["IPIN 2023, all", "GNSS", *cells(alone, None)]
     for name, swaps in SWAPS.items():
-        walks = [given(walk, "recorded") for walk in recordings(data, "ipin2023").values()]
+        walks = [given(walk, "recorded") for walk in recordings(data, "museum").values()]
         lists = [replace(walk.evidence, beacons=swapped(walk.evidence.beacons, swaps)) for walk in walks]
         walks = [replace(walk, evidence=observe(listed)) for walk, listed in zip(walks, lists, strict=True)]
-        yield ["IPIN 2023, all", f"GNSS, beacons: {name}", *cells([scored(walk) for walk in walks], alone)]
+        yield ["IPIN 2023, all", f"GNSS, beacons: {name}", *cells(all_scored(walks), alone)]
 
 
 def swapped(listed, pairs):

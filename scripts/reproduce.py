@@ -5,8 +5,9 @@
 Without a NAME all are made. --quick: those that take some minutes in all. --check: say which cells differ from the
 pages beyond their interval or tolerance (TOLERANCES in scripts/tables.py); exit 1 then. --sample: of N cells that the
 commit draws at random, from tables that take minutes or whose rows are made alone. --only: rows of live, integrity and
-integrity-live whose name has one of the words (commas between them), or tables of settings. --walks: simulated walks of
-each row. --development: simulated walks for tuning, not those of the published tables.
+integrity-live, walks of microsoft and recordings whose name has one of the words (commas between them), or tables of
+settings. --walks: simulated walks of each row; of microsoft and recordings, walks of each data set. --development:
+simulated walks for tuning, not those of the published tables.
 Real recordings are in ../shared/data or $PDR_GRAPH_DATA; scripts/data.py fetches them.
 """
 
@@ -56,8 +57,8 @@ def quick_settings():
 
 TABLES = {  # in the order of docs/results/index.md
     "seeds": Made(seeds.seeds, quick=partial(seeds.seeds, quick=True)),
-    "microsoft": Made(lambda: recordings.microsoft(DATA), quick=True),
-    "recordings": Made(lambda: recordings.every_recording(DATA)),
+    "microsoft": Made(lambda *rows: recordings.microsoft(DATA, *rows), some=True),
+    "recordings": Made(lambda *rows: recordings.every_recording(DATA, *rows), some=True),
     "strangers": Made(lambda: recordings.strangers(DATA), quick=True),
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True, alone="live"),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True, alone="integrity"),

@@ -40,7 +40,6 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows that match
     ),
     "integrity probability": ((), r"(nothing|a source) lies \| (50|70)"),
     "integrity live": ((), r"indoors \| (GNSS, beacons: one moved|GNSS: 10 m off, beacons)"),
-    "out of order": ((), r"site"),
     "protection": ((), r"Microsoft, [^,|]* \||IPIN21 \||NJU campus, one in (30|60)"),
     "stride": (("spread",), r"lasso|cadence"),
     "live compass": (("with a heading",), r"simulated, (breast|trouser)"),

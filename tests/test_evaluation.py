@@ -5,8 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import shapely
+from scipy.stats import multivariate_normal
 
-from pdr_graph.apps.report.evaluation import circular_accuracy, evaluate, pair, table
+from pdr_graph.apps.report.evaluation import circular_accuracy, energy_score, evaluate, log_score, pair, table
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
@@ -126,3 +127,33 @@ def test_metrics_that_cannot_be_computed_are_none():
     scores = evaluate(headless, truth)
     assert scores["he"] is scores["ca"] is scores["oe"] is None
     assert "—" in table(scores)
+
+
+COVARIANCES = np.array([[[1.0, 0.0], [0.0, 1.0]], [[4.0, 1.5], [1.5, 0.7]], [[25.0, 0.0], [0.0, 0.04]]])
+ERRORS = np.array([[0.0, 0.0], [1.0, -0.5], [6.0, 8.0]])
+
+
+@pytest.mark.parametrize("covariance", COVARIANCES)
+@pytest.mark.parametrize("error", ERRORS)
+def test_the_scores_are_those_of_their_definitions(error, covariance):
+    """By scipy's density, and by draws of E|X - y| - E|X - X'| / 2."""
+    found = log_score(error[None], covariance[None])
+    assert found == pytest.approx(-multivariate_normal(np.zeros(2), covariance).logpdf(error), rel=1e-12)
+    x, other = np.random.default_rng(1).multivariate_normal(error, covariance, (2, 200_000))
+    drawn = np.hypot(*x.T) - 0.5 * np.hypot(*(x - other).T)
+    noise = drawn.std() / np.sqrt(len(drawn))
+    assert energy_score(error[None], covariance[None]) == pytest.approx(drawn.mean(), abs=4 * noise)
+
+
+def test_the_energy_score_of_a_sure_estimate_is_its_error():
+    error = np.array([[3.0, 4.0], [0.3, 0.0]])
+    assert energy_score(error, np.tile(1e-8 * np.eye(2), (2, 1, 1))) == pytest.approx([5.0, 0.3], abs=1e-3)
+
+
+@pytest.mark.parametrize("score", [log_score, energy_score])
+@pytest.mark.parametrize("factor", [0.3, 3.0])
+def test_the_scores_are_proper(score, factor):
+    """Errors that have the stated covariance score better than if one states more or less."""
+    errors = np.random.default_rng(2).multivariate_normal(np.zeros(2), COVARIANCES[1], 5000)
+    right, wrong = (score(errors, np.tile(f * COVARIANCES[1], (5000, 1, 1))).mean() for f in (1, factor))
+    assert right < wrong

@@ -2,8 +2,14 @@
 
 import csv
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +17,7 @@ from commands import run
 from numpy.testing import assert_allclose, assert_array_equal
 
 from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded
-from pdr_graph.apps.bench.matrix import RESULTS, percentiles_with_interval
+from pdr_graph.apps.bench.matrix import RESULTS, calibration, error_percentiles, low_walks, with_intervals
 from pdr_graph.apps.bench.methods import live
 from pdr_graph.apps.replay import events_within
 from pdr_graph.frames import Frame
@@ -40,6 +46,7 @@ open(out, "w").write("".join(f"{r['time']} {r['x']} {r['y']} 0 0 0 0 1\\n" for r
 """
 
 
+HERE = "--workers", 1  # in this process: workers take seconds to start
 OWN_DATA = """from functools import partial
 from pdr_graph.apps.bench.data_sets import recorded
 from pdr_graph.walk import Options
@@ -96,7 +103,8 @@ def test_a_row_has_the_errors_of_evaluate(bench, arcade_walk, tmp_path):
     assert_allclose(
         np.percentile(row["errors"], [50, 95]), [json.loads(scores)["ce"][p] for p in ("p50", "p95")], atol=0.02
     )
-    assert len(row["inside"]) == len(row["errors"])
+    assert len(row["squared_distances"]) == len(row["log_scores"]) == len(row["energy_scores"]) == len(row["errors"])
+    assert row["verdict"] == "ok"
 
 
 def test_an_interrupted_run_goes_on(bench):
@@ -104,12 +112,13 @@ def test_an_interrupted_run_goes_on(bench):
     whole = results.read_text()
     cut = whole.splitlines(keepends=True)[:4]
     results.write_text("".join(cut) + '{"data_set": "walks", "wal')
-    code, printed, _ = run("bench", "run", "matrix.toml", "--only", "| graph", cwd=bench)
+    code, printed, _ = run("bench", "run", "matrix.toml", *HERE, "--only", "| graph", cwd=bench)
     made = len([row for row in map(json.loads, whole.splitlines()[4:]) if row["method"] == "graph"])
     assert (code, printed.split()[0]) == (0, str(made))
-    assert run("bench", "run", "matrix.toml", "--only", "| graph", cwd=bench).output.startswith("0 rows")
-    command = ["bench", "run", "matrix.toml", "--again", "--only"]
+    assert run("bench", "run", "matrix.toml", *HERE, "--only", "| graph", cwd=bench).output.startswith("0 rows")
+    command = ["bench", "run", "matrix.toml", *HERE, "--again", "--only"]
     assert run(*command, "walks |", "--only", "| recorded | pdr", cwd=bench).output.startswith("2 rows made")
+    results.write_text(whole)
 
 
 def test_a_data_set_of_ones_own_is_a_function(bench):
@@ -117,7 +126,7 @@ def test_a_data_set_of_ones_own_is_a_function(bench):
     (bench / "own_data.py").write_text(OWN_DATA)
     settings = 'data_sets = ["walks", "own_data:walks"]', 'given = ["first and last"]', 'methods = ["pdr"]'
     (bench / "other.toml").write_text("\n".join([*settings, 'out = "other"', 'data = "."']))
-    assert run("bench", "run", "other.toml", cwd=bench).output.startswith("4 rows made")
+    assert run("bench", "run", "other.toml", *HERE, cwd=bench).output.startswith("4 rows made")
     rows = [json.loads(line) for line in (bench / "other" / RESULTS).read_text().split("\n") if line]
     errors = {(row["data_set"], row["walk"]): row["errors"] for row in rows}
     for walk in ("one", "two"):
@@ -146,7 +155,7 @@ def test_a_track_is_scored_by_the_walls_of_a_plan_that_it_was_not_given(arcade_w
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ('data_sets = ["nowhere"]', "found 'nowhere', expected one of microsoft"),
+        ('data_sets = ["nowhere"]', "found 'nowhere', expected one of malls"),
         ('data_sets = ["walks"]\nmethods = ["grapf"]', "found 'grapf', expected one of graph"),
         ('data_sets = ["walks"]\nmethods = ["own:none"]', "module:function, importable here"),
         ('data_sets = ["walks"]\ngiven = ["third"]', "found 'third', expected one of recorded"),
@@ -161,9 +170,20 @@ def test_a_wrong_matrix_is_one_line(bench, content, said):
     (bench / "wrong.toml").unlink(missing_ok=True)
     if content is not None:
         (bench / "wrong.toml").write_text(content)
-    code, _, errors = run("bench", "run", "wrong.toml", cwd=bench)
+    code, _, errors = run("bench", "run", "wrong.toml", *HERE, cwd=bench)
     assert (code, len(errors)) == (2, 1)
     assert said in errors[0]
+
+
+def test_a_text_that_no_row_has_and_missing_data_are_one_line(bench, tmp_path):
+    (bench / "malls.toml").write_text('data_sets = ["malls"]')
+    for command, said in (
+        (("matrix.toml", "--only", "thre"), "--only: found 'thre', expected texts of one row's name"),
+        (("malls.toml", "--data", tmp_path), "malls: found no walk, expected its recordings"),
+    ):
+        code, _, errors = run("bench", "run", *command, cwd=bench)
+        assert (code, len(errors)) == (2, 1)
+        assert said in errors[0]
 
 
 def walk_with(fixes, truth):
@@ -195,9 +215,165 @@ def test_what_is_given_is_not_scored():
 def test_the_interval_is_of_whole_walks():
     """Ten walks of equal errors each: the interval is theirs, not that of a thousand places."""
     walks = [np.full(100, error) for error in np.arange(1.0, 11.0)]
-    low, high = percentiles_with_interval(walks)[0].split("(")[1].rstrip(")").split("–")
+    cells = with_intervals(walks, error_percentiles, ["{:.2f}"] * 3)
+    low, high = cells[0].split("(")[1].rstrip(")").split("–")
     assert float(low) <= 3.5
     assert float(high) >= 7.5
+
+
+def test_coverage_is_that_of_each_level():
+    """Of the squared distances of Gaussian errors, and of errors of twice the stated size."""
+    squared = np.sum(np.random.default_rng(5).normal(size=(20_000, 2)) ** 2, axis=1)
+    for size, shares in ((1, [50, 90, 99]), (2, [100 * (1 - (1 - p) ** 0.25) for p in (0.5, 0.9, 0.99)])):
+        found = calibration(np.column_stack([size**2 * squared, squared, squared]))
+        assert_allclose(found[:3], shares, atol=1)
+
+
+def test_low_walks_are_counted_beside_their_number_by_chance():
+    """Of walks of two places that are each inside with 90 %, independently, 0.19 have at most one."""
+    squared = np.random.default_rng(3).exponential(2.0, (1000, 2))
+    found, chance = low_walks([np.column_stack([each, each, each]) for each in squared]).split(" (by chance ")
+    assert chance == "190.0)"
+    assert abs(int(found) - 190) < 4 * np.sqrt(1000 * 0.19 * 0.81)
+
+
+UNRELIABLE = """import os, signal, time
+import numpy as np
+def some(evidence):
+    if evidence.options.fixes.parent.name == "one":
+        ACTION
+    return np.column_stack([evidence.fixes.time, evidence.fixes.position])
+def data(folder):
+    from own_data import walks
+    yield from walks(folder)
+    yield "three", lambda: open("no such file")
+"""
+FAULTS = {
+    "killed": "os.kill(os.getpid(), signal.SIGKILL)",
+    "hangs": "time.sleep(600)",
+    "memory": "raise MemoryError",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_walk_that_crashes_or_hangs_has_a_row_that_says_so_and_the_others_go_on(arcade_walk, tmp_path, fault):
+    for name in ("one", "two"):
+        shutil.copytree(arcade_walk, tmp_path / "walks" / name)
+    (tmp_path / "own_data.py").write_text(OWN_DATA)
+    (tmp_path / f"bad_{fault}.py").write_text(UNRELIABLE.replace("ACTION", FAULTS[fault]))
+    methods = f'methods = ["bad_{fault}:some", "pdr"]'
+    (tmp_path / "m.toml").write_text(f'data_sets = ["bad_{fault}:data"]\ndata = "."\n{methods}')
+    code, _, errors = run("bench", "run", "m.toml", "--workers", 2, "--time-limit", 8, cwd=tmp_path, new=True)
+    assert (code, len(errors)) == (3, 1), errors
+    failed = {(row["walk"], row["method"]): row.get("failed") for row in rows_of(tmp_path)}
+    reason = "MemoryError" if fault == "memory" else "its worker process was killed, crashed or took too long"
+    assert reason in failed.pop(("one", f"bad_{fault}:some"))
+    assert {failed.pop(("three", method)) for method in (f"bad_{fault}:some", "pdr")} == {
+        "FileNotFoundError: [Errno 2] No such file or directory: 'no such file'"
+    }
+    assert failed == {("one", "pdr"): None, ("two", f"bad_{fault}:some"): None, ("two", "pdr"): None}
+    again = run("bench", "run", "m.toml", "--workers", 2, "--only", "| pdr", cwd=tmp_path, new=True)
+    assert again.output.startswith("1 row made"), "what failed is tried again, the rest is not"
+
+
+SLOW = """import time
+import numpy as np
+def slow(evidence):
+    time.sleep(0.5)
+    return np.column_stack([evidence.fixes.time, evidence.fixes.position])
+"""
+
+
+def is_running(pid):
+    """True if a process of this number runs, and is no zombie."""
+    try:
+        return " Z " not in Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lists the processes of a process by /proc")
+def test_a_run_that_is_ended_leaves_no_process_and_goes_on_without_loss(arcade_walk, tmp_path, number):
+    """Ctrl-C goes to all processes of a terminal, as here; the others to the command alone."""
+    walks = {f"w{n}" for n in range(8)}
+    for name in walks:
+        shutil.copytree(arcade_walk, tmp_path / "walks" / name)
+    (tmp_path / "slowly.py").write_text(SLOW)
+    (tmp_path / "m.toml").write_text('data_sets = ["walks"]\nmethods = ["slowly:slow"]')
+    command = [sys.executable, "-m", "pdr_graph", "bench", "run", "m.toml", "--workers", "2"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        until(lambda: (tmp_path / "bench" / RESULTS).exists() and len(rows_of(tmp_path)) >= 2)
+        begun = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+        assert begun
+        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
+        _, errors = process.communicate(timeout=60)
+    text = {signal.SIGINT: "pdr-graph: interrupted", signal.SIGTERM: "pdr-graph: told to end"}
+    assert errors.strip() == text.get(number, errors.strip())
+    before = rows_of(tmp_path)
+    assert 2 <= len(before) < 8
+    until(lambda: not any(map(is_running, begun)))
+    code, printed, _ = run("bench", "run", "m.toml", "--workers", 2, cwd=tmp_path, new=True)
+    assert (code, int(printed.split()[0])) == (0, 8 - len(before))
+    assert sorted(row["walk"] for row in rows_of(tmp_path)) == sorted(walks), "each once"
+
+
+def until(true, longest=90.0):
+    """Wait until a condition holds."""
+    end = time.monotonic() + longest
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_neither_workers_nor_the_order_of_rows_change_the_table(bench):
+    """All but the seconds that a method took."""
+    tables = []
+    for workers in (1, 2):
+        (bench / f"{workers}.toml").write_text(MATRIX.replace("data_sets", f'out = "with{workers}"\ndata_sets'))
+        assert run("bench", "run", f"{workers}.toml", "--workers", workers, cwd=bench).code == 3
+        results = bench / f"with{workers}" / RESULTS
+        for order in (1, -1):
+            results.write_text("\n".join(results.read_text().splitlines()[::order]))
+            printed = run("bench", "stats", f"{workers}.toml", "--json", "--worst", 2, cwd=bench).output
+            table = json.loads(printed.splitlines()[0])
+            tables.append(
+                [{key: cell for key, cell in row.items() if key not in ("seconds", "command")} for row in table]
+            )
+    assert tables[0] == tables[1] == tables[2] == tables[3]
+
+
+def test_the_worst_walks_are_named(bench):
+    """By the 95 % of their errors, in the text, as CSV and as JSON; a method without a verdict has none."""
+    code, printed, _ = run("bench", "stats", "matrix.toml", "--worst", 1, "--csv", "w.csv", "--json", cwd=bench)
+    assert code == 0
+    groups = {(row["given"], row["method"]): row for row in json.loads(printed.splitlines()[0])}
+    with (bench / "w-worst.csv").open(encoding="utf-8") as file:
+        lines = {(row["given"], row["method"]): row for row in csv.DictReader(file)}
+    rows = [row for row in rows_of(bench) if (row["given"], row["method"]) == ("first and last", "graph")]
+    largest = max(rows, key=lambda row: np.percentile(row["errors"], 95))
+    line = lines["first and last", "graph"]
+    assert groups["first and last", "graph"]["worst"] == [line]
+    assert line["CE95 [m]"] == f"{np.percentile(largest['errors'], 95):.2f}"
+    assert line["verdict"] == largest["verdict"]
+    assert lines["recorded", "copied"]["verdict"] == "—"
+    assert groups["recorded", "own:broken"]["worst"] == []
+    named = run("bench", "stats", "matrix.toml", "--worst", 1, cwd=bench).output.splitlines()
+    assert any(each.startswith("worst:") and line["walk"] in each.split() for each in named)
+
+
+def test_rows_of_an_earlier_version_are_unknown_and_made_again(bench):
+    results = bench / "bench" / RESULTS
+    whole = results.read_text()
+    rows = [row for row in rows_of(bench) if row["method"] == "pdr"]
+    old = [{key: value for key, value in row.items() if "scores" not in key} for row in rows]
+    results.write_text("".join(json.dumps(row) + "\n" for row in old))
+    [line, *_] = json.loads(run("bench", "stats", "matrix.toml", "--json", cwd=bench).output.splitlines()[0])
+    assert (line["in 90 %"], line["energy score [m]"]) == ("—", "—")
+    assert line["CE50 [m]"] != "—"
+    made = run("bench", "run", "matrix.toml", *HERE, "--only", "| pdr", cwd=bench).output
+    assert made.startswith(f"{len(old)} rows made")
+    results.write_text(whole)
 
 
 def test_numbers_are_set_for_one_command(arcade_walk, tmp_path):

@@ -118,6 +118,27 @@ def test_each_worker_has_one_thread_and_the_same_numbers(elsewhere):
     assert dict(os.environ) == before, "of this process for a while only"
 
 
+def killing_the_first(task):
+    """Work that kills its process at item 0, else yields each item with the number of items of its task."""
+    for item in task:
+        if item == 0:
+            sleep(0.5)  # the other worker has begun the next task
+            os.kill(os.getpid(), signal.SIGKILL)
+        yield item, len(task)
+
+
+def test_after_a_crash_only_what_had_begun_is_run_alone():
+    """The crashed item and its neighbours are; the tasks behind them remain whole, to run side by side."""
+    tasks = [(3 * n, 3 * n + 1, 3 * n + 2) for n in range(20)]
+    with fleet(2) as crew:
+        results = list(crew.run(killing_the_first, tasks))
+    crashed = [result.item for result in results if isinstance(result, CrashedItem)]
+    size = dict(result for result in results if not isinstance(result, CrashedItem))
+    assert (crashed, sorted(size)) == ([0], list(range(1, 60)))
+    assert (size[1], size[2]) == (1, 1)
+    assert all(size[item] == 3 for item in range(30, 60))
+
+
 def test_a_task_has_paths_and_keys_only():
     built_before = StoredDay("k" * 64, ("h" * 64,), standin.reconstruct("me", "2024-05-01", {}, None).profile)
     days = tuple(PlannedDay(f"2024-05-{d:02}", (("h" * 64, "k" * 64),), built_before) for d in range(MAX_TASK_SIZE))
@@ -255,8 +276,8 @@ def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
 def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monkeypatch):
     log, paths = added(tmp_path, people=2, days=4)
 
-    def losing(self, work, tasks, written):
-        for number, task in enumerate(tasks):
+    def losing(self, work, tasks, written, running):
+        for number, task in list(tasks.items()):
             if number:
                 raise FleetLostError("all workers gone")
             yield number, work(task)

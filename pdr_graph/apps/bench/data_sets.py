@@ -64,17 +64,28 @@ def recorded(path: Path, options: Options, noise: float = 0.0) -> BenchWalk:
     return BenchWalk(evidence, evidence.truth or no_truth(), noise)
 
 
-def microsoft(data: Path) -> Walks:
-    """Walks in malls: waypoints, plans (Microsoft Indoor Location Competition 2.0)."""
-    for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
+def malls(data: Path, folder: str = "ms_*") -> Walks:
+    """Walks on 14 floors of two malls: waypoints, plans (Microsoft Indoor Location Competition 2.0)."""
+    paths = {path.stem: path for path in sorted(data.glob(f"{folder}/site*/*/*.txt"), reverse=True)}  # one is in two
+    for path in sorted(paths.values(), key=lambda path: path.parts[-3:]):
         name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
         yield name, partial(recorded, path, Options(plan=path.parent), WAYPOINT_SIGMA)
 
 
-def ipin2023(data: Path) -> Walks:
+def microsoft(data: Path) -> Walks:
+    """Those of the malls on which the estimator was developed, five floors."""
+    return malls(data, "ms_indoor20")
+
+
+def museum(data: Path, folder: str = "ipin2023_*") -> Walks:
     """Trials in a museum: landmarks, GNSS, listed beacons (IPIN 2023, track 3)."""
-    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
+    for path in sorted(data.glob(f"{folder}/*Trial*.txt"), key=lambda path: path.name):
         yield path.stem.removeprefix("IPIN2023_T3_Training"), partial(recorded, path, Options())
+
+
+def ipin2023(data: Path) -> Walks:
+    """Those of the museum on which the estimator was developed."""
+    return museum(data, "ipin2023_track3")
 
 
 def ipin21(data: Path) -> Walks:
@@ -145,7 +156,7 @@ def oxford(data: Path) -> Walks:
 
 
 DATA_SETS: Mapping[str, Callable[[Path], Walks]] = {
-    each.__name__: each for each in (microsoft, ipin2023, ipin21, apf, nju, ridi, strides, oxford)
+    each.__name__: each for each in (malls, microsoft, museum, ipin2023, ipin21, apf, nju, ridi, strides, oxford)
 }
 
 
@@ -155,7 +166,8 @@ def walks_of(name: str, data: Path, beside: Path = Path()) -> Walks:
     """
     folder = beside / name
     if name in DATA_SETS:
-        place, expected, walks = data, "its recordings", list(DATA_SETS[name](data))
+        expected = "its recordings, as python scripts/data.py fetches them, or --data"
+        place, walks = data, list(DATA_SETS[name](data))
     elif folder.is_dir():
         place, expected, walks = folder, "recordings, each a folder with its truth.csv", list(_own(folder))
     elif ":" in name:
@@ -277,10 +289,8 @@ def given(walk: BenchWalk, text: str) -> BenchWalk | None:
     text: one of GIVEN, then any of ALSO, with commas between. What is withheld of a receiver's positions is the truth
     of a walk that has no other. Raises InputError for another text.
     """
-    which, *also = (part.strip() for part in text.split(","))
-    timed, evidence, truth, plan = TIMED.fullmatch(which), walk.evidence, walk.truth, "plan" in also
-    if not (timed or which in GIVEN) or not set(also) <= set(ALSO):
-        raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', {', or '.join(ALSO)}'")
+    which, timed, also = selection(text)
+    evidence, truth, plan = walk.evidence, walk.truth, "plan" in also
     building = evidence.building if plan else None
     if plan and building is None:
         return None
@@ -297,6 +307,15 @@ def given(walk: BenchWalk, text: str) -> BenchWalk | None:
     without = "no beacons" in also or (which in CHOICES and not plan)
     evidence = replace(evidence, fixes=fixes, building=building, beacons=None if without else evidence.beacons)
     return replace(walk, evidence=evidence, truth=_sampled(truth), plan=walk.plan or walk.evidence.building)
+
+
+def selection(text: str) -> tuple[str, re.Match[str] | None, tuple[str, ...]]:
+    """Which positions are given, its times if they are in the text, and which of ALSO. Raises InputError."""
+    which, *also = (part.strip() for part in text.split(","))
+    timed = TIMED.fullmatch(which)
+    if not (timed or which in GIVEN) or not set(also) <= set(ALSO):
+        raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', {', or '.join(ALSO)}'")
+    return which, timed, tuple(also)
 
 
 def _rows(which: str, timed: re.Match[str] | None, known: Trajectory) -> Index:

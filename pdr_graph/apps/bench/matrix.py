@@ -6,26 +6,40 @@ import json
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle, groupby
+from functools import partial
+from itertools import cycle, groupby, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.apps.bench.data_sets import BenchWalk, given, walks_of
-from pdr_graph.apps.bench.methods import Method, method_of, particles
-from pdr_graph.apps.report.evaluation import circular_error, in_region, pair, stated_covariance
+from pdr_graph.apps.bench.data_sets import BenchWalk, given, selection, walks_of
+from pdr_graph.apps.bench.methods import Method, method_of, particles, with_verdict
+from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, LostItem, fleet
+from pdr_graph.apps.report.evaluation import (
+    REGION_90,
+    circular_error,
+    energy_score,
+    log_score,
+    pair,
+    squared_distance,
+    stated_covariance,
+)
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.types import Array, Trajectory
-from pdr_graph.walk import observe
+from pdr_graph.walk import Evidence, observe
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RESULTS = "results.jsonl"
+NAMES = "data_set", "walk", "given", "method"  # of a row
+ERRORS, STATED = "errors", ("squared_distances", "log_scores", "energy_scores")  # lists of a row, a value per place
+UNKNOWN = "—"
 Row = dict[str, Any]
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -67,41 +81,51 @@ class Matrix:
         return cls(path, **values | {"data": folder, "out": path.parent / content.get("out", "bench")})
 
     def missing(self, only: Sequence[str] = (), again: bool = False) -> list[Missing]:
-        """What the results lack; again: all rows. A walk may lack what is to be given, and has no row, then.
+        """Rows that the results lack, also rows that failed and rows of earlier versions; again: all rows.
 
-        only: texts that a row's name contains. What failed is tried again.
+        only: texts that a row's name contains. Raises InputError for a name that is wrong or has no data.
         """
-        have = set() if again else {key_of(row) for row in self.results() if "failed" not in row}
-        missing = list[Missing]()
-        for of in self.data_sets:
-            for walk, read in walks_of(of, self.data, self.path.parent):
-                for what in self.given:
-                    keys = [(of, walk, what, method) for method in self.methods]
-                    methods = tuple(key[-1] for key in keys if key not in have and is_wanted(key, only))
-                    missing += [Missing((of, walk, what), read, methods)] if methods else []
-        return missing
+        have = set() if again else {key_of(row) for row in self.results() if set(STATED) <= set(row)}
+        for what in self.given:
+            selection(what)
+        wanted = [
+            Missing(key, read)
+            for of in self.data_sets
+            for walk, read in walks_of(of, self.data, self.path.parent)
+            for key in product((of,), (walk,), self.given, self.methods)
+            if is_wanted(key, only)
+        ]
+        if not wanted:
+            text = " and ".join(map(repr, only))
+            raise InputError("--only", "", text, "texts of one row's name, 'data set | walk | given | method'")
+        return [each for each in wanted if each.name not in have]
 
-    def rows(self, missing: Iterable[Missing]) -> Iterator[Row]:
-        """Make the rows that are missing, and add each to the results at once."""
-        methods = {name: method_of(name, self.commands) for name in self.methods}
+    def rows(
+        self, missing: Sequence[Missing], workers: int = 1, time_limit: float = ITEM_LIMIT
+    ) -> Generator[Row, None, None]:
+        """Make missing rows and append each to the results at once; a walk may lack what is to be given: no row, then.
+
+        workers: processes, a walk in each; time_limit: of a row in a process [s]. A row whose process crashes or hangs
+        says so, and the others go on; in this process alone (``workers=1``) it ends the run.
+        """
+        for name in self.methods:
+            method_of(name, self.commands)  # raises InputError before any work
         self.out.mkdir(parents=True, exist_ok=True)
-        with (self.out / RESULTS).open("a", encoding="utf-8") as file:
+        tasks = [tuple(walk) for _, walk in groupby(missing, key=lambda each: each.name[:2])]
+        workers = min(workers, max(len(tasks), 2))  # 2: in processes
+        with (self.out / RESULTS).open("a", encoding="utf-8") as file, fleet(workers, time_limit=time_limit) as crew:
             if file.tell():
                 file.write("\n")  # the last line may have been cut off
-            for _, alike in groupby(missing, key=lambda each: each.name[:2]):
-                walk: BenchWalk | None = None
-                for each in alike:
-                    walk = walk or each.read()
-                    helped = given(walk, each.name[2])
-                    if helped is None:
-                        continue
-                    for row in _scored(each.name, helped, {name: methods[name] for name in each.methods}):
-                        file.write(json.dumps(row) + "\n")
-                        file.flush()
-                        yield row
+            for row in crew.run(partial(_rows_of_walk, self.commands), tasks, file.tell):
+                if isinstance(row, CrashedItem | LostItem):
+                    row = row.item.failed(row.reason if isinstance(row, CrashedItem) else crew.lost)
+                if row is not None:
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
+                    yield row
 
     def results(self) -> list[Row]:
-        """The last row of each name. A line that was cut off is left out, and made again."""
+        """The last row of each name, in the order of the matrix. A line that was cut off is left out."""
         rows, path = dict[tuple[str, ...], Row](), self.out / RESULTS
         for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
             try:
@@ -109,21 +133,37 @@ class Matrix:
                 rows[key_of(row)] = row
             except (ValueError, KeyError, TypeError):
                 continue
-        return list(rows.values())
+        names = self.data_sets, self.given, self.methods
+        place = [{name: n for n, name in enumerate(each)} for each in names]
+
+        def order(row: Row) -> tuple[Any, ...]:
+            of, walk, *rest = key_of(row)
+            named = zip(place, (of, *rest), strict=True)
+            return *((known.get(name, len(known)), name) for known, name in named), walk
+
+        return sorted(rows.values(), key=order)
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Rows that are to be made. name: data set, walk, what is given; read: reads the walk."""
+    """A row that is to be made. name: data set, walk, what is given, method; read: reads the walk."""
 
-    name: tuple[str, str, str]
+    name: tuple[str, str, str, str]
     read: Callable[[], BenchWalk]
-    methods: tuple[str, ...]
+
+    def failed(self, reason: str) -> Row:
+        """The row that says why there is no estimate."""
+        return self.row | {"failed": one_line(reason)}
+
+    @property
+    def row(self) -> Row:
+        """The row with its name alone."""
+        return dict(zip(NAMES, self.name, strict=True))
 
 
 def key_of(row: Row) -> tuple[str, ...]:
     """The name of a row: data set, walk, what is given, method."""
-    return row["data_set"], row["walk"], row["given"], row["method"]
+    return tuple(row[name] for name in NAMES)
 
 
 def is_wanted(name: Sequence[str], only: Sequence[str]) -> bool:
@@ -131,48 +171,76 @@ def is_wanted(name: Sequence[str], only: Sequence[str]) -> bool:
     return all(text in " | ".join(name) for text in only)
 
 
-def _scored(names: tuple[str, ...], walk: BenchWalk, methods: Mapping[str, Method]) -> Iterator[Row]:
-    """A row for each method: errors [m], whether each place is in the 90 % region, length and steps over the true."""
-    head: Row = dict(zip(("data_set", "walk", "given"), names, strict=True))
+def _rows_of_walk(commands: Mapping[str, str], missing: Sequence[Missing]) -> Iterator[Row | None]:
+    """The row of each item, all of one walk, which is read once; None where the walk lacks what is to be given."""
+    walk, unread = _tried(missing[0].read)
+    for what, alike in groupby(missing, key=lambda each: each.name[2]):
+        helped, evidence, reason = None, None, unread
+        if walk is not None:
+            helped, reason = _tried(partial(given, walk, what))
+        if helped is not None:
+            evidence, reason = _tried(partial(observe, helped.evidence))
+        for each in alike:
+            row = None
+            if helped is not None and evidence is not None:
+                method = method_of(each.name[3], commands)
+                row, reason = _tried(partial(_row, each, helped, evidence, method))
+            yield each.failed(reason) if reason else row
+
+
+def _tried(make: Callable[[], Made]) -> tuple[Made | None, str]:
+    """What a function returns, and why it returned nothing."""
     try:
-        evidence = observe(walk.evidence)
-    except InputError as error:
-        yield from (head | {"method": name, "failed": one_line(str(error))} for name in methods)
-        return
+        return make(), ""
+    except Exception as error:  # a data set or method of one's own may raise anything, and the others go on
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+        return None, one_line(f"{kind}{error}") or "an error without a text"
+
+
+def _row(each: Missing, walk: BenchWalk, evidence: Evidence, method: Method) -> Row | None:
+    """The scores of a method at each place, its verdict, length and steps over the true; None without its plan."""
+    if method is particles and evidence.building is None:
+        return None
+    began = time.perf_counter()
+    track, verdict = with_verdict(each.name[3], method, evidence)
+    seconds = round(time.perf_counter() - began, 3)
     steps = np.nan if evidence.steps is None else len(evidence.steps) / walk.steps
-    for name, method in methods.items():
-        if method is particles and evidence.building is None:
-            continue
-        row, began = head | {"method": name}, time.perf_counter()
-        try:
-            track = method(evidence)
-        except Exception as error:  # a method of one's own may raise anything, and the others go on
-            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            yield row | {"failed": one_line(f"{kind}{error}")}
-            continue
-        row |= {"seconds": round(time.perf_counter() - began, 3), "steps": _number(steps)}
-        way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
-        legs = walk.plan.crosses_wall(track.position, track.floor) if walk.plan and len(track) > 1 else np.empty(0)
-        walls = legs.mean() if len(legs) else np.nan
-        errors, inside = (list(map(_number, values)) for values in places(track, walk.truth, walk.noise))
-        row |= {"length": _number(way / walk.length), "walls": _number(walls), "errors": errors, "inside": inside}
-        yield row
+    way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
+    legs = walk.plan.crosses_wall(track.position, track.floor) if walk.plan and len(track) > 1 else np.empty(0)
+    walls = legs.mean() if len(legs) else np.nan
+    row = each.row | {"seconds": seconds, "verdict": verdict, "steps": _number(steps), "walls": _number(walls)}
+    scores = {name: list(map(_number, values)) for name, values in scores_at(track, walk.truth, walk.noise).items()}
+    return row | {"length": _number(way / walk.length)} | scores
+
+
+def scores_at(track: Trajectory, truth: Trajectory, noise: float) -> dict[str, Array]:
+    """Error [m], squared Mahalanobis distance, log score [nats] and energy score [m] at the places of a truth, each
+    ``(n,)``, by the names of ERRORS and STATED.
+
+    noise: of the truth, per axis, whose covariance is added to the stated one [m]. NaN where the track has no position,
+    or states no covariance.
+    """
+    scores = {name: np.full(len(truth), np.nan) for name in (ERRORS, *STATED)}
+    if len(truth) and len(track):
+        pairs = pair(track, truth)
+        known = np.isin(truth.time, pairs.time)
+        scores[ERRORS][known] = circular_error(pairs)
+        if track.covariance is not None:
+            error = pairs.estimate - pairs.truth
+            covariance = stated_covariance(track, pairs.time) + noise**2 * np.eye(2)
+            for name, score in zip(STATED, (squared_distance, log_score, energy_score), strict=True):
+                scores[name][known] = score(error, covariance)
+    return scores
 
 
 def places(track: Trajectory, truth: Trajectory, noise: float) -> tuple[Array, Array]:
     """Errors [m] at the places of a truth, and 1.0 where its 90 % region has the place, else 0.0.
 
-    noise: of the truth, per axis, which the region is widened by [m]. NaN where the track has no position, or states no
-    region.
+    noise, and NaN: as for `scores_at`.
     """
-    errors, inside = np.full((2, len(truth)), np.nan)
-    if len(truth) and len(track):
-        pairs = pair(track, truth)
-        known = np.isin(truth.time, pairs.time)
-        errors[known] = circular_error(pairs)
-        if track.covariance is not None:
-            inside[known] = in_region(pairs, stated_covariance(track, pairs.time) + noise**2 * np.eye(2))
-    return errors, inside
+    scores = scores_at(track, truth, noise)
+    errors, squared = scores[ERRORS], scores[STATED[0]]
+    return errors, np.where(np.isnan(squared), np.nan, squared < REGION_90)
 
 
 def _number(value: float) -> float | None:
@@ -182,20 +250,55 @@ def _number(value: float) -> float | None:
 # Statistics
 
 SCORED_AT = (50, 75, 95)  # percentiles
-STATISTICS = ("data set", "given", "method", "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 %")
-STATISTICS += ("across walls", "length", "steps", "seconds")
+LEVELS = (50, 90, 99)  # [%] of the regions whose coverage is counted
+GROUP = "data set", "given", "method"
+COVERAGE = tuple(f"in {level} %" for level in LEVELS)
+STATISTICS = (*GROUP, "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE)
+LOW = 0.6  # share of a walk's places in the 90 % region, up to which the walk is counted
+STATISTICS += (
+    "log score [nats]",
+    "energy score [m]",
+    f"walks up to {100 * LOW:.0f} % in 90 %",
+    "across walls",
+    "length",
+)
+STATISTICS += ("steps", "seconds")
+WORST = (*GROUP, "walk", "places", "CE50 [m]", "CE95 [m]", "in 90 %", "log score [nats]", "verdict")
 
 
-def percentiles_with_interval(groups: Sequence[Array], draws: int = 2000) -> list[str]:
-    """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
+def with_intervals(
+    groups: Sequence[Array], statistic: Callable[[Array], Array], formats: Sequence[str], draws: int = 2000
+) -> list[str]:
+    """Numbers of all places with 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike.
+
+    groups: of each walk, a row for each place; formats: of the numbers, whose interval is without a unit.
+    """
     random = np.random.default_rng(0)
     samples = [
-        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), SCORED_AT)
+        statistic(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]))
         for _ in range(draws)
     ]
-    low, high = np.percentile(samples, [2.5, 97.5], axis=0)
-    values = np.percentile(np.concatenate(groups), SCORED_AT)
-    return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
+    numbers = zip(formats, statistic(np.concatenate(groups)), *np.percentile(samples, [2.5, 97.5], axis=0), strict=True)
+    return [
+        f"{form.format(value)} ({form.format(low).split()[0]}–{form.format(high).split()[0]})"
+        for form, value, low, high in numbers
+    ]
+
+
+def error_percentiles(errors: Array) -> Array:
+    """The percentiles SCORED_AT [m] of errors ``(n,)``."""
+    return np.percentile(errors, SCORED_AT)
+
+
+def calibration(stated: Array) -> Array:
+    """Coverage [%] at LEVELS, mean log score and mean energy score of places ``(n, 3)`` with the columns STATED."""
+    squared, *scores = stated.T
+    covered = [100 * np.mean(squared < -2 * np.log(1 - level / 100)) for level in LEVELS]
+    return np.array([*covered, *(score.mean() for score in scores)])
+
+
+CE_FORMATS = ("{:.2f}",) * len(SCORED_AT)
+CALIBRATION_FORMATS = (*("{:.0f} %",) * len(LEVELS), "{:.2f}", "{:.2f}")
 
 
 def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
@@ -207,28 +310,72 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
 
 
 def known(row: Row, name: str) -> Array:
-    """The values of a list of a row without those that are None."""
-    return np.array([value for value in row[name] if value is not None])
+    """The values of a list of a row without those that are None; none for a row that lacks the list."""
+    return np.array([value for value in row.get(name, ()) if value is not None])
+
+
+def stated(row: Row) -> Array:
+    """The columns STATED ``(n, 3)`` at the places for which a row has a covariance; none if it lacks a column."""
+    columns = [known(row, name) for name in STATED]
+    return np.column_stack(columns if all(map(len, columns)) else [np.empty(0)] * len(STATED))
+
+
+def low_walks(regions: Sequence[Array]) -> str:
+    """How many walks have at most LOW of their places in the 90 % region, and how many would by chance alone, were each
+    place in it with a probability of 90 %, independent of the others.
+    """
+    from scipy.stats import binom
+
+    size = np.array(list(map(len, regions)))
+    inside = np.array([np.sum(each[:, 0] < REGION_90) for each in regions])
+    chance = binom.cdf(np.floor(LOW * size + 1e-9), size, 0.9).sum()
+    return f"{np.sum(inside <= LOW * size + 1e-9)} (by chance {chance:.1f})"
 
 
 def statistics(rows: Iterable[Row]) -> list[list[str]]:
-    """The cells of STATISTICS, a line for each group: percentiles of all places, with intervals; means of the rest."""
+    """The cells of STATISTICS, a line for each group, with intervals for errors, coverage and scores; means of the
+    rest. "—" where no row has the number.
+    """
     lines = []
     for names, alike in grouped(rows).items():
         done = [row for row in alike if "failed" not in row]
-        errors = [error for row in done if len(error := known(row, "errors"))]
-        inside = np.concatenate([np.empty(0), *(known(row, "inside") for row in done)])
+        errors = [error for row in done if len(error := known(row, ERRORS))]
+        regions = [each for row in done if len(each := stated(row))]
         walls = [row["walls"] for row in done if row.get("walls") is not None]
-        due, count = sum(len(row["errors"]) for row in done), sum(map(len, errors))
+        due, count = sum(len(row[ERRORS]) for row in done), sum(map(len, errors))
         cells = [str(len(alike)), str(len(alike) - len(done)), f"{count} of {due}" if count < due else str(count)]
-        cells += percentiles_with_interval(errors) if errors else ["—"] * len(SCORED_AT)
-        cells.append(f"{100 * inside.mean():.0f} %" if len(inside) else "—")
-        cells.append(f"{100 * np.mean(walls):.1f} %" if walls else "—")
+        cells += with_intervals(errors, error_percentiles, CE_FORMATS) if errors else [UNKNOWN] * len(CE_FORMATS)
+        cells += (
+            with_intervals(regions, calibration, CALIBRATION_FORMATS)
+            if regions
+            else [UNKNOWN] * len(CALIBRATION_FORMATS)
+        )
+        cells.append(low_walks(regions) if regions else UNKNOWN)
+        cells.append(f"{100 * np.mean(walls):.1f} %" if walls else UNKNOWN)
         for name in ("length", "steps"):
             off = [100 * (row[name] - 1) for row in done if row[name] is not None]
-            cells.append(f"{np.mean(off):+.1f} % (rms {np.sqrt(np.mean(np.square(off))):.1f})" if off else "—")
-        cells.append(f"{np.median([row['seconds'] for row in done]):.2f}" if done else "—")
+            cells.append(f"{np.mean(off):+.1f} % (rms {np.sqrt(np.mean(np.square(off))):.1f})" if off else UNKNOWN)
+        cells.append(f"{np.median([row['seconds'] for row in done]):.2f}" if done else UNKNOWN)
         lines.append([*names, *cells])
+    return lines
+
+
+def worst(rows: Iterable[Row], number: int) -> list[list[str]]:
+    """The cells of WORST for so many walks of each group, those with the largest 95 % of their errors first."""
+    lines = []
+    for names, alike in grouped(rows).items():
+        placed = [(error, row) for row in alike if len(error := known(row, ERRORS))]
+        placed.sort(key=lambda pair: -np.percentile(pair[0], 95))
+        for error, row in placed[:number]:
+            regions = stated(row)
+            shares = (
+                [form.format(value) for form, value in zip(CALIBRATION_FORMATS, calibration(regions), strict=True)]
+                if len(regions)
+                else [UNKNOWN] * len(CALIBRATION_FORMATS)
+            )
+            at = [f"{value:.2f}" for value in np.percentile(error, [50, 95])]
+            verdict = row.get("verdict") or UNKNOWN
+            lines.append([*names, row["walk"], str(len(error)), *at, shares[1], shares[3], verdict])
     return lines
 
 
@@ -238,7 +385,7 @@ def plot(rows: Iterable[Row]) -> Figure:
 
     panels = defaultdict[tuple[str, str], dict[str, Array]](dict)
     for (of, what, method), alike in grouped(rows).items():
-        errors = np.concatenate([np.empty(0), *(known(row, "errors") for row in alike if "failed" not in row)])
+        errors = np.concatenate([np.empty(0), *(known(row, ERRORS) for row in alike if "failed" not in row)])
         if len(errors):
             panels[of, what][method] = np.sort(errors)
     if not panels:

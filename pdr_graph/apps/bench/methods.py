@@ -25,11 +25,20 @@ from pdr_graph.walk import LIVE, Evidence, Options, estimate, observe, read
 
 Method = Callable[[Evidence], Trajectory]
 LONGEST_COMMAND = 600.0  # [s] for a command
+ESTIMATES = ("graph", "filter", "rts", "pdr")  # methods of `walk.estimate`, which has a verdict
 
 
 def by_name(method: str, evidence: Evidence) -> Trajectory:
     """The trajectory of a method of ``walk.estimate``."""
     return estimate(replace(evidence, options=replace(evidence.options, method=method))).estimate.trajectory
+
+
+def with_verdict(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str]:
+    """The trajectory of a method, and the state of its verdict, "" if it states none."""
+    if name not in ESTIMATES:
+        return method(evidence), ""
+    result = estimate(replace(evidence, options=replace(evidence.options, method=name)))
+    return result.estimate.trajectory, result.verdict.state
 
 
 def live(evidence: Evidence) -> Trajectory:
@@ -55,7 +64,7 @@ def particles(evidence: Evidence) -> Trajectory:
 
 
 OURS: Mapping[str, Method] = {
-    **{name: partial(by_name, name) for name in ("graph", "filter", "rts", "pdr")},
+    **{name: partial(by_name, name) for name in ESTIMATES},
     "particles": particles,
     "live": live,
 }

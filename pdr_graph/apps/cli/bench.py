@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import os
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -57,24 +59,34 @@ def run(
     data: DataFolder = None,
     only: Only = None,
     again: Annotated[bool, typer.Option("--again", help="Make rows anew that the results have.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Processes, a walk in each; default: number of cores.")
+    ] = None,
+    time_limit: Annotated[
+        float, typer.Option(metavar="SECONDS", min=1.0, help="Of a row, in a process of its own.")
+    ] = 900.0,
     quiet: Quiet = False,
 ) -> None:
     """Make the rows of a matrix that its results lack; an interrupted run goes on.
+
+    A row that fails says why, and is tried again by the next run.
 
     \b
     pdr-graph bench run matrix.toml
     pdr-graph bench run matrix.toml --only ridi --only graph
     """
     from pdr_graph.apps.bench.matrix import RESULTS, Matrix, key_of
+    from pdr_graph.apps.lifelog.workers import cores
 
     table, wanted = Matrix.load(matrix, _data(data)), only or ()
     missing, failed, made = table.missing(wanted, again), 0, 0
-    most = sum(len(each.methods) for each in missing)
-    for row in table.rows(missing):
-        made += 1
-        failed += "failed" in row
-        if shows_progress():
-            typer.echo(f"\r{made} of at most {most} rows: {' | '.join(key_of(row))[:100]:100}", nl=False, err=True)
+    with closing(table.rows(missing, workers or cores(), time_limit)) as rows:
+        for row in rows:
+            made += 1
+            failed += "failed" in row
+            if shows_progress():
+                text = f"{made} of at most {len(missing)} rows: {' | '.join(key_of(row))[:100]:100}"
+                typer.echo(f"\r{text}", nl=False, err=True)
     if shows_progress() and made:
         typer.echo("", err=True)
     echo(f"{count(made, 'row')} made -> {table.out / RESULTS}")
@@ -90,36 +102,59 @@ def stats(
     only: Only = None,
     csv_: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="The table as CSV.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Picture of the errors.")] = None,
+    worst: Annotated[int, typer.Option(metavar="N", min=0, help="Walks with the largest errors, by name.")] = 0,
     json_: AsJson = False,
 ) -> None:
     """Print the table of the results so far, with 95 % bootstrap intervals over walks.
 
-    CSV and JSON also have the command that makes each line anew.
+    CSV and JSON also have the command that makes each line anew. With --worst N, a second table names the N walks of
+    each line with the largest 95 % of their errors; in JSON it is `worst` of the line, as CSV it is TABLE-worst.csv.
 
     \b
-    pdr-graph bench stats matrix.toml --csv table.csv --out errors.png
+    pdr-graph bench stats matrix.toml --csv table.csv --out errors.png --worst 5
     """
-    from pdr_graph.apps.bench.matrix import STATISTICS, Matrix, is_wanted, key_of, plot, statistics
+    from pdr_graph.apps.bench import matrix as module
     from pdr_graph.apps.report.plotting import picture_bytes
     from pdr_graph.whole_files import write_file
 
-    table = Matrix.load(matrix, _data(data))
-    rows = [row for row in table.results() if is_wanted(key_of(row), only or ())]
+    table = module.Matrix.load(matrix, _data(data))
+    rows = [row for row in table.results() if module.is_wanted(module.key_of(row), only or ())]
     if not rows:
         raise InputError(table.out, "", "no rows", f"pdr-graph bench run {matrix} first")
-    lines = statistics(rows)
+    lines, far = module.statistics(rows), module.worst(rows, worst)
     command = f"pdr-graph bench run {matrix} --again --only '{{}} |' --only '| {{}} | {{}}'"
-    head, whole = [*STATISTICS, "command"], [[*line, command.format(*line[:3])] for line in lines]
+    head, whole = [*module.STATISTICS, "command"], [[*line, command.format(*line[:3])] for line in lines]
     if csv_ is not None:
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([head, *whole])
-        write_file(csv_, text.getvalue())
+        write_file(csv_, _csv([head, *whole]))
+        if worst:
+            write_file(csv_.with_name(f"{csv_.stem}-worst.csv"), _csv([module.WORST, *far]))
     if out is not None:
-        write_file(out, picture_bytes(plot(rows)))
+        write_file(out, picture_bytes(module.plot(rows)))
     if json_:
-        echo_result(json.dumps([dict(zip(head, line, strict=True)) for line in whole]))
-    width = [max(map(len, column)) for column in zip(STATISTICS, *lines, strict=True)]
-    echo_lines("\n".join("  ".join(map(str.ljust, line, width)).rstrip() for line in [STATISTICS, *lines]))
+        named = [dict(zip(module.WORST, line, strict=True)) for line in far]
+        groups = [{name: line for name, line in zip(head, cells, strict=True)} for cells in whole]
+        if worst:
+            groups = [
+                group | {"worst": [each for each in named if all(each[n] == group[n] for n in module.GROUP)]}
+                for group in groups
+            ]
+        echo_result(json.dumps(groups))
+    echo_lines(_aligned(module.STATISTICS, lines))
+    if far:
+        echo_lines(_aligned(("", *module.WORST), [["worst:", *line] for line in far]))
     for row in rows:
         if "failed" in row:
-            echo(f"failed: {' | '.join(key_of(row))}: {row['failed']}")
+            echo(f"failed: {' | '.join(module.key_of(row))}: {row['failed']}")
+
+
+def _csv(lines: Sequence[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()
+
+
+def _aligned(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A table as text, without columns of which no line knows anything."""
+    columns = [column for column in zip(head, *lines, strict=True) if set(column[1:]) != {"—"}]
+    width = [max(map(len, column)) for column in columns]
+    return "\n".join("  ".join(map(str.ljust, line, width)).rstrip() for line in zip(*columns, strict=True))

@@ -13,7 +13,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -149,16 +149,19 @@ class Fleet:
         each item that is left when the fleet is lost. The result of an item must not depend on the other items of its
         task. written: number of results in files, which grows as long as the workers do something.
         """
-        left = dict(enumerate(tasks))
+        left, suspects = dict(enumerate(tasks)), dict[int, tuple[Any, ...]]()
         try:
             if self.lost:
                 raise FleetLostError(self.lost)
-            for number, results in self._execute(work, tasks, written):
-                yield from results
-                del left[number]
-            left = {number: (item,) for number, item in enumerate(chain.from_iterable(left.values()))}
+            while left:
+                running = set[int]()
+                for number, results in self._execute(work, left, written, running):
+                    yield from results
+                    del left[number]
+                suspects |= {number: left.pop(number) for number in running & set(left) or set(left)}
+            left, suspects = {n: (item,) for n, item in enumerate(chain.from_iterable(suspects.values()))}, {}
             for number, task in list(left.items()):  # each alone, to find the item that crashed the process
-                for _, results in self._execute(work, [task], written):
+                for _, results in self._execute(work, {number: task}, written, set()):
                     yield from results
                     break
                 else:
@@ -166,25 +169,32 @@ class Fleet:
                 del left[number]
         except FleetLostError as loss:
             self.lost = str(loss)
-            yield from map(LostItem, chain.from_iterable(left.values()))
+            yield from map(LostItem, chain.from_iterable((left | suspects).values()))
 
-    def _execute(self, work: Work, tasks: Tasks, written: Callable[[], int]) -> Iterator[tuple[int, Iterator[Any]]]:
-        """Yield number and results of each task, except tasks that crash a process. Raises FleetLostError."""
+    def _execute(
+        self, work: Work, tasks: Mapping[int, tuple[Any, ...]], written: Callable[[], int], running: set[int]
+    ) -> Iterator[tuple[int, Iterator[Any]]]:
+        """Yield number and results of each task until a task crashes a process. Raises FleetLostError.
+
+        running: gets the numbers of tasks that have begun, as far as known: one of those without results crashed it.
+        """
         if self.pool is None:
-            yield from ((number, work(task)) for number, task in enumerate(tasks))
+            yield from ((number, work(task)) for number, task in list(tasks.items()))
             return
         factors: Any = sys.modules.get("pdr_graph.estimation.factors.registry")  # not loaded: nothing was registered
         kinds = factors.kinds_of_others() if factors else []
-        left, count, looked = list[Any](), -1, 0.0
+        left, count, looked = dict[Any, int](), -1, 0.0
         changed = monotonic()
         try:
             with suppress(*self.crashes):  # a process may crash before all tasks are submitted
                 submit = self.pool().submit
-                for number, task in enumerate(tasks):
-                    left.append(submit(collected, kinds, work, number, task, self.time_limit))
+                for number, task in tasks.items():
+                    left[submit(collected, kinds, work, number, task, self.time_limit)] = number
             while left:
+                running.update(number for future, number in left.items() if future.running())
                 done = [future for future in left if future.done()]
-                left = [future for future in left if future not in done]
+                for future in done:
+                    del left[future]
                 for future in done:
                     with suppress(*self.crashes):
                         number, results = future.result()
@@ -280,6 +290,13 @@ def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]
         losses = CancelledError, ClosedClientError, FutureCancelledError
         executor = client.get_executor(pure=False)
         yield Fleet(number, time_limit, lambda: executor, (KilledWorker,), losses, check)
+
+
+def cores() -> int:
+    """Number of cores that this process may use, by its affinity and its container too."""
+    from joblib import cpu_count
+
+    return cpu_count()
 
 
 def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
