@@ -191,7 +191,7 @@ def bands(path: Trajectory, on: Sequence[int], floors: Sequence[FloorPlan | None
     return [rings(region(path, (where == n) | (where == ON_EVERY_MAP), floor)) for n, floor in enumerate(floors)]
 
 
-def region(path: Trajectory, here: Mask, floor: FloorPlan | None) -> Array:
+def region(path: Trajectory, here: Mask, floor: FloorPlan | None) -> np.ndarray:
     """Polygons ``(k,)`` that make the 95 % region of the rows ``here (n,)``; on a plan, its walkable part.
 
     Around rows that are more than OFF_PLAN from the walkable area, where the plan does not hold, the region is whole.
@@ -202,9 +202,8 @@ def region(path: Trajectory, here: Mask, floor: FloorPlan | None) -> Array:
     shapely.prepare(floor.walkable)
     on_plan = shapely.dwithin(floor.walkable, shapely.centroid(hulls), OFF_PLAN)
     walkable = shapely.intersection(shapely.union_all(hulls[on_plan]), floor.walkable)
-    whole = shapely.union_all([walkable, *hulls[~on_plan]])
-    parts = shapely.get_parts(shapely.normalize(whole))
-    return np.asarray(parts[shapely.get_dimensions(parts) == 2])
+    whole = shapely.buffer(shapely.union_all([walkable, *hulls[~on_plan]]), 0.0)  # without lines where both touch
+    return shapely.normalize(shapely.get_parts(whole))
 
 
 def rings(polygons: Array) -> dict[str, Any]:
