@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
+from pdr_graph.priors import BEACONS, RECEIVERS
 from pdr_graph.types import STEP_COLUMNS, Array, Fixes, Steps, Trajectory, last_time, take
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
         wander = random.normal(0, steps.sigma_turn[0])
         course = theta + expected / 2 + wander / 2
         move = R_s * length * unit(np.array(course))
-        sway = random.normal(0, [steps.sigma_length[0], MOTION.lateral])
+        sway = random.normal(0, steps.sigma_length[0], 2)
         position = position + move + rotation(course) @ sway
         theta += expected + wander
         rows.append([*position, theta])
