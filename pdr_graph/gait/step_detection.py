@@ -203,14 +203,14 @@ class Bout:
 
     walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes, durations of a step,
     regularities and jars of the candidates before the bout starts. landed: time of the last step [s]; duration: of that
-    step [s], infinite after a stop; irregularity: mean change of the duration from step to step [log].
+    step [s]; irregularity: mean change of the duration from step to step [log].
     """
 
     walking: bool = False
     last: float = -np.inf
     waiting: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     landed: float = -np.inf
-    duration: float = np.inf
+    duration: float = 0.0
     irregularity: float = field(default_factory=lambda: IRREGULARITY.usual)
 
     def steps(self, following: Candidates) -> Array:
@@ -247,13 +247,12 @@ class Bout:
         return np.stack([time, amplitude, rhythm, confidence_of(rhythm, *evidence), irregularity], axis=1)
 
     def _irregularity(self, time: float, rhythm: float) -> float:
-        """The irregularity up to a step that lands at ``time`` [s]: exponentially weighted, without stops."""
+        """The irregularity up to a step that lands at ``time`` [s]: exponentially weighted."""
         duration = time - self.landed
-        if duration > STEP.pause * max(rhythm, STEP.usual):
-            duration = np.inf
-        elif np.isfinite(self.duration):
-            change = min(abs(log(duration / self.duration)), IRREGULARITY.largest)
-            self.irregularity += (change - self.irregularity) / IRREGULARITY.steps
+        if duration > STEP.pause * max(rhythm, STEP.usual):  # a stop
+            duration = rhythm
+        change = min(abs(log(duration / (self.duration or duration))), IRREGULARITY.largest)
+        self.irregularity += (change - self.irregularity) / IRREGULARITY.steps
         self.landed, self.duration = time, duration
         return self.irregularity
 

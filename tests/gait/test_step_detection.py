@@ -59,7 +59,7 @@ def test_irregularity_is_the_mean_change_of_the_duration_from_step_to_step():
 
 
 def test_a_stop_is_no_irregularity():
-    steady = irregularity(in_turn(*[0.0] * 40), in_turn(*[0.0] * 40, start=60.0, duration=0.6))
+    steady = irregularity(in_turn(*[0.0] * 40), in_turn(*[0.0] * 40, start=60.0))
     assert np.all(np.diff(steady[1:]) <= 0)
 
 
