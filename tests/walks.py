@@ -158,7 +158,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
     from pdr_graph.geometry import rotation, row_times, unit
 
     random, prior = np.random.default_rng(seed), Prior()
-    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n))
+    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n), sigma_length=0.15)
     R_s, R_d, b = random.normal(prior.mean, prior.sigma)
     theta, position, rows = random.uniform(-np.pi, np.pi), random.uniform(-20, 20, 2), []
     rows.append([*position, theta])
