@@ -482,7 +482,8 @@ class Steps(Rows):
     length: ``(n,)`` [m].
     turn: ``(n,)`` heading change since the previous row's time (first row: since ``start``), counter-clockwise [rad].
     pause_turn: ``(n,)`` the part of ``turn`` made while standing, before the step began [rad].
-    sigma_length: ``(n,)`` [m]; sigma_turn: ``(n,)`` [rad]. Errors of different steps are independent.
+    sigma_length: ``(n,)`` along the step, and as much to the side [m]; sigma_turn: ``(n,)`` [rad]. Errors of different
+    steps are independent.
     final_turn: heading change from the last step to ``end`` [rad].
     stepless: time in which the device moved as a carried one does, and no step was recognised [s].
     unknown: quantities that the sensors do not determine, one line each.

@@ -44,7 +44,6 @@ from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.priors import MOTION
 from pdr_graph.types import Fixes, Headings, Steps
 
 LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
@@ -250,7 +249,7 @@ def extended_filter(steps, fixes):
         F, G = np.eye(4), np.zeros((4, 4))
         F[:2, 2], F[:2, 3] = scale * length * aside, length * ahead
         G[:2, 0], G[:2, 1], G[:2, 2], G[2, 2], G[3, 3] = ahead, aside, scale * length * aside / 2, 1.0, 1.0
-        sigmas = np.array([steps.sigma_length[k], MOTION.lateral, steps.sigma_turn[k], change])
+        sigmas = np.array([steps.sigma_length[k], steps.sigma_length[k], steps.sigma_turn[k], change])
         ekf.F, ekf.Q = F, G * sigmas**2 @ G.T
         ekf.predict(u=(length, turn))
         expected.append((ekf.x.copy(), ekf.P.copy()))
@@ -302,7 +301,7 @@ def _fix_factors(steps, fixes):
 def _step_noise(steps):
     import gtsam
 
-    sigmas = np.array([steps.sigma_length[0], MOTION.lateral, steps.sigma_turn[0]])
+    sigmas = np.array([steps.sigma_length[0], steps.sigma_length[0], steps.sigma_turn[0]])
     return gtsam.noiseModel.Diagonal.Sigmas(sigmas)
 
 

@@ -82,7 +82,19 @@ def on_outliers(data):
 
 SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
 CASES = {
-    by_steps: ("STEP", "CANDIDATE", "BOUT", "STRIDES", "FORWARD", "GRIP", "COMPASS", "REST", "MAGNETOMETER", "NORTH"),
+    by_steps: (
+        "STEP",
+        "CANDIDATE",
+        "BOUT",
+        "STRIDES",
+        "IRREGULARITY",
+        "FORWARD",
+        "GRIP",
+        "COMPASS",
+        "REST",
+        "MAGNETOMETER",
+        "NORTH",
+    ),
     on_fixes: ("MOTION", "WALKER"),
     on_outliers: ("LOSSES", "INITIAL"),
     lambda data: on_fixes(data, "filter"): ("KALMAN",),

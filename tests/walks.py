@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
+from pdr_graph.priors import BEACONS, RECEIVERS
 from pdr_graph.types import STEP_COLUMNS, Array, Fixes, Steps, Trajectory, last_time, take
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
     from pdr_graph.geometry import rotation, row_times, unit
 
     random, prior = np.random.default_rng(seed), Prior()
-    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n))
+    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n), sigma_length=0.15)
     R_s, R_d, b = random.normal(prior.mean, prior.sigma)
     theta, position, rows = random.uniform(-np.pi, np.pi), random.uniform(-20, 20, 2), []
     rows.append([*position, theta])
@@ -167,7 +167,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
         wander = random.normal(0, steps.sigma_turn[0])
         course = theta + expected / 2 + wander / 2
         move = R_s * length * unit(np.array(course))
-        sway = random.normal(0, [steps.sigma_length[0], MOTION.lateral])
+        sway = random.normal(0, steps.sigma_length[0], 2)
         position = position + move + rotation(course) @ sway
         theta += expected + wander
         rows.append([*position, theta])

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from math import log
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.gait.rhythm import DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
-from pdr_graph.priors import BOUT, CANDIDATE, CONFIDENCE, MOVEMENT, STAND, STEP
+from pdr_graph.priors import BOUT, CANDIDATE, CONFIDENCE, IRREGULARITY, MOVEMENT, STAND, STEP
 from pdr_graph.types import Array, Index, Mask
 
 
@@ -29,6 +30,7 @@ class Landings:
 
     time: ``(n,)`` [s]; period: ``(n,)`` duration of each step [s]; amplitude: ``(n,)`` of |a|, peak to peak [m/s²];
     rhythm: ``(n,)`` duration of a step around it [s]; confidence: ``(n,)`` probability that it is a step.
+    irregularity: ``(n,)`` mean change of the duration from step to step [log].
     """
 
     time: Array
@@ -36,14 +38,15 @@ class Landings:
     amplitude: Array
     rhythm: Array
     confidence: Array
+    irregularity: Array
 
     @classmethod
     def at(cls, found: Array, start: float) -> Landings:
-        """Landings ``(n, 4)`` of a recording that starts at ``start`` [s]: time, amplitude, rhythm, confidence.
+        """Landings ``(n, 5)`` of a recording that starts at ``start`` [s]: the columns of `Bout.steps`.
 
         The first step, and each step after a stop, takes the duration of its neighbours.
         """
-        time, amplitude, rhythm, confidence = found.T
+        time, *others = found.T
         intervals = np.diff(time, prepend=start)
         walking = np.clip(intervals, STEP.shortest, STEP.longest)
         walking[:1] = walking[:2][-1:]
@@ -52,7 +55,7 @@ class Landings:
         stopped = intervals > STEP.pause * np.maximum(usual, STEP.usual)
         stopped[:1] = True
         intervals[stopped] = usual[stopped]
-        return cls(time, intervals, amplitude, rhythm, confidence)
+        return cls(time, intervals, *others)
 
     def __getitem__(self, which: slice) -> Landings:
         """A part of the landings."""
@@ -199,15 +202,21 @@ class Bout:
     """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
 
     walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes, durations of a step,
-    regularities and jars of the candidates before the bout starts.
+    regularities and jars of the candidates before the bout starts. landed: time of the last step [s]; duration: of that
+    step [s]; irregularity: mean change of the duration from step to step [log].
     """
 
     walking: bool = False
     last: float = -np.inf
     waiting: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    landed: float = -np.inf
+    duration: float = 0.0
+    irregularity: float = field(default_factory=lambda: IRREGULARITY.usual)
 
     def steps(self, following: Candidates) -> Array:
-        """The steps ``(m, 4)`` among the next candidates: time [s], amplitude [m/s²], rhythm [s], confidence."""
+        """The steps ``(m, 5)`` among the next candidates: time [s], amplitude [m/s²], rhythm [s], confidence and
+        irregularity.
+        """
         certain = list[tuple[float, float, float, float, float]]()
         columns = (values.tolist() for values in vars(following).values())
         for time, step, amplitude, regularity, jar, bodily in zip(*columns, strict=True):
@@ -234,7 +243,18 @@ class Bout:
                 certain += self.waiting
                 self.waiting = []
         time, amplitude, rhythm, *evidence = np.array(certain).reshape(-1, 5).T
-        return np.stack([time, amplitude, rhythm, confidence_of(rhythm, *evidence)], axis=1)
+        irregularity = np.array([self._irregularity(*landing) for landing in zip(time, rhythm, strict=True)])
+        return np.stack([time, amplitude, rhythm, confidence_of(rhythm, *evidence), irregularity], axis=1)
+
+    def _irregularity(self, time: float, rhythm: float) -> float:
+        """The irregularity up to a step that lands at ``time`` [s]: exponentially weighted."""
+        duration = time - self.landed
+        if duration > STEP.pause * max(rhythm, STEP.usual):  # a stop
+            duration = rhythm
+        change = min(abs(log(duration / (self.duration or duration))), IRREGULARITY.largest)
+        self.irregularity += (change - self.irregularity) / IRREGULARITY.steps
+        self.landed, self.duration = time, duration
+        return self.irregularity
 
 
 def confidence_of(rhythm: Array, regularity: Array, jar: Array) -> Array:
@@ -270,7 +290,7 @@ class StepDetector:
     pending: Candidates = NO_CANDIDATES
 
     def update(self, acceleration: Array) -> Array:
-        """Add samples ``(n, 3)``; returns the newly certain steps ``(m, 4)``, see `Landings.at`."""
+        """Add samples ``(n, 3)``; returns the newly certain steps ``(m, 5)``, see `Bout.steps`."""
         needed = int(max(0.0, self.decided - BOUT.past) / self.period)
         grid = 4 * decimation(self.period)  # of the sway of slow steps
         drop = needed // grid * grid - self.first
@@ -281,11 +301,11 @@ class StepDetector:
         return self._decide((self.first + len(self.samples)) * self.period - BOUT.future - self.look_ahead)
 
     def finish(self) -> Array:
-        """The last steps ``(m, 4)``: no more samples follow."""
+        """The last steps ``(m, 5)``: no more samples follow."""
         return self._decide(np.inf)
 
     def provisional(self) -> Array:
-        """The steps ``(m, 4)`` after the certain ones, which later samples may still change."""
+        """The steps ``(m, 5)`` after the certain ones, which later samples may still change."""
         return self._since_start(replace(self.bout).steps(self.pending))
 
     @property
@@ -295,7 +315,7 @@ class StepDetector:
         return self.start + min([self.decided, *late])
 
     def _decide(self, until: float) -> Array:
-        """The steps ``(m, 4)`` up to ``until`` [s] after the start among the pending candidates."""
+        """The steps ``(m, 5)`` up to ``until`` [s] after the start among the pending candidates."""
         self.decided = max(self.decided, until)
         certain = self.pending.time <= until
         found = self.bout.steps(self.pending[certain])

@@ -189,7 +189,7 @@ class SegmentStream:
         self.movement = UnrecognisedMovement(period)
         self.end = origin
         self.count = 0  # of samples so far
-        self.landed = np.empty((0, 4))  # the last certain landings, see `Landings.at`
+        self.landed = np.empty((0, 5))  # the last certain landings, see `Bout.steps`
         self.reported = 0  # number of these landings whose steps were returned
         self.durations = np.empty(0)  # of the last steps [s]
         self._provisional: Steps | None = None

@@ -17,7 +17,7 @@ from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_detection import Landings, UnrecognisedMovement, walking_steps
 from pdr_graph.gait.walker import MODELS, StepFeatures, Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE, SHORTEST_WALK, Attitude, attitude_of
-from pdr_graph.priors import CONFIDENCE, MOTION, REST
+from pdr_graph.priors import CONFIDENCE, IRREGULARITY, MOTION, REST
 from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal, Steps
 
 
@@ -53,6 +53,7 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
 
     # How far
     length, sigma_length = MODELS[walker.stride](StepFeatures(gait), height=walker.height, **walker.constants)
+    sigma_length *= (landings.irregularity / IRREGULARITY.usual) ** IRREGULARITY.exponent
     share = duration / landings.period  # below 1 only where the recording starts in mid-step
     none = np.maximum(1 - landings.confidence / CONFIDENCE.sure, 0)  # probability that it is no step, and its length 0
     sigma_length = np.hypot(sigma_length, np.sqrt(none * (1 - none)) * length)

@@ -104,9 +104,8 @@ def pieces_between(steps, begin, end):
     for k in range(len(steps)):
         sets_off = steps.time[k] - steps.duration[k]
         rows.append((before, sets_off, 0.0, steps.pause_turn[k], 0.0, 0.0, 0.02**2))
-        sway = 0.25 if steps.length[k] > 0 else steps.sigma_length[k]
         moving_turn = steps.turn[k] - steps.pause_turn[k]
-        squares = steps.sigma_length[k] ** 2, sway**2, steps.sigma_turn[k] ** 2
+        squares = steps.sigma_length[k] ** 2, steps.sigma_length[k] ** 2, steps.sigma_turn[k] ** 2
         rows.append((sets_off, steps.time[k], steps.length[k], moving_turn, *squares))
         before = steps.time[k]
     rows.append((before, steps.end, 0.0, steps.final_turn, 0.0, 0.0, 0.02**2))

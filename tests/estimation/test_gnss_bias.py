@@ -28,7 +28,7 @@ def meander(n=300, seed=0):
     """Steps of a walk with many turns: a lag is not to be confused with an offset."""
     random = np.random.default_rng(seed)
     turn = np.where(np.arange(n) % 15 == 14, random.choice([-1, 1], n) * np.pi / 2, 0.0)
-    return steps_of(np.full(n, 0.7), turn)
+    return steps_of(np.full(n, 0.7), turn, sigma_length=0.2)
 
 
 def gauss_markov(steps, time, random):

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.gait.step_detection import StepDetector, walking_steps
+from pdr_graph.gait.step_detection import Bout, Candidates, StepDetector, walking_steps
 from pdr_graph.inertial.units import unit_of
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.priors import IRREGULARITY
 
 RATE = 50.0
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
@@ -37,6 +38,36 @@ def test_every_step_is_found_once(cadence, amplitude, rate):
     assert len(landings) == pytest.approx(30 * cadence, abs=1)
     assert np.median(landings.period) == pytest.approx(1 / cadence, rel=0.05)
     assert np.median(landings.amplitude) == pytest.approx(2 * amplitude, rel=0.4)
+
+
+def in_turn(*changes, start=10.0, duration=0.5):
+    """Landings whose durations are longer by each change [log] than the one before."""
+    time = start + np.cumsum(duration * np.exp(np.cumsum([0.0, *changes])))
+    n = len(time)
+    return Candidates(time, np.full(n, duration), np.full(n, 3.0), np.full(n, 0.9), np.full(n, 0.19), np.ones(n, bool))
+
+
+def irregularity(*bouts):
+    detected = Bout()
+    return np.concatenate([detected.steps(bout)[:, 4] for bout in bouts])
+
+
+def test_irregularity_is_the_mean_change_of_the_duration_from_step_to_step():
+    assert irregularity(in_turn(*[0.04, -0.04] * 40))[-1] == pytest.approx(0.04, rel=0.01)
+    assert irregularity(in_turn(*[0.0] * 80))[-1] < 1e-3
+    assert irregularity(in_turn(*[0.5, -0.5] * 40))[-1] <= IRREGULARITY.largest, "a hesitation counts as a large change"
+
+
+def test_a_stop_is_no_irregularity():
+    steady = irregularity(in_turn(*[0.0] * 40), in_turn(*[0.0] * 40, start=60.0))
+    assert np.all(np.diff(steady[1:]) <= 0)
+
+
+@pytest.mark.parametrize("rate", [25.0, 50.0, 200.0])
+def test_irregularity_is_of_the_walker_and_not_of_the_sampling(rate):
+    """Times of landings are interpolated between samples: steps of 0.4977 s do not seem to vary."""
+    t, a = walking(1 / 0.4977, 3.0, rate=rate)
+    assert walking_steps(t, a).irregularity[-1] < IRREGULARITY.usual / 2
 
 
 def slow_walking(duration, count=24, spread=0.1, seed=0):

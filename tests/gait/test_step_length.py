@@ -1,5 +1,6 @@
 """Stride models against their equations, computed by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from pdr_graph import Fixes, WalkGraph, detect_steps, smooth
 from pdr_graph.gait import walker
-from pdr_graph.gait.steps import gait_signals
+from pdr_graph.gait.steps import gait_signals, steps_of
 from pdr_graph.gait.walker import StepFeatures, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -128,3 +129,12 @@ def test_lift_is_shorter_than_a_step_and_power_falls_with_frequency(walked):
     _, steps = walked
     assert np.all((steps.lift > 0) & (steps.lift < 1.2 * steps.period))
     assert steps.power[:, 1].mean() > steps.power[:, 3].mean() > 0
+
+
+def test_steps_of_a_more_irregular_gait_are_less_sure_and_as_long(walked):
+    gait = walked[1].gait
+    landings = [replace(gait.landings, irregularity=np.full(len(gait.landings), m)) for m in (0.01, 0.03, 0.05)]
+    regular, usual, irregular = (steps_of(replace(gait, landings=each), Walker()) for each in landings)
+    assert np.all(regular.sigma_length < usual.sigma_length)
+    assert np.all(usual.sigma_length < irregular.sigma_length)
+    np.testing.assert_array_equal(regular.length, irregular.length)

@@ -17,6 +17,7 @@ from colours import DEUTERANOPIA, lab, lightness, rgb
 from hypothesis import given
 from hypothesis import strategies as st
 from made_walks import SENSORS, estimated, laps, shown
+from plans import plan
 from scipy.stats import chi2
 
 from pdr_graph import geometry
@@ -73,6 +74,50 @@ def test_the_band_contains_95_percent_of_positions():
     least = chi2.cdf(geometry.CHI_SQUARE * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
     noise = 4 * np.sqrt(0.95 * 0.05 / 20_000)
     assert least - noise < inside < 0.95 + noise
+
+
+def along_a_corridor(y):
+    """A walk along y, with sigmas of 3 m across; and on either side of its corridor a hall, 3 m beyond a wall."""
+    x = np.linspace(1.0, 39.0, 39)
+    covariance = np.tile(np.diag([0.5, 3.0, 0.1]) ** 2, (39, 1, 1))
+    track = Trajectory(np.arange(39.0), np.column_stack([x, np.full(39, y)]), np.zeros(39), ("1",) * 39, covariance)
+    return track, plan(*(("corridor", shapely.box(0, low, 40, low + 2)) for low in (-7, -1, 5)))
+
+
+def test_on_a_plan_the_region_is_its_walkable_part():
+    track, floor = along_a_corridor(y=0.0)
+    here = np.ones(39, dtype=bool)
+    everywhere = geometry.confidence_band(track, here)
+    on_plan = shapely.union_all(page_module.region(track, here, floor))
+    assert shapely.area(shapely.difference(on_plan, floor.walkable)) < 1e-9, "nothing of it is in a shop"
+    lost = shapely.difference(shapely.intersection(shapely.union_all(everywhere), floor.walkable), on_plan)
+    assert shapely.area(lost) < 1e-9, "all of it that is walkable remains, beyond walls too"
+    assert len(shapely.get_parts(on_plan)) == 3
+
+
+def test_a_walk_that_left_the_plan_keeps_its_whole_region():
+    track, floor = along_a_corridor(y=-20.0)
+    here = np.ones(39, dtype=bool)
+    whole = shapely.union_all(geometry.confidence_band(track, here))
+    assert shapely.equals_exact(
+        *(shapely.normalize(s) for s in (whole, shapely.union_all(page_module.region(track, here, floor)))), 1e-9
+    )
+
+
+def test_a_block_within_the_region_is_a_hole_in_its_rings():
+    """Exteriors and holes have opposite directions, so that a page fills the one and not the other."""
+    track, _ = along_a_corridor(y=0.0)
+    shop = shapely.box(15, 1, 25, 3)
+    floor = plan(("corridor", shapely.difference(shapely.box(0, -30, 40, 30), shop)))
+    rings = page_module.rings(page_module.region(track, np.ones(39, dtype=bool), floor))
+    x, y = decoded(rings["x"]), decoded(rings["y"])
+    ends = np.flatnonzero(np.isnan(x))
+    areas = [
+        np.sum(x[a:b] * np.roll(y[a:b], -1) - y[a:b] * np.roll(x[a:b], -1)) / 2
+        for a, b in zip([0, *(ends[:-1] + 1)], ends, strict=True)
+    ]
+    assert sorted(np.sign(areas) * np.sign(areas[0])) == [-1, 1]
+    assert min(areas, key=abs) * -np.sign(areas[0]) == pytest.approx(20.0, abs=0.2)
 
 
 def signal(values, rate=100.0):

@@ -106,14 +106,16 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], server: TileServer
     axes.spines[:].set(visible=True, edgecolor=MAP_BORDER)
     if isinstance(panel.frame, MercatorFrame):
         server.draw(axes, panel.frame, shown)
+    floor = None
     if panel.plan:
         try:
-            draw_plan(axes, floor_of(panel))
+            floor = floor_of(panel)
+            draw_plan(axes, floor)
         except InputError as error:
             axes.set_xlabel(one_line(str(error)))
     for way in (near for own in panel.ways for track in own for near in _parts_near(track, shown)):
         if way.covariance is not None:
-            draw_uncertainty(axes, way, panel.floor or None)
+            draw_uncertainty(axes, way, panel.floor or None, floor)
     if panel.plan and not panel.ways:
         heat = np.ma.masked_less(time_by_place(panel.drawn, shown), LEAST_HEAT)
         axes.imshow(heat.T, cmap="YlOrRd", norm="log", alpha=0.7, origin="lower", extent=shown.T.ravel(), zorder=2)

@@ -43,11 +43,21 @@ from pdr_graph.apps.lifelog.timeline import (
     timeline_csv,
 )
 from pdr_graph.apps.report.charts_and_tables import chart, sigma, table
-from pdr_graph.apps.report.page import CENTIMETRE, CENTISECOND, ON_NO_MAP, column, plan_drawing, rings, runs, track
+from pdr_graph.apps.report.page import (
+    CENTIMETRE,
+    CENTISECOND,
+    ON_NO_MAP,
+    column,
+    plan_drawing,
+    region,
+    rings,
+    runs,
+    track,
+)
 from pdr_graph.apps.report.page import page as interactive_page
 from pdr_graph.apps.report.plotting import picture_bytes
 from pdr_graph.errors import InputError, count, one_line
-from pdr_graph.geometry import confidence_band
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.notebook_html import BLUE
 from pdr_graph.types import Trajectory
 
@@ -188,10 +198,15 @@ def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
 def _map(panel: Panel, number: int) -> dict[str, Any]:
     """A map; its plan is None if it has none, or its file is no longer there."""
     name = " ".join(word for word in (panel.letter, panel.floor) if word) or f"map {number + 1}"
-    plan = None
+    floor = _plan(panel)
+    return {"name": name, "corners": panel.corners.tolist(), "plan": plan_drawing(floor) if floor else None}
+
+
+def _plan(panel: Panel) -> FloorPlan | None:
+    """The floor plan of a map; None if it has none, or its file is no longer there."""
     with suppress(InputError):
-        plan = plan_drawing(floor_of(panel)) if panel.plan else None
-    return {"name": name, "corners": panel.corners.tolist(), "plan": plan}
+        return floor_of(panel) if panel.plan else None
+    return None
 
 
 def _joined(paths: Iterable[Trajectory]) -> Trajectory:
@@ -219,7 +234,8 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
     on = [number if panel.floor in ("", label) else ON_NO_MAP for label in way.floor]
     regions: list[Any] = [None] * maps
     parts = [path for own in panel.ways for path in own]
-    bands = [confidence_band(path, np.array([panel.floor in ("", label) for label in path.floor])) for path in parts]
+    floor = _plan(panel)
+    bands = [region(path, np.array([panel.floor in ("", label) for label in path.floor]), floor) for path in parts]
     regions[number] = rings(np.concatenate(bands))
     yield track("where", BLUE, way, on, width=0, walker=True, lead=True, bands=regions)
 

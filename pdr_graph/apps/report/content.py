@@ -224,7 +224,8 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
             "width": 0.7 if many else 1.4,
         }
         if path is result:
-            style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
+            floors = [None if report.building is None else report.building[label] for label in labels]
+            style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), floors)}
             walked = bool(report.summary["steps"])
             style |= {"gaps": _gaps(report.steps, [] if walked else report.estimate.fixes)}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))

@@ -28,7 +28,7 @@ import shapely
 from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band
-from pdr_graph.types import Array, Index, Trajectory
+from pdr_graph.types import Array, Index, Mask, Trajectory
 
 # Colours and margin of all pictures and reports
 SOLID_FILL, BORDER, EDGES, OUTDOORS, WALKABLE_COLOUR = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
@@ -154,6 +154,7 @@ def _points(line: Array) -> str:
     return f"{first}l{' '.join(others)}" if others else first
 
 
+OFF_PLAN = 1.0  # [m] from the walkable area at which a walk has left the plan
 ON_EVERY_MAP, ON_NO_MAP = -1, -2  # instead of a map number: on every map, on none
 
 
@@ -184,15 +185,30 @@ def track(name: str, colour: str, path: Trajectory, on: Sequence[int], **style: 
     return drawn | style
 
 
-def bands(path: Trajectory, on: Sequence[int], maps: int) -> list[dict[str, Any]]:
-    """The 95 % region of a path on each of ``maps`` maps, as rings."""
+def bands(path: Trajectory, on: Sequence[int], floors: Sequence[FloorPlan | None]) -> list[dict[str, Any]]:
+    """The 95 % region of a path on the map of each floor, None without a plan, as rings."""
     where = np.array(on)
-    return [rings(confidence_band(path, (where == n) | (where == ON_EVERY_MAP))) for n in range(maps)]
+    return [rings(region(path, (where == n) | (where == ON_EVERY_MAP), floor)) for n, floor in enumerate(floors)]
+
+
+def region(path: Trajectory, here: Mask, floor: FloorPlan | None) -> np.ndarray:
+    """Polygons ``(k,)`` that make the 95 % region of the rows ``here (n,)``; on a plan, its walkable part.
+
+    Around rows that are more than OFF_PLAN from the walkable area, where the plan does not hold, the region is whole.
+    """
+    hulls = confidence_band(path, here)
+    if floor is None or not len(hulls):
+        return hulls
+    shapely.prepare(floor.walkable)
+    on_plan = shapely.dwithin(floor.walkable, shapely.centroid(hulls), OFF_PLAN)
+    walkable = shapely.intersection(shapely.union_all(hulls[on_plan]), floor.walkable)
+    whole = shapely.buffer(shapely.union_all([walkable, *hulls[~on_plan]]), 0.0)  # without lines where both touch
+    return shapely.normalize(shapely.get_parts(whole))
 
 
 def rings(polygons: Array) -> dict[str, Any]:
-    """Corners of the rings of polygons ``(k,)``, rings separated by None."""
-    parts = [np.append(shapely.get_coordinates(p), [[np.nan, np.nan]], axis=0) for p in polygons]
+    """Corners of the rings of polygons ``(k,)``, rings separated by None; holes run the other way round."""
+    parts = [np.append(shapely.get_coordinates(r), [[np.nan, np.nan]], axis=0) for r in shapely.get_rings(polygons)]
     x, y = np.concatenate([np.empty((0, 2)), *parts]).T
     return {"x": column(x, CENTIMETRE), "y": column(y, CENTIMETRE)}
 

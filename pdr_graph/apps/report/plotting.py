@@ -37,13 +37,14 @@ from pdr_graph.apps.report.page import (
     TRUTH,
     WALKABLE_COLOUR,
     plan_layers,
+    region,
 )
 from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, OPEN, SOLID
 from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import confidence_band, interpolate, nearest
+from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array, Estimate, Mask, Trajectory
@@ -95,7 +96,7 @@ def plot(
         if paths is not None:
             _draw_ways(axes, paths)
         several = len(floors) > 1
-        _draw_walk(axes, estimate, truth, floors[n].label if several else None)
+        _draw_walk(axes, estimate, truth, floors[n].label if several else None, floors[n] if floors else None)
         axes.set_title(printable(f"{floors[n].label}   {title}" if several else title))
         draw_scale(axes)
     _draw_legend(figure, canvases)
@@ -132,13 +133,15 @@ def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[Flo
     return tuple(f for f in floors if f.label in track.floor) or floors[:1]
 
 
-def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: str | None) -> None:
+def _draw_walk(
+    axes: Axes, estimate: Estimate, truth: Trajectory | None, label: str | None, floor: FloorPlan | None
+) -> None:
     """Draw the part of a walk on the floor with this label; all of it without a label."""
     track = _on(estimate.trajectory, label)
     if estimate.dead_reckoning is not estimate.trajectory:
         reckoned = _on(estimate.dead_reckoning, label)
         axes.plot(*reckoned.T, color=GREY, lw=1.2, ls="--", label="dead reckoning, rigidly aligned")
-    draw_uncertainty(axes, estimate.trajectory, label)
+    draw_uncertainty(axes, estimate.trajectory, label, floor)
     for number, (probability, route) in enumerate(estimate.routes[1:]):
         named = "other routes, with probability" if number == 0 else None
         path = _on(route, label)
@@ -330,10 +333,10 @@ def _draw_shape(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
         axes.add_collection(LineCollection(lines, **style))
 
 
-def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
-    """Draw the union of the 95 % ellipses of the steps."""
-    region = shapely.union_all(confidence_band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
-    _draw_shape(axes, region, facecolor=BAND, lw=0, alpha=0.3, label="95 % region")
+def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None, floor: FloorPlan | None = None) -> None:
+    """Draw the union of the 95 % ellipses of the steps; on a plan, its walkable part."""
+    whole = shapely.union_all(region(trajectory, np.isfinite(_on(trajectory, label)[:, 0]), floor))
+    _draw_shape(axes, whole, facecolor=BAND, lw=0, alpha=0.3, label="95 % region")
 
 
 def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:

@@ -179,8 +179,7 @@ def whole_pieces(steps: Steps) -> Array:
     pauses, moves = rows[0:-1:2], rows[1::2]
     pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
     moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
-    sigma_lateral = np.where(~steps.is_gap, MOTION.lateral, steps.sigma_length)  # the direction of a gap is unknown
-    moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
+    moves[:, 3:] = np.stack([steps.sigma_length, steps.sigma_length, steps.sigma_turn], axis=1) ** 2
     rows[-1, :3] = steps.end, 0.0, steps.final_turn
     rows[0::2, 5] = MOTION.standing_turn**2
     rows[:, 0] = np.round(rows[:, 0], DECIMALS)

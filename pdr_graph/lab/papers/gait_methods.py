@@ -20,7 +20,7 @@ from pdr_graph.gait.heading import UNKNOWN, Direction, Forward, at_step_frequenc
 from pdr_graph.gait.step_detection import Landings
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.lab.papers.attitude_filters import running_mean
-from pdr_graph.priors import FORWARD, STEP
+from pdr_graph.priors import FORWARD, IRREGULARITY, STEP
 from pdr_graph.types import Array, Index, Mask
 
 # [s] standard deviation of the Gaussian over |a|: half power at 1.9 Hz, where people walk; heel strikes ring at 10 Hz
@@ -153,9 +153,9 @@ def _landings(attitude: Attitude, peaks: Index, height: Array) -> Landings:
 
 
 def _landings_at(time: Array, amplitude: Array, attitude: Attitude) -> Landings:
-    """Landings without a rhythm and without doubt."""
-    usual, sure = np.full(len(time), STEP.usual), np.ones(len(time))
-    return Landings.at(np.stack([time, amplitude, usual, sure], axis=1), float(attitude.time[0]))
+    """Landings without a rhythm and without doubt, as regular as usual."""
+    columns = np.broadcast_arrays(time, amplitude, STEP.usual, 1.0, IRREGULARITY.usual)
+    return Landings.at(np.stack(columns, axis=1), float(attitude.time[0]))
 
 
 PRINCIPAL_WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz
