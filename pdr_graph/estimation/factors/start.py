@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, Doubted, FactorBlock, Measurement, Remembered, State
+from pdr_graph.estimation.factors.base import AnyArray, Doubted, FactorBlock, Loss, Measurement, Remembered, State
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
@@ -77,13 +77,48 @@ class Prior:
         return max(1.0, *(prior.mean[0] for prior in (self, self.another) if prior is not None))
 
 
+@dataclass(frozen=True)
+class HeavyTail(Loss):
+    """Negative logarithm of a mixture of two Gaussians: few gyroscopes drift much further than the others.
+
+    −log[(1 − ν) N(s; 0, 1) + ν N(s; 0, far)] + constant, ν = WALKER.drifting. Its weight is the mean information of
+    the two, each with its probability at s; it has one minimum.
+
+    far: ``(n,)`` sigma of the rare one, in those of the usual one.
+    """
+
+    far: Array
+
+    def _logarithms(self, deviation: Array) -> tuple[Array, Array]:
+        """Logarithms ``(n,)`` of both densities at deviations ``(n,)``, less that of the usual one at 0."""
+        odds = WALKER.drifting / (1 - WALKER.drifting)
+        return -0.5 * deviation**2, np.log(odds / self._far) - 0.5 * (deviation / self._far) ** 2
+
+    @property
+    def _far(self) -> Array:
+        return np.maximum(self.far, 1.0)
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        usual, rare = self._logarithms(deviation)
+        with np.errstate(over="ignore"):
+            return self._far**-2.0 + (1 - self._far**-2.0) / (1 + np.exp(rare - usual))
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ], 0 at 0."""
+        (usual, rare), (_, at_0) = self._logarithms(deviation), self._logarithms(np.zeros(len(deviation)))
+        larger = np.maximum(usual, rare)
+        return np.log1p(np.exp(at_0)) - larger - np.log1p(np.exp(usual + rare - 2 * larger))
+
+
 @dataclass(frozen=True, eq=False)
 class CalibrationFactor(Remembered, Doubted):
     """Prior and slow change of stride, turn and gyro coefficients.
 
     r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with λ(R_s) for R_s (`scaled`), of relative sigma
 
-    [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
+    [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3. The last row of the root of Σ₀⁻¹ is upper triangular: it
+    is the prior of b alone, and has the loss of `HeavyTail`.
 
     begins: by row, mean ``(3,)`` and covariance ``(3, 3)`` of the segments that start a walk; change: standard
     deviations of the change from one segment to the next.
@@ -135,13 +170,14 @@ class CalibrationFactor(Remembered, Doubted):
             diagonal = np.eye(3) / sigma[:, None]
             return [-diagonal * by_moved[later - 1], diagonal * by_moved[later]]
 
+        prior = np.einsum("nij,nj->ni", root, begun)
+        tail = HeavyTail(WALKER.far * root[:, 2, 2])
         return [
             FactorBlock.uniform(
-                f"{self.name}.begin",
-                np.einsum("nij,nj->ni", root, begun),
-                [("c", first)],
-                lambda: [root * by_begun],
-                number[first],
+                f"{self.name}.begin", prior[:, :2], [("c", first)], lambda: [(root * by_begun)[:, :2]], number[first]
+            ),
+            FactorBlock.uniform(
+                f"{self.name}.drift", prior[:, 2:], [("c", first)], lambda: [root[:, 2:]], number[first], loss=tail
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
