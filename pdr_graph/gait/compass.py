@@ -65,9 +65,10 @@ def compass_measurements(
             compass.update(piece)
             headings |= {found.stretch: found for found in compass.advance()}
             drifts |= {found.stretch: found for found in compass.advance_drifts()}
-    of_heading = [(found.time, found.heading, found.sigma) for found in headings.values() if np.isfinite(found.sigma)]
-    of_drift = [(found.time, found.drift, found.sigma) for found in drifts.values() if np.isfinite(found.sigma)]
-    return Headings(*np.array(of_heading).reshape(-1, 3).T), Drifts(*np.array(of_drift).reshape(-1, 3).T)
+    rows = [(found.time, found.heading, found.sigma) for found in headings.values() if np.isfinite(found.sigma)]
+    time, heading, sigma = np.array(rows).reshape(-1, 3).T
+    rows = [(found.time, found.drift, found.sigma) for found in drifts.values() if np.isfinite(found.sigma)]
+    return Headings(time, heading, sigma), Drifts(*np.array(rows).reshape(-1, 3).T)
 
 
 def straightest(heading: Array, among: Index, reach: int) -> int:
@@ -513,7 +514,7 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     level = np.hypot(world[:, 0], world[:, 1])
     valid = np.all(errors < NORTH.disturbed, axis=0) & (level > NORTH.weakest * earth.magnitude * np.cos(earth.dip))
     if np.mean(valid) < NORTH.least_valid:
-        return North(*np.empty((3, 0)))
+        return North(np.empty(0), np.empty(0), np.empty(0))
     observed = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
     variance = NORTH.undisturbed**2 + np.sum(errors**2, axis=0) / np.cos(earth.dip) ** 2
     drift, drift_sigma = gyro_drift(time[valid], observed[valid], 1 / variance[valid])

@@ -93,4 +93,7 @@ class DriftFactor(Itemized):
         drifts, off = take(self.drifts, self._bound[which]), -block.residual[which]
         columns = (drifts.time, drifts.drift, drifts.sigma, off * drifts.sigma, block.weight[which], np.abs(off))
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        return tuple(DriftReport(*row, f"{sigmas:.1f} sigma from the walk") for *row, sigmas in rows)
+        return tuple(
+            DriftReport(time, drift, sigma, residual, weight, f"{sigmas:.1f} sigma from the walk")
+            for time, drift, sigma, residual, weight, sigmas in rows
+        )
