@@ -410,6 +410,9 @@ class NorthPriors(Table):
     weakest: float = number(
         0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
     )
+    disagree: float = number(
+        0.5, "rad", "residual (rms) of those that measure no drift", "0.06 to 0.41 in 46 real walks", still=(0.5, 1)
+    )
     huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", still=(0.5, 2))
 

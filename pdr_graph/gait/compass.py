@@ -81,6 +81,7 @@ EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
+DRIFT_PARTS = 5  # of the time of the observations of a drift
 FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
 
 
@@ -528,35 +529,37 @@ def gyro_drift(time: Array, north: Array, weight: Array) -> tuple[float, float]:
     """The gyroscope's drift b and its standard deviation [rad/s], by directions of north in the attitude's world.
 
     b is the rate at which all observations agree best: the largest resultant of exp(i (north + b t)), refined by robust
-    least squares. Observations whose residuals (rms) exceed NORTH.disturbed measure no drift: a frozen or mirrored
-    field of a walker who turns. Residuals are alike for twice NORTH.alike, and at least as large as those of a field
-    without disturbances: with that, 46 real walks deviate from the b of their known places by 1.0 sigma (rms).
+    least squares. Observations whose residuals (rms) exceed NORTH.disagree measure no drift: a frozen or mirrored field
+    of a walker who turns. Residuals are alike for twice NORTH.alike, and at least as large as those of a field without
+    disturbances. The sigma is at least that of a jackknife: the drifts without one of DRIFT_PARTS parts of the time.
 
     time: ``(n,)`` [s]; north: ``(n,)`` [rad]; weight: ``(n,)`` relative.
     """
+    alike = 2 * NORTH.alike / NORTH.interval  # observations with the same disturbance
+    if len(time) < 2 * alike * DRIFT_PARTS:
+        return 0.0, np.inf
     weight = weight / weight.sum()
     apart = time - weight @ time
     spread = float(np.sqrt(weight @ apart**2))
-    if not spread > NORTH.alike:
-        return 0.0, np.inf
     rates = np.arange(-NORTH.fastest, NORTH.fastest, 0.5 / spread)
     resultant = np.exp(1j * (north + rates[:, None] * apart)) @ weight
     best = int(np.argmax(np.abs(resultant)))
     drift, towards = float(rates[best]), float(np.angle(resultant[best]))
-    residual, of_inliers = np.zeros(len(time)), weight
+    residual, inlying = np.zeros(len(time)), weight
     for _ in range(5):
         residual = wrap_angle(north + drift * apart - towards)
         rms = float(np.sqrt(weight @ residual**2)) + NORTH.undisturbed
-        of_inliers = weight * np.minimum(1.0, NORTH.huber * rms / np.maximum(np.abs(residual), 1e-9))
-        mean, square = of_inliers @ apart / of_inliers.sum(), of_inliers @ apart**2 / of_inliers.sum()
-        offset = of_inliers @ residual / of_inliers.sum()
-        slope = (of_inliers @ (apart * residual) / of_inliers.sum() - mean * offset) / (square - mean**2)
-        drift, towards = drift - slope, towards + offset - slope * mean
-    if not weight @ residual**2 < NORTH.disturbed**2:
+        inlying = weight * np.minimum(1.0, NORTH.huber * rms / np.maximum(np.abs(residual), 1e-9))
+        slope, offset = np.polyfit(apart, residual, 1, w=np.sqrt(inlying)).tolist()
+        drift, towards = drift - slope, towards + offset
+    if not weight @ residual**2 < NORTH.disagree**2:
         return 0.0, np.inf
-    independent = max(len(time) * NORTH.interval / (2 * NORTH.alike), 1.0)
-    variance = weight @ residual**2 + NORTH.undisturbed**2
-    return float(drift), float(np.sqrt(variance / independent) / spread)
+    variance = (weight @ residual**2 + NORTH.undisturbed**2) / (len(time) / alike) / spread**2
+    part = np.arange(len(time)) * DRIFT_PARTS // len(time)
+    others = [part != k for k in range(DRIFT_PARTS)]
+    slopes = [np.polyfit(apart[rest], residual[rest], 1, w=np.sqrt(inlying[rest]))[0] for rest in others]
+    jackknife = (DRIFT_PARTS - 1) * np.var(slopes)
+    return drift, float(np.sqrt(max(variance, jackknife)))
 
 
 def expected_drift(drift: float, sigma: float) -> float:

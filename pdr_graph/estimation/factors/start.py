@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, Doubted, FactorBlock, Loss, Measurement, Remembered, State
-from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
+from pdr_graph.estimation.factors.base import (
+    GAUSSIAN,
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Loss,
+    Measurement,
+    Remembered,
+    State,
+)
+from pdr_graph.geometry import ANY_HEADING, as_complex, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
 
@@ -22,7 +31,7 @@ if TYPE_CHECKING:
 
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 WALKER_KIND = "calibration"  # the kind of the prior of the walker, and of the hypothesis about it
-ANOTHER_WALKER = "another walker"
+ANOTHER_WALKER, DRIFTS = "another walker", "gyroscope drifts"
 
 
 @dataclass(frozen=True)
@@ -123,17 +132,44 @@ class CalibrationFactor(Remembered, Doubted):
     begins: by row, mean ``(3,)`` and covariance ``(3, 3)`` of the segments that start a walk; change: standard
     deviations of the change from one segment to the next.
     another: prior of another walker, if the steps were corrected by a profile; assumed: True if this is that prior.
+    drifting: the gyroscope is assumed to be one of those that drift far.
     """
 
     begins: Mapping[int, tuple[Array, Array]]
     change: tuple[float, float, float]
     another: Prior | None = None
     assumed: bool = False
+    drifting: bool = False
 
     name: ClassVar[str] = WALKER_KIND
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
-        """The profile that corrected the steps is of another walker, who has the usual prior before that correction."""
+        """The profile that corrected the steps is of another walker, who has the usual prior before that correction.
+
+        Or the gyroscope drifts far, to either side: the search of the walk may have missed that.
+        """
+        drifts = [] if self.drifting else [self._drifting(at, drift) for drift in (-WALKER.far, WALKER.far)]
+        return (*self._of_another(), *drifts)
+
+    def _drifting(self, at: Evaluation, drift: float) -> Proposal:
+        """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning laid on the walk."""
+        from pdr_graph.estimation.factors.chain import preintegrate
+
+        c = at.state.c.copy()
+        c[:, 2] = drift
+        delta = preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last]
+        heading = np.append(0.0, np.cumsum(delta[:, 2]))
+        track = np.append(0.0, np.cumsum(as_complex(delta[:, :2]) * np.exp(1j * heading[:-1])))
+        walk = as_complex(at.state.poses[:, :2])
+        turn = np.angle(np.vdot(track - track.mean(), walk - walk.mean()))
+        laid = walk.mean() + (track - track.mean()) * np.exp(1j * turn)
+        poses = np.column_stack([laid.real, laid.imag, wrap_angle(heading + turn)])
+        far = WALKER.far * self._priors[2][:, 2, 2]
+        price = float(np.sum(np.log(far * (1 - WALKER.drifting) / WALKER.drifting)))
+        start = at.state.replaced(x=poses, c=c)
+        return Proposal(Hypothesis((self.name, DRIFTS), price=price), (replace(self, drifting=True),), start=start)
+
+    def _of_another(self) -> Sequence[Proposal]:
         if self.another is None:
             return ()
         _, [profile, *_], _ = self._priors
@@ -171,13 +207,20 @@ class CalibrationFactor(Remembered, Doubted):
             return [-diagonal * by_moved[later - 1], diagonal * by_moved[later]]
 
         prior = np.einsum("nij,nj->ni", root, begun)
-        tail = HeavyTail(WALKER.far * root[:, 2, 2])
+        far = WALKER.far * root[:, 2, 2]
+        of_drift = prior[:, 2:] / far[:, None] if self.drifting else prior[:, 2:]
+        by_drift = root[:, 2:] / far[:, None, None] if self.drifting else root[:, 2:]
         return [
             FactorBlock.uniform(
                 f"{self.name}.begin", prior[:, :2], [("c", first)], lambda: [(root * by_begun)[:, :2]], number[first]
             ),
             FactorBlock.uniform(
-                f"{self.name}.drift", prior[:, 2:], [("c", first)], lambda: [root[:, 2:]], number[first], loss=tail
+                f"{self.name}.drift",
+                of_drift,
+                [("c", first)],
+                lambda: [by_drift],
+                number[first],
+                loss=GAUSSIAN if self.drifting else HeavyTail(far),
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
@@ -253,7 +296,9 @@ class StartFactor(Measurement):
 
 @wording_of(CalibrationFactor.name)
 def _wording(hypothesis: Hypothesis) -> Wording:
-    """The profile is of another walker."""
+    """The profile is of another walker, or the gyroscope drifts."""
+    if hypothesis.kind[1] == DRIFTS:
+        return Wording("gyroscope", "the gyroscope drifts far")  # nothing to check: the walk is corrected by it
     text = "the walker's profile does not fit"
     if hypothesis.estimate:
         stride, turn = hypothesis.estimate
