@@ -44,6 +44,7 @@ class DriftFactor(Itemized):
     keyframe: Index = field(metadata=KEYFRAME)
 
     name: ClassVar[str] = "drifts"
+    determines_drift: ClassVar[bool] = True
 
     @classmethod
     def of(cls, drifts: Drifts, steps: Steps, prior: Prior, number: Index | None = None) -> Self:

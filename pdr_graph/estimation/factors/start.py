@@ -146,9 +146,10 @@ class CalibrationFactor(Remembered, Doubted):
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """The profile that corrected the steps is of another walker, who has the usual prior before that correction.
 
-        Or the gyroscope drifts far, to either side: the search of the walk may have missed that.
+        Or the gyroscope drifts far, to either side, if no measurement says how far: the search may have missed that.
         """
-        drifts = [] if self.drifting else [self._drifting(at, drift) for drift in (-WALKER.far, WALKER.far)]
+        known = self.drifting or not self.begins or any(kind.determines_drift for kind in at.measurements)
+        drifts = () if known else (self._drifting(at, drift) for drift in (-WALKER.far, WALKER.far))
         return (*self._of_another(), *drifts)
 
     def _drifting(self, at: Evaluation, drift: float) -> Proposal:
