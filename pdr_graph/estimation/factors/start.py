@@ -20,6 +20,7 @@ from pdr_graph.estimation.factors.base import (
     Remembered,
     State,
 )
+from pdr_graph.estimation.factors.chain import preintegrate
 from pdr_graph.geometry import ANY_HEADING, as_complex, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
@@ -154,8 +155,6 @@ class CalibrationFactor(Remembered, Doubted):
 
     def _drifting(self, at: Evaluation, drift: float) -> Proposal:
         """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning laid on the walk."""
-        from pdr_graph.estimation.factors.chain import preintegrate
-
         c = at.state.c.copy()
         c[:, 2] = drift
         delta = preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last]
