@@ -409,11 +409,15 @@ class NorthPriors(Table):
 
     interval: float = number(1.0, "s", "between observations", still=(0.5, 2))
     drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
+    fastest: float = number(0.2, "rad/s", "largest drift of a gyroscope that is sought: REST.largest_bias")
     undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
     alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(0.5, 2))
     disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 2))
     weakest: float = number(
         0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
+    )
+    disagree: float = number(
+        0.5, "rad", "residual (rms) of those that measure no drift", "0.06 to 0.41 in 46 real walks", still=(0.5, 1)
     )
     huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", still=(0.5, 2))
@@ -482,10 +486,14 @@ class WalkerPriors(Table):
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
-        "of an unknown walker; b covers all phones",
+        "of an unknown walker; b covers all phones but the share ``drifting``",
         "fit of b: docs/results/drift.md; JUDGEMENT",
         still=(0.5, 2),
     )
+    drifting: float = number(
+        0.05, "share", "of gyroscopes that drift by ``far``", "fit: docs/results/drift.md", still=(0.5, 2)
+    )
+    far: float = number(0.03, "rad/s", "sigma of b of such a gyroscope", "fit: docs/results/drift.md", still=(0.5, 2))
     change: tuple[float, float, float] = number(
         (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", still=(0.5, 2)
     )

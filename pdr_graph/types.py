@@ -37,6 +37,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
+LARGEST_DRIFT = 1.0  # [rad/s] of a gyroscope: a larger one is in other units
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
 FARTHEST = 1e8  # [m] largest coordinate and sigma of a usable position: eastings with their zone have up to 6e7
 FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
@@ -376,6 +377,28 @@ class Headings(Rows, row="heading"):
     def shifted(self, seconds: float) -> Headings:
         """The headings at times that are `seconds` later."""
         return replace(self, time=self.time + seconds)
+
+
+@dataclass(frozen=True)
+class Drifts(Rows, row="drift"):
+    """Measured drifts of the gyroscope about the vertical, which its own bias estimate has left.
+
+    time: ``(n,)`` [s], increasing; drift: ``(n,)`` b, by which turns are too small per time, counter-clockwise [rad/s].
+    sigma: ``(n,)`` of independent errors [rad/s].
+    """
+
+    time: Array
+    drift: Array
+    sigma: Array
+
+    limits: ClassVar[Limits] = {"drift": (-LARGEST_DRIFT, LARGEST_DRIFT), "sigma": (FINEST, 1e3)}
+    most: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on values that would make an estimate NaN or silently wrong."""
+        check_finite(self, "time", "drift", "sigma")
+        check_each("Drifts.drift", np.abs(self.drift) <= LARGEST_DRIFT, self.drift, "radians per second")
+        check_each("Drifts.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad/s")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
-from pdr_graph.gait.compass import magnetic_headings
+from pdr_graph.gait.compass import compass_measurements
 from pdr_graph.gait.steps import GaitSignals, detect_steps, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, wrap_angle
@@ -66,6 +66,7 @@ from pdr_graph.types import (
     Array,
     Beacons,
     Contradiction,
+    Drifts,
     Estimate,
     Fixes,
     FixReport,
@@ -517,8 +518,9 @@ def observe(evidence: Evidence) -> Evidence:
     """
     if evidence.walk.has_acceleration or not (evidence.steps or len(evidence.fixes)):
         gaits = gait_signals(evidence.walk)
-        steps, headings = detected(evidence, gaits)
-        evidence = with_network(replace(evidence, steps=steps, headings=headings), gaits)
+        steps, headings, drifts = detected(evidence, gaits)
+        evidence = replace(evidence, steps=steps, headings=headings, measurements=(drifts,) if len(drifts) else ())
+        evidence = with_network(evidence, gaits)
     return with_tables(evidence)
 
 
@@ -537,13 +539,17 @@ def with_network(evidence: Evidence, gaits: list[GaitSignals]) -> Evidence:
     return replace(evidence, walk=walk, notes=(*evidence.notes, *notes))
 
 
-def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headings]:
-    """The steps in the gait signals of a walk, and their headings; a stated start heading is the first."""
-    steps, headings = detect_steps(gaits, evidence.walker), magnetic_headings(gaits, evidence.frame, evidence.near)
+def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headings, Drifts]:
+    """The steps in the gait signals of a walk, and headings and drifts by its compass.
+
+    A stated start heading is the first heading.
+    """
+    steps = detect_steps(gaits, evidence.walker)
+    headings, drifts = compass_measurements(gaits, evidence.frame, evidence.near)
     if evidence.start_heading is not None and len(steps):
         row = (steps.time[:1], np.array([evidence.start_heading]), np.array([INITIAL.heading_sigma]), (START,))
         headings = Headings.concatenate([Headings(*row), headings])
-    return steps, headings
+    return steps, headings, drifts
 
 
 def with_tables(evidence: Evidence) -> Evidence:
@@ -556,7 +562,7 @@ def with_tables(evidence: Evidence) -> Evidence:
     evidence = replace(
         evidence,
         headings=Headings.concatenate([evidence.headings, *headings]) if headings else evidence.headings,
-        measurements=by_type([table for table in tables if not isinstance(table, Headings)]),
+        measurements=by_type([*evidence.measurements, *(each for each in tables if not isinstance(each, Headings))]),
     )
     evidence, heard = _with_floors(_on_foot(evidence)), evidence.walk.bluetooth
     if evidence.steps is None or heard is None or evidence.beacons is None:
@@ -592,7 +598,7 @@ def _with_floors(evidence: Evidence) -> Evidence:
     only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
     start = only or evidence.options.floor or next((label for label in fixes.floor if label), "")
     begun = [_begun_on(evidence, steps, start)]
-    if building is not None and not start and not len(fixes) and not evidence.measurements:
+    if building is not None and not start and not len(fixes) and {Drifts}.issuperset(map(type, evidence.measurements)):
         every = {label: _begun_on(evidence, steps, label) for label in building.labels}
         begun = [one for label, one in every.items() if one.floors and one.floors.labels[0] == label] or begun
     floors = begun[0].floors

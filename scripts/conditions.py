@@ -16,13 +16,14 @@ import shapely
 from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
-from pdr_graph import FloorPlan, detect_steps, magnetic_headings, smooth
+from pdr_graph import FloorPlan, detect_steps, smooth
 from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded, walks_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.floor.network import Network
 from pdr_graph.frames import Frame
+from pdr_graph.gait.compass import compass_measurements
 from pdr_graph.gait.learned import Velocities
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import Profile, Walker
@@ -41,7 +42,19 @@ from pdr_graph.lab.simulation.sensors import (
     receptions,
 )
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.types import NONE, Beacons, Fixes, Headings, Ranges, Recording, Steps, Trajectory, last_time, take
+from pdr_graph.types import (
+    NONE,
+    Beacons,
+    Drifts,
+    Fixes,
+    Headings,
+    Ranges,
+    Recording,
+    Steps,
+    Trajectory,
+    last_time,
+    take,
+)
 from pdr_graph.walk import Evidence, Options, observe, read
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -118,6 +131,7 @@ CLOCK = 2.0  # [s] by which the clock of another device is late
 WEAKER, FLATTER = -10.0, 0.8  # [dB] and factor of the levels about their mean, of another phone
 ANOTHERS = (0.85, 1.15)  # strides by the profile of another walker
 LEARNT, SPEED = (0.02, 0.002, 0.02), 1.3  # sigmas [-, rad/m, -] of a profile's coefficients, [m/s] of its walk
+DRIFT = np.radians(1.9)  # [rad/s] of a gyroscope, as in the museum's Trial27
 JUMPS, JUMP_TIME, TREMBLE, CONFIDENT = 3, 15.0, 0.2, 3.0  # jumps of so many s; [m] of a frozen place; factor
 REBUILT, MOVED_MAP = 0.4, 12.0  # share of the floor; [m] by which its fingerprints are elsewhere
 COMPASS, MISPLACED, STRIDE, SHIFT = np.radians(40.0), 8.0, 1.4, 5.0  # [rad], [m], factor, [m]
@@ -233,6 +247,7 @@ class SimulatedWalk:
     seed: int
     steps: Steps
     headings: Headings
+    drifts: Drifts
     truth: Trajectory
     body: Body
     plan: FloorPlan | None
@@ -257,10 +272,11 @@ def walk_along(corners, setting, seed, random, plan, content):
     gaits = gait_signals(simulation.recording())
     steps, factor = detect_steps(gaits), np.exp(WALKER_STRIDE * random.standard_normal())
     steps = replace(steps, length=factor * steps.length, sigma_length=factor * steps.sigma_length)
-    headings = magnetic_headings(gaits, simulation.frame, corners[0])
+    headings, drifts = compass_measurements(gaits, simulation.frame, corners[0])
     time, course = gaits[0].attitude.time, gaits[0].direction.heading
     frame = np.polyfit(time, course - np.interp(time, simulation.body.time, simulation.body.heading), 1)
-    return SimulatedWalk(setting, seed, steps, headings, simulation.truth[::EVERY], simulation.body, plan, frame)
+    truth = simulation.truth[::EVERY]
+    return SimulatedWalk(setting, seed, steps, headings, drifts, truth, simulation.body, plan, frame)
 
 
 def route_of(setting, seed, random, length):
@@ -341,7 +357,7 @@ def measured(walk, sources):
 def seen(walk):
     """A walk by its steps and headings alone."""
     nothing = Recording(walk.setting, 0.0, None), Walker(), None, Frame(), Fixes.none()
-    return Evidence(*nothing, steps=walk.steps, headings=walk.headings)
+    return Evidence(*nothing, steps=walk.steps, headings=walk.headings, measurements=(walk.drifts,))
 
 
 def with_table(given, table):
@@ -551,9 +567,23 @@ def in_middle(velocity, lasting):
 def compass(given, walk, lie, random):
     """The phone's compass: none, or off."""
     if lie == "none":
-        return replace(given, headings=Headings.none())
+        others = tuple(table for table in given.measurements if not isinstance(table, Drifts))
+        return replace(given, headings=Headings.none(), measurements=others)
     side = random.choice([-1, 1])
     return replace(given, headings=replace(walk.headings, heading=walk.headings.heading + side * COMPASS))
+
+
+def gyroscope(given, walk, lie, random):
+    """A gyroscope that drifts, in all turns and in what the compass measures of it."""
+    steps, rate = given.steps, DRIFT * random.choice([-1, 1])
+    lasting = np.diff(steps.time, prepend=steps.start)
+    turned = {
+        "turn": steps.turn + rate * lasting,
+        "pause_turn": steps.pause_turn + rate * (lasting - steps.duration),
+        "final_turn": steps.final_turn + rate * (steps.end - steps.time[-1]),
+    }
+    tables = [replace(t, drift=t.drift - rate) if isinstance(t, Drifts) else t for t in given.measurements]
+    return replace(given, steps=replace(steps, **turned), measurements=tuple(tables))
 
 
 def stride(given, walk, lie, random):
@@ -610,6 +640,6 @@ def with_shapes(plan, change):
 
 
 PLAN_LIES = {"5 m shifted": shifted_plan, "a door missing": without_door, "of another floor": another_floor}
-SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, network, compass, stride, profile, plan)
+SOURCES = (beacons, user_fixes, start, end, radio_map, ranges, network, compass, gyroscope, stride, profile, plan)
 SOURCES = {source.__name__.replace("_", " "): source for source in SOURCES}
 SOURCES |= {"GNSS": gnss, "GNSS and speed": gnss_and_speed}

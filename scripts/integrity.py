@@ -82,6 +82,8 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             Row((NO_COMPASS, "user fixes")),
             Row(("user fixes",), (NO_COMPASS, "user fixes")),
             Row(("compass: 40° off", "user fixes"), (NO_COMPASS, "user fixes")),
+            Row(("gyroscope: drifts by 1.9°/s", "user fixes")),
+            Row((NO_COMPASS, "gyroscope: drifts by 1.9°/s", "user fixes")),
             Row(("stride: 40 % off", "user fixes")),
             Row(("profile", "user fixes"), ("user fixes",)),
             Row(("profile: of somebody else", "user fixes"), ("user fixes",)),
@@ -98,6 +100,7 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             Row(("start", "end"), ("start",)),
             Row((NO_COMPASS, "start", "end")),
             Row(("compass: 40° off", "start", "end"), (NO_COMPASS, "start", "end")),
+            Row(("gyroscope: drifts by 1.9°/s", "start", "end")),
         ],
     ),
     "ranges": (

@@ -247,7 +247,7 @@ def test_one_module_makes_evidence_of_files_and_a_result_of_evidence():
     steps = {
         "pdr_graph.io.tables.read_fixes",
         "pdr_graph.plausibility.Plausibility",
-        "pdr_graph.gait.compass.magnetic_headings",
+        "pdr_graph.gait.compass.compass_measurements",
         "pdr_graph.estimation.smoother.smooth",
     }
     assert steps <= imported(MODULES["pdr_graph.walk"]), "a control"

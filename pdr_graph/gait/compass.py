@@ -30,8 +30,8 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import gaussian_weights, interpolate, nearest, wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.inertial.sensor_stream import SensorStream
-from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MAGNETOMETER, MOTION, NORTH, REST
-from pdr_graph.types import Array, Headings, Index, Recording, Signal
+from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MAGNETOMETER, MOTION, NORTH, REST, WALKER
+from pdr_graph.types import Array, Drifts, Headings, Index, Recording, Signal
 
 
 def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, near: Array) -> Headings:
@@ -41,25 +41,34 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
     World Magnetic Model. Returns 0 rows in a frame that is not georeferenced, or without accelerometer, gyroscope and
     magnetometer.
     """
+    return compass_measurements(recording, frame, near)[0]
+
+
+def compass_measurements(
+    recording: Recording | list[GaitSignals], frame: Frame, near: Array
+) -> tuple[Headings, Drifts]:
+    """The `magnetic_headings`, and the drifts of the gyroscope against the magnetic field."""
     expect("magnetic_headings, recording", recording, Recording, list, instead="load(path)")
     expect("magnetic_headings, frame", frame, Frame, instead="FloorPlan.frame or frame_of(fixes)")
     expect("magnetic_headings, near", near, np.ndarray, instead="fixes.position[0]")
     whole = recording if isinstance(recording, Recording) else recording[0].recording
     field = whole.magnetometer
     if not frame.georeferenced or field is None or whole.accelerometer is None or whole.gyroscope is None:
-        return Headings.none()
+        return Headings.none(), Drifts(*np.empty((3, 0)))
     compass, used = LiveCompass(reach=2 * COMPASS.longest_stretch), 0
     compass.locate(frame, near, whole.epoch)
-    of_stretch: dict[int, LiveHeading] = {}
+    headings, drifts = dict[int, LiveHeading](), dict[int, LiveDrift]()
     for gait in gait_signals(recording):
         for piece in gait.pieces(EVALUATION_INTERVAL):
             before, used = used, int(np.searchsorted(field.time, piece.attitude.time[-1], side="right")) + 1
             compass.push(field.time[before:used], field.values[before:used])
             compass.update(piece)
-            of_stretch |= {found.stretch: found for found in compass.advance()}
-    rows = [(found.time, found.heading, found.sigma) for found in of_stretch.values() if np.isfinite(found.sigma)]
+            headings |= {found.stretch: found for found in compass.advance()}
+            drifts |= {found.stretch: found for found in compass.advance_drifts()}
+    rows = [(found.time, found.heading, found.sigma) for found in headings.values() if np.isfinite(found.sigma)]
     time, heading, sigma = np.array(rows).reshape(-1, 3).T
-    return Headings(time, heading, sigma)
+    rows = [(found.time, found.drift, found.sigma) for found in drifts.values() if np.isfinite(found.sigma)]
+    return Headings(time, heading, sigma), Drifts(*np.array(rows).reshape(-1, 3).T)
 
 
 def straightest(heading: Array, among: Index, reach: int) -> int:
@@ -72,6 +81,7 @@ EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
+DRIFT_PARTS = 5  # of the time of the observations of a drift
 FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
 
 
@@ -85,6 +95,19 @@ class LiveHeading:
     stretch: int
     time: float
     heading: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class LiveDrift:
+    """The gyroscope's drift b over a stretch, at a time [s], and its standard deviation [rad/s].
+
+    stretch: its number; a drift replaces earlier ones of the same stretch. sigma is infinite to retract them.
+    """
+
+    stretch: int
+    time: float
+    drift: float
     sigma: float
 
 
@@ -127,6 +150,8 @@ class LiveCompass:
         self._earth: EarthField | None = None
         self._east = 0.0
         self._found: list[LiveHeading] = []
+        self._drifts: list[LiveDrift] = []
+        self._drift_at = np.nan  # time of the stretch's drift, if it has one [s]
         self.upside_down = False  # the field pointed up by as much as the earth's points down: accelerations negated
 
     def locate(self, frame: Frame, near: Array, epoch: float | None = None) -> None:
@@ -143,6 +168,11 @@ class LiveCompass:
         """The headings since the last call."""
         found, self._found = self._found, []
         return found
+
+    def advance_drifts(self) -> list[LiveDrift]:
+        """The drifts of the gyroscope since the last call."""
+        drifts, self._drifts = self._drifts, []
+        return drifts
 
     def update(self, gait: GaitSignals) -> None:
         """Add the next samples of the walk that are certain."""
@@ -203,8 +233,9 @@ class LiveCompass:
 
     def _start_stretch(self) -> None:
         """Start a new stretch; the heading of the last one counts as earlier information from now on."""
-        if self.current is not None:
-            self.previous, self.current, self.stretch = self.current, None, self.stretch + 1
+        if self.current is not None or np.isfinite(self._drift_at):
+            self.previous, self.current, self.stretch = self.current or self.previous, None, self.stretch + 1
+        self._drift_at = np.nan
         self.samples, self.incomplete, self.field_count = self.samples[:0], self.incomplete[:0], 0
         self.durations, self.evaluated = self.durations[:0], 0.0
         self.offsets = self.offsets[:0]
@@ -219,7 +250,8 @@ class LiveCompass:
                 self._fill_field()
                 self._evaluate(self._earth, step, self.samples, self.begin, walked)
         long = len(self.samples) * self.spacing >= COMPASS.longest_stretch
-        if long or (self.current is not None and self.end - self.current.time > self.reach):
+        first = min([self.current.time] if self.current is not None else [], default=self._drift_at)
+        if long or self.end - first > self.reach:
             self._start_stretch()
 
     @property
@@ -290,10 +322,12 @@ class LiveCompass:
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
         late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(COMPASS.straight / spacing)]
         if not len(north) or not len(late):
+            self._retract_drift()
             return self._retract()
         sample = straightest(heading, late, round(COMPASS.straight / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
         moment = float(time[sample])
+        self._report_drift(moment, north)
         north_sigma = float(np.interp(moment, north.time, north.sigma))
         if not max(ahead.sigma, north_sigma) < COMPASS.least_certain:
             return self._retract()
@@ -320,6 +354,16 @@ class LiveCompass:
         if self.current is not None:
             self._found.append(LiveHeading(self.stretch, self.current.time, 0.0, np.inf))
             self.current = None
+
+    def _report_drift(self, moment: float, north: North) -> None:
+        """Report the drift of the gyroscope over the stretch, at a time within certain steps [s]."""
+        self._drift_at = min(moment, self.end)
+        self._drifts.append(LiveDrift(self.stretch, self._drift_at, north.drift, north.drift_sigma))
+
+    def _retract_drift(self) -> None:
+        if np.isfinite(self._drift_at):
+            self._drifts.append(LiveDrift(self.stretch, self._drift_at, 0.0, np.inf))
+            self._drift_at = np.nan
 
     def _fill_field(self) -> None:
         """Fill in the magnetic field of the new samples."""
@@ -441,11 +485,14 @@ class North:
 
     time: ``(m,)`` [s]; direction: ``(m,)`` of true north in the attitude's world, counter-clockwise from x, not wrapped
     [rad]; sigma: ``(m,)`` [rad]. 0 rows if the field is too disturbed.
+    drift, drift_sigma: b of the gyroscope by which the attitude's world turns against the field [rad/s].
     """
 
     time: Array
     direction: Array
     sigma: Array
+    drift: float = 0.0
+    drift_sigma: float = np.inf
 
     def __len__(self) -> int:
         return len(self.time)
@@ -471,8 +518,60 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
         return North(np.empty(0), np.empty(0), np.empty(0))
     observed = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
     variance = NORTH.undisturbed**2 + np.sum(errors**2, axis=0) / np.cos(earth.dip) ** 2
+    drift, drift_sigma = gyro_drift(time[valid], observed[valid], 1 / variance[valid])
+    turned = -expected_drift(drift, drift_sigma) * (time - time[0])
     variance = np.where(valid, variance * (1 + 2 * NORTH.alike / NORTH.interval), np.inf)
-    return North(time, *_smoothed(observed, variance))
+    direction, sigma = _smoothed(observed - turned, variance)
+    return North(time, direction + turned, sigma, drift, drift_sigma)
+
+
+def gyro_drift(time: Array, north: Array, weight: Array) -> tuple[float, float]:
+    """The gyroscope's drift b and its standard deviation [rad/s], by directions of north in the attitude's world.
+
+    b is the rate at which all observations agree best: the largest resultant of exp(i (north + b t)), refined by robust
+    least squares. Observations whose residuals (rms) exceed NORTH.disagree measure no drift: a frozen or mirrored field
+    of a walker who turns. Residuals are alike for twice NORTH.alike, and at least as large as those of a field without
+    disturbances. The sigma is at least that of a jackknife: the drifts without one of DRIFT_PARTS parts of the time.
+
+    time: ``(n,)`` [s]; north: ``(n,)`` [rad]; weight: ``(n,)`` relative.
+    """
+    alike = 2 * NORTH.alike / NORTH.interval  # observations with the same disturbance
+    if len(time) < 2 * alike * DRIFT_PARTS:
+        return 0.0, np.inf
+    weight = weight / weight.sum()
+    apart = time - weight @ time
+    spread = float(np.sqrt(weight @ apart**2))
+    rates = np.arange(-NORTH.fastest, NORTH.fastest, 0.5 / spread)
+    resultant = np.exp(1j * (north + rates[:, None] * apart)) @ weight
+    best = int(np.argmax(np.abs(resultant)))
+    drift, towards = float(rates[best]), float(np.angle(resultant[best]))
+    residual, inlying = np.zeros(len(time)), weight
+    for _ in range(5):
+        residual = wrap_angle(north + drift * apart - towards)
+        rms = float(np.sqrt(weight @ residual**2)) + NORTH.undisturbed
+        inlying = weight * np.minimum(1.0, NORTH.huber * rms / np.maximum(np.abs(residual), 1e-9))
+        slope, offset = np.polyfit(apart, residual, 1, w=np.sqrt(inlying)).tolist()
+        drift, towards = drift - slope, towards + offset
+    if not weight @ residual**2 < NORTH.disagree**2:
+        return 0.0, np.inf
+    variance = (weight @ residual**2 + NORTH.undisturbed**2) / (len(time) / alike) / spread**2
+    part = np.arange(len(time)) * DRIFT_PARTS // len(time)
+    others = [part != k for k in range(DRIFT_PARTS)]
+    slopes = [np.polyfit(apart[rest], residual[rest], 1, w=np.sqrt(inlying[rest]))[0] for rest in others]
+    jackknife = (DRIFT_PARTS - 1) * np.var(slopes)
+    return drift, float(np.sqrt(max(variance, jackknife)))
+
+
+def expected_drift(drift: float, sigma: float) -> float:
+    """The mean of a drift that was measured with this sigma, by the prior of all gyroscopes. [rad/s]"""
+    if not np.isfinite(sigma):
+        return 0.0
+    share = np.array([1 - WALKER.drifting, WALKER.drifting])
+    variance = np.array([WALKER.sigma[2], WALKER.far]) ** 2
+    total = variance + sigma**2
+    logarithm = np.log(share) - 0.5 * np.log(total) - 0.5 * drift**2 / total
+    probability = np.exp(logarithm - logarithm.max())
+    return float(drift * (probability @ (variance / total)) / probability.sum())
 
 
 def _smoothed(observed: Array, variance: Array) -> tuple[Array, Array]:

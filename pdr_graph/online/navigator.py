@@ -413,13 +413,15 @@ class Navigator:
             self._floors.push(samples.time + self._gait.offset, samples.values)
         self._gait.push(samples.sensor, samples.time, samples.values)
         certain, provisional = self._gait.advance()
-        headings = self._compass.advance()
-        if certain is None and not headings and provisional is self._provisional:
+        headings, drifts = self._compass.advance(), self._compass.advance_drifts()
+        if certain is None and not headings and not drifts and provisional is self._provisional:
             return  # samples that wait for more: the pose is as before
         self._pose, self._provisional, self._tail = None, provisional, provisional
         for heading in headings:
             self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
             self._filter.add_heading(heading.time, heading.heading, heading.sigma, heading.stretch)
+        for drift in drifts:
+            self._graph.set_drift(-1 - drift.stretch, drift.time, drift.drift, drift.sigma)
         if certain is not None:
             self._extend(certain)
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)

@@ -13,6 +13,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import plan
+from scipy.stats import norm
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, in_corridors, wandering_walk
 
 from pdr_graph.apps.lifelog import multi_day
@@ -35,7 +36,7 @@ from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING, interpolate, unit
 from pdr_graph.priors import LOSSES, MOTION, RECEIVERS
-from pdr_graph.types import Closures, Headings, Levels, Sightings
+from pdr_graph.types import Closures, Drifts, Headings, Levels, Sightings
 
 MARGIN, LOOSE = 0.8, 1.0  # [m] of walls, as the page has them
 
@@ -456,11 +457,26 @@ def test_a_heading_is_an_angle_to_the_walking_direction():
     assert factor.residual == pytest.approx([wrapped(state.poses[k, 2] - 3.0) / 0.4])
 
 
+def test_a_drift_is_a_difference_of_the_calibration():
+    """Each residual is b − z, of the calibration of the steps before its time."""
+    graph = WalkGraph(wandering_walk(210), measurements=[Drifts(np.array([9.0, 90.0]), [0.01, -0.02], [0.002, 0.004])])
+    state = any_state(graph, 1)
+    for row, (z, sigma) in enumerate([(0.01, 0.002), (-0.02, 0.004)]):
+        keyframe = int(np.argmin(np.abs(graph.pieces.keyframe_time - [9.0, 90.0][row])))
+        segment = int(graph.chain.segment[keyframe - 1])
+        (factor,) = factors_with(graph, state, "drifts", ("x", keyframe), ("c", segment))
+        assert factor.residual == pytest.approx([(state.c[segment, 2] - z) / sigma])
+        assert segment == row
+
+
 # Beliefs
 
 
 def test_calibration_is_a_prior_and_a_random_walk():
-    """c₀ about its mean with the prior's covariance, then c_s+1 − c_s of its change; short strides in log scale."""
+    """c₀ about its mean with the prior's covariance, then c_s+1 − c_s of its change; short strides in log scale.
+
+    The drift is distributed as a mixture of two Gaussians, and the other two given the drift as by the usual one.
+    """
 
     def scaled(stride):
         return np.log(stride) if stride < 1 else stride - 1
@@ -469,11 +485,23 @@ def test_calibration_is_a_prior_and_a_random_walk():
     graph = WalkGraph(wandering_walk(210), prior=correlated)
     state = any_state(graph, 0)
     (factor,) = factors_with(graph, state, "calibration.begin", ("c", 0))
+    (drift,) = factors_with(graph, state, "calibration.drift", ("c", 0))
     off = np.append(scaled(state.c[0, 0] / 1.25), state.c[0, 1:] - [1, 0])
     correlation = np.array([[1, 0.3, -0.2], [0.3, 1, 0.1], [-0.2, 0.1, 1]])
     S = np.diag([0.15, 0.03, 0.003]) @ correlation @ np.diag([0.15, 0.03, 0.003])
-    assert factor.residual @ factor.residual == pytest.approx(off @ np.linalg.solve(S, off))
-    assert factor.cost == pytest.approx(off @ np.linalg.solve(S, off) / 2)
+    of_drift = off[2] / 0.003
+    assert drift.residual == pytest.approx([of_drift])
+    assert factor.residual @ factor.residual + of_drift**2 == pytest.approx(off @ np.linalg.solve(S, off))
+    assert factor.cost == pytest.approx((off @ np.linalg.solve(S, off) - of_drift**2) / 2)
+
+    def density(b):
+        return 0.95 * norm.pdf(b, 0, 0.003) + 0.05 * norm.pdf(b, 0, 0.03)
+
+    assert drift.cost == pytest.approx(np.log(density(0) / density(off[2])))
+    b = np.array([-0.1, -0.02, 0.004, 0.01, 0.5])
+    (block,) = graph.evaluate(state).blocks_of("calibration.drift")
+    slope = (np.log(density(b - 1e-7)) - np.log(density(b + 1e-7))) / 2e-7
+    assert block.loss.weight(b / 0.003) * b / 0.003**2 == pytest.approx(slope, rel=1e-4)
     (factor,) = factors_with(graph, state, "calibration.change", ("c", 0), ("c", 1))
     change = np.append(scaled(state.c[1, 0]) - scaled(state.c[0, 0]), (state.c[1] - state.c[0])[1:])
     assert factor.residual == pytest.approx(change / [0.03, 0.005, 0.0005])

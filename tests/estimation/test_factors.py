@@ -21,7 +21,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.learned import Velocities
 from pdr_graph.geometry import interpolate
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Closures, Headings, Ranges
+from pdr_graph.types import Closures, Drifts, Headings, Ranges
 
 HALL = plan(("corridor", shapely.box(-6, -6, 6, 6) - shapely.box(-1, -1, 1, 1)))  # with a pillar: walks press on walls
 
@@ -48,10 +48,11 @@ def received():
 
 
 def with_a_compass():
-    """Several calibration segments, and headings on either side of Huber's width."""
+    """Several calibration segments, and headings and drifts on either side of Huber's width."""
     steps = wandering_walk(210, 4)
     headings = Headings(np.array([9.0, 30.0, 60.0]), np.array([3.0, 0.0, 1.0]), np.array([0.4, 0.1, 2.0]))
-    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=60), headings=headings)
+    drifts = Drifts(np.array([9.0, 70.0]), np.array([0.01, -0.02]), np.array([0.002, 0.05]))
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=60), headings=headings, measurements=[drifts])
 
 
 def closed(stage):

@@ -11,10 +11,12 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame, projected
-from pdr_graph.gait.compass import LiveCompass, LiveHeading
+from pdr_graph.gait.compass import LiveCompass, LiveHeading, compass_measurements, gyro_drift
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
@@ -175,6 +177,48 @@ def test_the_grid_convergence_of_a_projection_is_applied():
     utm = projected(32632)
     east = utm.from_lonlat(np.array([[15.0, 36.0]]))[0]
     assert np.degrees(utm.bearing_of_east(east)) == pytest.approx(6 * np.sin(np.radians(36)), abs=0.1)
+
+
+# Drifts of the gyroscope
+
+
+def drifting(recording, drift):
+    """The recording of a phone whose gyroscope turns faster about the vertical [rad/s], as it is held."""
+    attitude, gyroscope = attitude_of(recording), recording.gyroscope
+    up = interpolate(gyroscope.time, attitude.time, attitude.R_world_device.inv().apply([0.0, 0.0, 1.0]))
+    return replace(recording, gyroscope=Signal(gyroscope.time, gyroscope.values + drift * up))
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.033, -0.1])
+def test_the_field_shows_how_the_gyroscope_drifts(drift):
+    """Oracle: by how much the gyroscope's heading leaves the true one, per second of the first stretch.
+
+    The headings of the walk are as right as without a drift.
+    """
+    for seed in range(3):
+        walk = walked(seed=seed, laps=2)
+        recording = drifting(recorded(walk), drift)
+        headings, drifts = compass_measurements(recording, walk.frame, HERE)
+        attitude = attitude_of(recording)
+        gained = walking_direction(attitude, 1 / walk.walker.cadence).heading
+        gained -= np.interp(attitude.time, walk.body.time, walk.body.heading)
+        stretch = attitude.time < COMPASS.longest_stretch
+        true = -np.polyfit(attitude.time[stretch], gained[stretch], 1)[0]
+        assert abs(true + drift) < 0.01
+        assert abs(drifts.drift[0] - true) < 3 * drifts.sigma[0]
+        assert drifts.sigma[0] < 0.002
+        columns = (headings.time, headings.heading, headings.sigma)
+        assert np.all(np.abs(errors(walk, [LiveHeading(0, *row) for row in zip(*columns, strict=True)])[0]) < 3)
+
+
+@pytest.mark.parametrize("share", [1, 2])
+def test_a_frozen_or_mirrored_north_says_nothing_of_the_drift(share):
+    """That of a walker who turns at a corner every twenty seconds; the control stays where it is."""
+    time, random = np.arange(0.0, 150.0), np.random.default_rng(0)
+    turned = np.pi / 2 * np.cumsum(random.choice([-1, 0, 1], 150, p=[0.025, 0.95, 0.025]))
+    noise = random.normal(0, 0.1, 150)
+    assert gyro_drift(time, noise - share * turned, np.ones(150))[1] == np.inf
+    assert gyro_drift(time, noise, np.ones(150))[1] < 0.001
 
 
 # Live

@@ -181,10 +181,12 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
         raise InputError(recording, "", "no date", "a start time: give --begins")
     check_usable(recording, walk, len(inputs.fixes))
     steps, looks, headings, ends = None, np.empty(0), Headings.none(), None
+    measurements = walk.measurements
     last = [s.time[-1] for s in walk.signals.values()] or [inputs.fixes.time[-1]]
     if walk.has_acceleration:
         gaits = gait_signals(walk)
-        steps, headings = detected(replace(inputs, walker=replace(inputs.walker, profile=None)), gaits)
+        steps, headings, drifts = detected(replace(inputs, walker=replace(inputs.walker, profile=None)), gaits)
+        measurements = (*measurements, drifts) if len(drifts) else measurements
         looks, ends = _turns_in_pauses(gaits, steps), _fields_at_ends(gaits)
     barometer = walk.barometer
     if barometer is not None and barometer.rate > KEPT_BAROMETER_RATE:  # averaged
@@ -210,7 +212,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
         ends=ends,
         profile=inputs.walker.profile,
         notes=inputs.notes,
-        measurements=walk.measurements,
+        measurements=measurements,
     )
 
 

@@ -8,6 +8,7 @@ from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridors import CorridorFactor, PathFactor, TurnFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.gyro_drift import DriftFactor
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.learned_velocity import LearnedVelocityFactor
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
@@ -16,12 +17,13 @@ from pdr_graph.estimation.factors.registry import ON_PLAN, RESERVED, WAYS_OUTDOO
 from pdr_graph.estimation.factors.start import CalibrationFactor, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.gait.learned import Velocities
-from pdr_graph.types import Closures, Fixes, Headings, Levels, Ranges
+from pdr_graph.types import Closures, Drifts, Fixes, Headings, Levels, Ranges
 
 ON_PLAN |= {"directions": CorridorFactor, "turns": TurnFactor, WAYS_OUTDOORS: PathFactor}
 RESERVED |= {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, PathFactor, CalibrationFactor, StartFactor)}
 register(Fixes, FixFactor, GnssBias)
 register(Headings, HeadingFactor)
+register(Drifts, DriftFactor)
 register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)

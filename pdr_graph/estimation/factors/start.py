@@ -10,8 +10,18 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
-from pdr_graph.estimation.factors.base import AnyArray, Doubted, FactorBlock, Measurement, Remembered, State
-from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
+from pdr_graph.estimation.factors.base import (
+    GAUSSIAN,
+    AnyArray,
+    Doubted,
+    FactorBlock,
+    Loss,
+    Measurement,
+    Remembered,
+    State,
+)
+from pdr_graph.estimation.factors.chain import preintegrate
+from pdr_graph.geometry import ANY_HEADING, as_complex, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
 
@@ -22,7 +32,7 @@ if TYPE_CHECKING:
 
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 WALKER_KIND = "calibration"  # the kind of the prior of the walker, and of the hypothesis about it
-ANOTHER_WALKER = "another walker"
+ANOTHER_WALKER, DRIFTS = "another walker", "gyroscope drifts"
 
 
 @dataclass(frozen=True)
@@ -77,28 +87,89 @@ class Prior:
         return max(1.0, *(prior.mean[0] for prior in (self, self.another) if prior is not None))
 
 
+@dataclass(frozen=True)
+class HeavyTail(Loss):
+    """Negative logarithm of a mixture of two Gaussians: few gyroscopes drift much further than the others.
+
+    −log[(1 − ν) N(s; 0, 1) + ν N(s; 0, far)] + constant, ν = WALKER.drifting. Its weight is the mean information of
+    the two, each with its probability at s; it has one minimum.
+
+    far: ``(n,)`` sigma of the rare one, in those of the usual one.
+    """
+
+    far: Array
+
+    def _logarithms(self, deviation: Array) -> tuple[Array, Array]:
+        """Logarithms ``(n,)`` of both densities at deviations ``(n,)``, less that of the usual one at 0."""
+        odds = WALKER.drifting / (1 - WALKER.drifting)
+        return -0.5 * deviation**2, np.log(odds / self._far) - 0.5 * (deviation / self._far) ** 2
+
+    @property
+    def _far(self) -> Array:
+        return np.maximum(self.far, 1.0)
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        usual, rare = self._logarithms(deviation)
+        with np.errstate(over="ignore"):
+            return self._far**-2.0 + (1 - self._far**-2.0) / (1 + np.exp(rare - usual))
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ], 0 at 0."""
+        (usual, rare), (_, at_0) = self._logarithms(deviation), self._logarithms(np.zeros(len(deviation)))
+        larger = np.maximum(usual, rare)
+        return np.log1p(np.exp(at_0)) - larger - np.log1p(np.exp(usual + rare - 2 * larger))
+
+
 @dataclass(frozen=True, eq=False)
 class CalibrationFactor(Remembered, Doubted):
     """Prior and slow change of stride, turn and gyro coefficients.
 
     r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change,  with λ(R_s) for R_s (`scaled`), of relative sigma
 
-    [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
+    [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3. The last row of the root of Σ₀⁻¹ is upper triangular: it
+    is the prior of b alone, and has the loss of `HeavyTail`.
 
     begins: by row, mean ``(3,)`` and covariance ``(3, 3)`` of the segments that start a walk; change: standard
     deviations of the change from one segment to the next.
     another: prior of another walker, if the steps were corrected by a profile; assumed: True if this is that prior.
+    drifting: the gyroscope is assumed to be one of those that drift far.
     """
 
     begins: Mapping[int, tuple[Array, Array]]
     change: tuple[float, float, float]
     another: Prior | None = None
     assumed: bool = False
+    drifting: bool = False
 
     name: ClassVar[str] = WALKER_KIND
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
-        """The profile that corrected the steps is of another walker, who has the usual prior before that correction."""
+        """The profile that corrected the steps is of another walker, who has the usual prior before that correction.
+
+        Or the gyroscope drifts far, to either side, if no measurement says how far: the search may have missed that.
+        """
+        known = self.drifting or not self.begins or any(kind.determines_drift for kind in at.measurements)
+        drifts = () if known else (self._drifting(at, drift) for drift in (-WALKER.far, WALKER.far))
+        return (*self._of_another(), *drifts)
+
+    def _drifting(self, at: Evaluation, drift: float) -> Proposal:
+        """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning laid on the walk."""
+        c = at.state.c.copy()
+        c[:, 2] = drift
+        delta = preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last]
+        heading = np.append(0.0, np.cumsum(delta[:, 2]))
+        track = np.append(0.0, np.cumsum(as_complex(delta[:, :2]) * np.exp(1j * heading[:-1])))
+        walk = as_complex(at.state.poses[:, :2])
+        turn = np.angle(np.vdot(track - track.mean(), walk - walk.mean()))
+        laid = walk.mean() + (track - track.mean()) * np.exp(1j * turn)
+        poses = np.column_stack([laid.real, laid.imag, wrap_angle(heading + turn)])
+        far = WALKER.far * self._priors[2][:, 2, 2]
+        price = float(np.sum(np.log(far * (1 - WALKER.drifting) / WALKER.drifting)))
+        start = at.state.replaced(x=poses, c=c)
+        return Proposal(Hypothesis((self.name, DRIFTS), price=price), (replace(self, drifting=True),), start=start)
+
+    def _of_another(self) -> Sequence[Proposal]:
         if self.another is None:
             return ()
         _, [profile, *_], _ = self._priors
@@ -135,13 +206,21 @@ class CalibrationFactor(Remembered, Doubted):
             diagonal = np.eye(3) / sigma[:, None]
             return [-diagonal * by_moved[later - 1], diagonal * by_moved[later]]
 
+        prior = np.einsum("nij,nj->ni", root, begun)
+        far = WALKER.far * root[:, 2, 2]
+        of_drift = prior[:, 2:] / far[:, None] if self.drifting else prior[:, 2:]
+        by_drift = root[:, 2:] / far[:, None, None] if self.drifting else root[:, 2:]
         return [
             FactorBlock.uniform(
-                f"{self.name}.begin",
-                np.einsum("nij,nj->ni", root, begun),
+                f"{self.name}.begin", prior[:, :2], [("c", first)], lambda: [(root * by_begun)[:, :2]], number[first]
+            ),
+            FactorBlock.uniform(
+                f"{self.name}.drift",
+                of_drift,
                 [("c", first)],
-                lambda: [root * by_begun],
+                lambda: [by_drift],
                 number[first],
+                loss=GAUSSIAN if self.drifting else HeavyTail(far),
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
@@ -217,7 +296,9 @@ class StartFactor(Measurement):
 
 @wording_of(CalibrationFactor.name)
 def _wording(hypothesis: Hypothesis) -> Wording:
-    """The profile is of another walker."""
+    """The profile is of another walker, or the gyroscope drifts."""
+    if hypothesis.kind[1] == DRIFTS:
+        return Wording("gyroscope", "the gyroscope drifts far")  # nothing to check: the walk is corrected by it
     text = "the walker's profile does not fit"
     if hypothesis.estimate:
         stride, turn = hypothesis.estimate

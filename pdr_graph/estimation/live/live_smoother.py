@@ -26,7 +26,7 @@ from pdr_graph.estimation.live.review import SOURCE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Array, Estimate, Headings, Sightings, Steps
+from pdr_graph.types import Array, Drifts, Estimate, Headings, Sightings, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
@@ -100,11 +100,17 @@ class LiveSmoother:
 
     def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
         """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""
-        if np.isfinite(sigma):
-            row = Headings(np.array([time]), np.array([heading]), np.array([sigma]))
-            self.graph.append(row, np.array([number]))
+        self._set(Headings, number, time, heading, sigma)
+
+    def set_drift(self, number: int, time: float, drift: float, sigma: float) -> None:
+        """Set or replace drift ``number`` (time [s], drift and sigma [rad/s]); an infinite sigma removes it."""
+        self._set(Drifts, number, time, drift, sigma)
+
+    def _set(self, table: type[Headings | Drifts], number: int, *row: float) -> None:
+        if np.isfinite(row[-1]):
+            self.graph.append(table(*np.array(row)[:, None]), np.array([number]))
         else:
-            self.graph.log.remove(Headings, number)
+            self.graph.log.remove(table, number)
 
     @one_thread
     def finish(self) -> None:
