@@ -89,12 +89,13 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
-        """The levels of one walk; of many beacons, those received most often, and the nearest of the unreceived."""
+        """The levels of one walk; of many beacons, those received most often, and the others that are nearest to these."""
         received = np.bincount(levels.beacon, minlength=len(levels.position))
         beacons = np.argsort(-received, kind="stable")[: min(MOST_BEACONS, np.count_nonzero(received))]
         silent = np.flatnonzero((received == 0) & np.isfinite(levels.position[:, 0]))
-        gap = levels.position[silent, None] - levels.position[beacons]
-        nearest = np.argsort(np.nanmin(np.hypot(*gap.transpose(2, 0, 1)), axis=1, initial=np.inf), kind="stable")
+        place = levels.position[beacons]
+        middle = place[np.isfinite(place[:, 0])].mean(axis=0) if len(silent) > STRONGEST else 0.0
+        nearest = np.argsort(np.hypot(*(levels.position[silent] - middle).T), kind="stable")
         beacons = np.sort(np.append(beacons, silent[nearest[:STRONGEST]]))
         rows = np.flatnonzero(np.isin(levels.beacon, beacons))
         some = Levels(
