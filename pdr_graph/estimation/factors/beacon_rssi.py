@@ -89,7 +89,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
-        """The levels of one walk; of many beacons, those received most often, and the others that are nearest to these."""
+        """The levels of one walk; of many beacons, those received most often, and the nearest others."""
         received = np.bincount(levels.beacon, minlength=len(levels.position))
         beacons = np.argsort(-received, kind="stable")[: min(MOST_BEACONS, np.count_nonzero(received))]
         silent = np.flatnonzero((received == 0) & np.isfinite(levels.position[:, 0]))
