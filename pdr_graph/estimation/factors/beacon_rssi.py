@@ -194,22 +194,22 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     @cached_property
     def _silent(self) -> tuple[Index, Index, Index]:
-        """Keyframe, beacon and permanent number ``(n,)`` of each silence: on its stretch, others are received.
+        """Keyframe, beacon and permanent number ``(n,)`` of each silence: at this keyframe, others are received.
 
-        Of many beacons, those nearest to the strongest one.
+        Only the beacons nearest to the strongest one are counted.
         """
-        reached, place = np.flatnonzero(self.keyframe >= 0), self.prior[:, :2]
-        levels = reached[np.lexsort((-self.listed.rssi[reached], self.listed.time[reached]))]
-        _, first, stretch = np.unique(self.listed.time[levels], return_index=True, return_inverse=True)
-        silent = np.ones((len(first), len(place)), dtype=bool)
-        silent[stretch, self.listed.beacon[levels]] = False
-        if len(place) > STRONGEST:
-            gap = place[self.listed.beacon[levels[first]], None] - place
-            rank = np.argsort(np.where(silent, np.hypot(*gap.transpose(2, 0, 1)), np.inf), axis=1, kind="stable")
-            np.put_along_axis(silent, rank[:, STRONGEST:], False, axis=1)
+        levels, place = np.flatnonzero(self.keyframe >= 0), self.prior[:, :2]
+        levels = levels[np.lexsort((-self.listed.rssi[levels], self.keyframe[levels]))]
+        keyframe, first, of = np.unique(self.keyframe[levels], return_index=True, return_inverse=True)
+        gap = place[:, None] - place
+        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :STRONGEST]
+        near = np.zeros((len(place), len(place)), dtype=bool)
+        np.put_along_axis(near, nearest, True, axis=1)
+        silent = near[self.listed.beacon[levels[first]]]
+        silent[of, self.listed.beacon[levels]] = False
         stretch, beacon = np.nonzero(silent)
         number = np.minimum.reduceat(self.number[levels], first) if len(first) else first
-        return self.keyframe[levels[first[stretch]]], beacon, number[stretch] << 32 | self.beacon_number[beacon]
+        return keyframe[stretch], beacon, number[stretch] << 32 | self.beacon_number[beacon]
 
     def _silences(self, at: Evaluation) -> FactorBlock:
         keyframe, m, number = self._silent
@@ -292,14 +292,17 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return Proposal(away, (displaced,), fresh=("b",))
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
-        """Estimated position and mean residual of each beacon received on the walk."""
+        """Estimated position and mean residual of each beacon that is received, and those that are off."""
         [block] = at.blocks_of(self.name)
         reached = self.keyframe >= 0
-        off, of_beacon = np.abs(BEACONS.level_sigma * block.residual), self.listed.beacon[reached]
+        error, of_beacon = np.abs(BEACONS.level_sigma * block.residual), self.listed.beacon[reached]
         place = at.state["b"][:, :2]
         away = np.hypot(*(at.state.poses[self.keyframe[reached], :2] - place[of_beacon]).T)
         received = [(m, of_beacon == m) for m in np.unique(of_beacon).tolist()]
-        return tuple(self._report(m, place[m], off[rows], float(away[rows].min())) for m, rows in received)
+        reports = [self._report(m, place[m], error[rows], float(away[rows].min())) for m, rows in received]
+        reason, label = "never received, although the walk passes by: it seems to be off", self.listed.label
+        off = [(m, *place[m].tolist()) for m in np.flatnonzero(self.prior[:, 2] < 0).tolist()]
+        return *reports, *(BeaconReport(label[m], 0, 0.0, x, y, False, reason) for m, x, y in off)
 
     def _report(self, m: int, place: Array, off: Array, away: float) -> BeaconReport:
         """The report of one beacon. away: least distance of the walk where it was received [m]."""
@@ -433,7 +436,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     elif error == "moved":
         text = f"{labels} is not where the list says"
     elif error == "off":
-        return Wording(BeaconRssiFactor.name, f"{labels} sends nothing", "its battery, and its position in the list")
+        return Wording(BeaconRssiFactor.name, f"{labels} sends nothing")  # no reason to doubt the walk
     elif error == "displaced":
         text = f"all positions in the list of beacons are off by about {hypothesis.parameter[0]:.0f} m"
     else:
