@@ -720,7 +720,6 @@ class BeaconPriors(Table):
     most_evidence: float = number(
         4.5, "log-odds", "of one level or silence at most", "ten museum logs: silences for other reasons 0.5 to 2 %"
     )
-    off: float = number(60.0, "dB", "by which a beacon that is off sends less")
     grid: float = number(5.0, "m", "spacing of candidate positions")
     beside: float = number(20.0, "m", "of their area beside the walk")
     longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live")

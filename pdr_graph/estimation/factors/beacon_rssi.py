@@ -423,7 +423,7 @@ def _unlisted(
 def _off(beacons: BeaconRssiFactor, which: Index, labels: tuple[str, ...]) -> Proposal:
     """Beacons ``which`` are never received since they do not send: their power is far below that of others."""
     off = beacons.at_places(beacons.position)
-    off.prior[which, 2] = -BEACONS.off
+    off.prior[which, 2] = -10 * BEACONS.power_sigma  # it is expected nowhere
     return Proposal(Hypothesis((beacons.name, "off"), labels, price=PRICES.beacon_off), (off,), fresh=("b",))
 
 
