@@ -96,7 +96,8 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         place = levels.position[beacons]
         middle = place[np.isfinite(place[:, 0])].mean(axis=0) if len(silent) > STRONGEST else 0.0
         nearest = np.argsort(np.hypot(*(levels.position[silent] - middle).T), kind="stable")
-        beacons = np.sort(np.append(beacons, silent[nearest[:STRONGEST]]))
+        others = silent[nearest[: min(STRONGEST, MOST_BEACONS - len(beacons))]]
+        beacons = np.sort(np.append(beacons, others))
         rows = np.flatnonzero(np.isin(levels.beacon, beacons))
         some = Levels(
             time=levels.time[rows],
