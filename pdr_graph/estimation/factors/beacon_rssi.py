@@ -62,8 +62,8 @@ from pdr_graph.types import (
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-# Beacons that are used, more only cost time: received on a stretch, silent on it, never received; of a walk or a window
-STRONGEST, MOST_BEACONS = 50, 300
+STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
+SILENT = 8  # beacons about the strongest one of a stretch of which silence counts: each costs as much as a level
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         levels = levels[np.lexsort((-self.listed.rssi[levels], self.keyframe[levels]))]
         keyframe, first, of = np.unique(self.keyframe[levels], return_index=True, return_inverse=True)
         gap = place[:, None] - place
-        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :STRONGEST]
+        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :SILENT]
         near = np.zeros((len(place), len(place)), dtype=bool)
         np.put_along_axis(near, nearest, True, axis=1)
         silent = near[self.listed.beacon[levels[first]]]
