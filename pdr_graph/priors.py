@@ -699,10 +699,10 @@ class BeaconPriors(Table):
     """Levels of beacons, and where beacons are."""
 
     level_sigma: float = number(
-        7.0,
+        8.0,
         "dB",
         "of a mean level, as if they were independent: 3 dB that last for 6 m of the walk, and 2 dB",
-        "ten museum logs, residuals at surveyed places: 5.7 to 11 by set",
+        "ten museum logs, residuals at surveyed places: 7.7; by set 5.7 and 11",
     )
     within_sigma: float = number(
         3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1"

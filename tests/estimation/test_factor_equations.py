@@ -442,7 +442,7 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
         distance = np.sqrt(gap @ gap + 1.5**2)
         level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (turned_by(heading)[:, 0] @ gap) / distance
         assert factors[row].variables == [("x", keyframe), ("b", m), ("q", 0)]
-        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 7.0])
+        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 8.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
         (factor,) = factors_with(graph, state, "beacons.place", ("b", m))
         assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 6.0])
@@ -463,7 +463,7 @@ def test_a_silence_costs_what_its_probability_says(seed):
             level = P + b[m, 2] - 10 * n * np.log10(np.sqrt(gap @ gap + 1.5**2))
             below = 0.5 * (1 + erf((-94.0 - level) / 3.5 / np.sqrt(2)))
             probability = np.exp(-4.5) + (1 - np.exp(-4.5)) * below
-            assert factor.cost == pytest.approx(-((3.5 / 7.0) ** 2) * np.log(probability), abs=1e-6)
+            assert factor.cost == pytest.approx(-((3.5 / 8.0) ** 2) * np.log(probability), abs=1e-6)
             seen += 1
     assert seen == 2 * len(kind.keyframe) == len(graph.evaluate(state).blocks_of("beacons.silence")[0])
 
