@@ -110,6 +110,12 @@ def test_a_beacon_near_the_walk_that_is_never_received_is_off_and_pushes_nobody_
     assert np.hypot(*(estimate.trajectory.position - truth.position).T).mean() < 2.0
 
 
+def test_a_beacon_that_is_received_is_no_longer_off():
+    kind = walk_among_beacons()[0].find(BeaconRssiFactor)
+    kind.prior[3, 2] = -60.0
+    assert kind.continued(kind.decisions()).prior[3, 2] == 0.0
+
+
 def test_a_swap_with_a_beacon_that_is_never_received_is_found():
     """The last beacon is far from the walk; in the list, its place is that of one near the walk."""
     truth = dead_reckon(round_the_block())

@@ -124,12 +124,13 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return {"beacon": self._identity, "position": self.position, "prior": self.prior}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Apply earlier decisions: positions and priors of beacons."""
+        """Apply earlier decisions: positions and priors of beacons. One that is received is not off."""
         if not decisions:
             return self
         same, rows = np.nonzero(decisions["beacon"][:, None] == self._identity)
         position, prior = self.position.copy(), self.prior.copy()
         position[rows], prior[rows] = decisions["position"][same], decisions["prior"][same]
+        prior[self.listed.beacon, 2] = 0.0
         return replace(self, position=position, prior=prior)
 
     @property
