@@ -712,7 +712,15 @@ class ReceiverPriors(Table):
 class BeaconPriors(Table):
     """Levels of beacons, and where beacons are."""
 
-    level_sigma: float = number(7.0, "dB", "of a mean level: reflections, people, furniture")
+    level_sigma: float = number(
+        8.0,
+        "dB",
+        "of a mean level, as if they were independent: 3 dB that last for 6 m of the walk, and 2 dB",
+        "ten museum logs, residuals at surveyed places: 7.7; by set 5.7 and 11",
+    )
+    within_sigma: float = number(
+        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1"
+    )
     height: float = number(1.5, "m", "of a beacon above the phone")
     power_sigma: float = number(
         6.0,
@@ -720,8 +728,12 @@ class BeaconPriors(Table):
         "of a beacon's power; 6 to 10 alike",
         "ten museum logs: residuals at surveyed places, by beacon and log",
     )
-    weakest: float = number(-97.0, "dBm", "that phones receive")
-    most_evidence: float = number(4.5, "log-odds", "of one level at most")
+    weakest: float = number(
+        -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB"
+    )
+    most_evidence: float = number(
+        4.5, "log-odds", "of one level or silence at most", "ten museum logs: silences for other reasons 0.5 to 2 %"
+    )
     grid: float = number(5.0, "m", "spacing of candidate positions")
     beside: float = number(20.0, "m", "of their area beside the walk")
     longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live")
@@ -828,6 +840,7 @@ class PricePriors(Table):
     wrong_list: float = number(
         5.5, "nats", "two entries of a list of beacons are swapped, one is elsewhere, or all: 1 in 250"
     )
+    beacon_off: float = number(4.0, "nats", "a beacon of a list is off: 1 in 50")
     wrong_origin: float = number(
         3.0, "nats", "a list is displaced as a whole: as a receiver that is several times worse throughout"
     )

@@ -444,6 +444,9 @@ def beacons(given, walk, lie, random):
     below = random.choice(BEACONS, 3, replace=False)
     if lie == "three on another floor":
         power[below] -= 15.0  # [dB] through a ceiling, as the simulator has it
+    elif lie == "one off near the walk":
+        gap = walk.truth.position[:, None] - places
+        power[np.argmin(np.hypot(*gap.transpose(2, 0, 1)).min(axis=0))] = -np.inf
     transmitters = [Transmitter(f"b{n}", place, power=power[n]) for n, place in enumerate(places)]
     heard = receptions(walk.body, transmitters, BLUETOOTH, random, random)
     listed, kept = places + random.normal(0, SURVEY_SIGMA, places.shape), np.arange(BEACONS)
@@ -459,6 +462,8 @@ def beacons(given, walk, lie, random):
         listed[one] = grid[np.argmax(distance > min(FAR, distance.max() - 1e-9))]
     elif lie == "one missing":
         kept = np.delete(kept, one)
+    elif lie == "of another floor":
+        listed = spread(low, high, BEACONS, random)
     elif lie == "of another building":
         listed = listed + BUILDING * any_direction(random)
     if lie == "another phone":

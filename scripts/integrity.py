@@ -54,7 +54,8 @@ def rows_of(given, lies, without=None):
     return [Row((*given[:-1], f"{given[-1]}: {lie}" if lie else given[-1]), without) for lie in ("", *lies)]
 
 
-LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building", "another phone")
+LISTS = ("a pair swapped", "one moved", "one missing", "one off near the walk", "three on another floor")
+LISTS += ("of another floor", "of another building", "another phone")
 RECEIVER = ("10 m off", "jumping", "20 m off from half-way on", "5 s late", "frozen for a minute", "3 times as sure")
 RECEIVER += ("half as far", "of two people")
 USER = ("clock 2 s off", "of two people")

@@ -211,7 +211,11 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
     number = independent_positions(estimate)
     if sum(number.values()) < fewest:
         return False
-    beacons = [(beacon.x, beacon.y, VERDICTS.near_beacon) for beacon in estimate.beacons if not beacon.misplaced]
+    beacons = [
+        (beacon.x, beacon.y, VERDICTS.near_beacon)
+        for beacon in estimate.beacons
+        if beacon.levels and not beacon.misplaced
+    ]
     places = [*((fix.x, fix.y, fix.sigma) for fix in _accepted(estimate)), *beacons]
     if len(places) > 1 and _stride_sigma(np.array(places)) <= half:
         return True

@@ -96,6 +96,39 @@ def test_two_swapped_list_entries_are_detected():
     assert "b and e are swapped" in contradiction.text or "e and b are swapped" in contradiction.text
 
 
+def test_a_beacon_near_the_walk_that_is_never_received_is_off_and_pushes_nobody_away():
+    truth = dead_reckon(round_the_block())
+    beacons, steps = beacons_about(truth), crooked(truth)
+    sightings = heard(truth, beacons.position)
+    sightings = take(sightings, np.array([name != "d" for name in sightings.transmitter]))
+    fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
+    estimate = smooth(WalkGraph(steps, fixes, levels=levels_along(sightings, beacons, steps)))
+    assert not estimate.contradictions
+    [silent] = [report for report in estimate.beacons if not report.levels]
+    assert silent.label == "d"
+    assert "never received" in silent.reason
+    assert np.hypot(*(estimate.trajectory.position - truth.position).T).mean() < 2.0
+
+
+def test_a_beacon_that_is_received_is_no_longer_off():
+    kind = walk_among_beacons()[0].find(BeaconRssiFactor)
+    kind.prior[3, 2] = -60.0
+    assert kind.continued(kind.decisions()).prior[3, 2] == 0.0
+
+
+def test_a_swap_with_a_beacon_that_is_never_received_is_found():
+    """The last beacon is far from the walk; in the list, its place is that of one near the walk."""
+    truth = dead_reckon(round_the_block())
+    beacons, steps = beacons_about(truth), crooked(truth)
+    place = np.vstack([beacons.position[:5], beacons.position.mean(axis=0) + 150])
+    sightings = heard(truth, place)
+    assert "f" not in sightings.transmitter
+    listed = replace(beacons, position=place[[0, 1, 2, 3, 5, 4]])
+    fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
+    estimate = smooth(WalkGraph(steps, fixes, levels=levels_along(sightings, listed, steps)))
+    assert any("e and f are swapped" in each.text for each in estimate.contradictions)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_correctly_listed_beacons_keep_their_positions(seed):
     estimate = smooth(walk_among_beacons(seed)[0])

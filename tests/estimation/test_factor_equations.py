@@ -5,6 +5,7 @@ shapely instead of grids, dense matrices instead of elimination. Rounding is 1e-
 """
 
 from dataclasses import replace
+from math import erf
 
 import gtsam
 import numpy as np
@@ -441,12 +442,30 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
         distance = np.sqrt(gap @ gap + 1.5**2)
         level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (turned_by(heading)[:, 0] @ gap) / distance
         assert factors[row].variables == [("x", keyframe), ("b", m), ("q", 0)]
-        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 7.0])
+        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 8.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
         (factor,) = factors_with(graph, state, "beacons.place", ("b", m))
         assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 6.0])
     (factor,) = factors_with(graph, state, "beacons.path_loss", ("q", 0))
     assert factor.residual == pytest.approx((state["q"][0] - [-62, 2.2, 3]) / [8, 0.5, 3])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_silence_costs_what_its_probability_says(seed):
+    """−w log(ε + (1 − ε) Φ((weakest − level) / within)), for each beacon at each time at which another is received."""
+    graph = beside_beacons(seed)
+    state, kind = any_state(graph, seed), graph.find(BeaconRssiFactor)
+    (P, n, _), b, seen = state["q"][0], state["b"], 0
+    for row, keyframe in enumerate(kind.keyframe.tolist()):
+        for m in {0, 1, 2} - {int(kind.listed.beacon[row])}:
+            (factor,) = factors_with(graph, state, "beacons.silence", ("x", keyframe), ("b", m), ("q", 0))
+            gap = b[m, :2] - state.poses[keyframe, :2]
+            level = P + b[m, 2] - 10 * n * np.log10(np.sqrt(gap @ gap + 1.5**2))
+            below = 0.5 * (1 + erf((-94.0 - level) / 3.5 / np.sqrt(2)))
+            probability = np.exp(-4.5) + (1 - np.exp(-4.5)) * below
+            assert factor.cost == pytest.approx(-((3.5 / 8.0) ** 2) * np.log(probability), abs=1e-6)
+            seen += 1
+    assert seen == 2 * len(kind.keyframe) == len(graph.evaluate(state).blocks_of("beacons.silence")[0])
 
 
 def test_a_heading_is_an_angle_to_the_walking_direction():

@@ -9,9 +9,15 @@ on average over a stretch of the walk; the last term is shadowing by the walker'
 phone and building, b_m = (x, y, a_m) of each beacon, surveyed to a metre or unknown. Fading depends on the place and
 stays the same where nobody moves, so levels are averaged over metres walked, not over seconds.
 
-A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels,
-received and *not* received, with those expected at every possible place: that a near beacon is not received is stronger
-evidence than the level of a far one.
+Shadowing is correlated along the walk: level_sigma is that of independent levels with the same information.
+
+A beacon of the list that is *not* received on a stretch on which others are is evidence too: with e the level expected
+of it and ε a bound for whatever else made it silent,
+
+    P(silent) = ε + (1 − ε) Φ((weakest − e) / within),      to the power (within / level_sigma)², as it is correlated.
+
+A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels and
+silences with those expected at every possible place. One that is never received may be off.
 """
 
 from __future__ import annotations
@@ -19,10 +25,11 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import ndtr
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import (
@@ -56,6 +63,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
+SILENT = 8  # beacons about the strongest one of a stretch of which silence counts: each costs as much as a level
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +89,15 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
-        """The levels of one walk; of more than MOST_BEACONS, those of the ones that were received most often."""
+        """The levels of one walk; of many beacons, those received most often, and the nearest others."""
         received = np.bincount(levels.beacon, minlength=len(levels.position))
-        beacons = np.sort(np.argsort(-received, kind="stable")[:MOST_BEACONS])
+        beacons = np.argsort(-received, kind="stable")[: min(MOST_BEACONS, np.count_nonzero(received))]
+        silent = np.flatnonzero((received == 0) & np.isfinite(levels.position[:, 0]))
+        place = levels.position[beacons]
+        middle = place[np.isfinite(place[:, 0])].mean(axis=0) if len(silent) > STRONGEST else 0.0
+        nearest = np.argsort(np.hypot(*(levels.position[silent] - middle).T), kind="stable")
+        others = silent[nearest[: min(STRONGEST, MOST_BEACONS - len(beacons))]]
+        beacons = np.sort(np.append(beacons, others))
         rows = np.flatnonzero(np.isin(levels.beacon, beacons))
         some = Levels(
             time=levels.time[rows],
@@ -110,12 +124,13 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return {"beacon": self._identity, "position": self.position, "prior": self.prior}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Apply earlier decisions: positions and priors of beacons."""
+        """Apply earlier decisions: positions and priors of beacons. One that is received is not off."""
         if not decisions:
             return self
         same, rows = np.nonzero(decisions["beacon"][:, None] == self._identity)
         position, prior = self.position.copy(), self.prior.copy()
         position[rows], prior[rows] = decisions["position"][same], decisions["prior"][same]
+        prior[self.listed.beacon, 2] = 0.0
         return replace(self, position=position, prior=prior)
 
     @property
@@ -125,7 +140,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     def initialized(self, poses: Array) -> Self:
         """Initialise beacons of unknown position at the pose where they were strongest."""
-        prior = np.column_stack([self.position, np.zeros(len(self.position))])
+        prior = np.column_stack([self.position, self.prior[:, 2]])
         for m in np.flatnonzero(np.isnan(self.position[:, 0])):
             rows = np.flatnonzero(self.listed.beacon == m)
             prior[m, :2] = poses[self.keyframe[rows[np.argmax(self.listed.rssi[rows])]], :2]
@@ -139,8 +154,8 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return beacons, Variables("q", single, np.array([BEACONS.path_loss]), np.full(1, np.inf)), *displacement
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Factors of the levels, and priors of beacons and path loss."""
-        return [self._levels(at), *self._priors(at)]
+        """Factors of the levels and of silences, and priors of beacons and path loss."""
+        return [self._levels(at), *([self._silences(at)] if len(self._silent[0]) else []), *self._priors(at)]
 
     def _levels(self, at: Evaluation) -> FactorBlock:
         which = np.flatnonzero(self.keyframe >= 0)
@@ -178,6 +193,45 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         loss = RobustLoss(np.zeros(len(which), dtype=bool))
         number = self.number[which]
         return FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, curvature=curvature)
+
+    @cached_property
+    def _silent(self) -> tuple[Index, Index, Index]:
+        """Keyframe, beacon and permanent number ``(n,)`` of each silence: at this keyframe, others are received.
+
+        Only the beacons nearest to the strongest one are counted.
+        """
+        levels, place = np.flatnonzero(self.keyframe >= 0), self.prior[:, :2]
+        levels = levels[np.lexsort((-self.listed.rssi[levels], self.keyframe[levels]))]
+        keyframe, first, of = np.unique(self.keyframe[levels], return_index=True, return_inverse=True)
+        gap = place[:, None] - place
+        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :SILENT]
+        near = np.zeros((len(place), len(place)), dtype=bool)
+        np.put_along_axis(near, nearest, True, axis=1)
+        silent = near[self.listed.beacon[levels[first]]]
+        silent[of, self.listed.beacon[levels]] = False
+        stretch, beacon = np.nonzero(silent)
+        number = np.minimum.reduceat(self.number[levels], first) if len(first) else first
+        return keyframe[stretch], beacon, number[stretch] << 32 | self.beacon_number[beacon]
+
+    def _silences(self, at: Evaluation) -> FactorBlock:
+        keyframe, m, number = self._silent
+        pose, beacon, q = at.state.poses[keyframe], at.state["b"][m], at.state["q"][0]
+        gap = beacon[:, :2] - pose[:, :2]
+        square = np.sum(gap**2, axis=1) + BEACONS.height**2
+        cost, slope = silence(q[0] + beacon[:, 2] - 5 * q[1] * np.log10(square))
+        value = np.sqrt(2 * cost + LEAST_SILENCE)
+
+        def jacobian() -> list[Array]:
+            rise = slope / value
+            by_beacon = np.column_stack([(-10 * q[1] / np.log(10) / square)[:, None] * gap, np.ones(len(pose))])
+            ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+            by_place = [-np.sum(v * by_beacon[:, :2], axis=1) for v in (ahead, ahead[:, ::-1] * [-1, 1])]
+            by_pose = np.stack([*by_place, np.zeros(len(pose))], axis=1)
+            by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), np.zeros(len(pose))], axis=1)
+            return [(rise[:, None] * by)[:, None] for by in (by_pose, by_beacon, by_loss)]
+
+        variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(m), dtype=np.intp))]
+        return FactorBlock.uniform(f"{self.name}.silence", value[:, None], variables, jacobian, number)
 
     def _priors(self, at: Evaluation) -> list[FactorBlock]:
         b, q = at.state["b"], at.state["q"]
@@ -240,14 +294,17 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return Proposal(away, (displaced,), fresh=("b",))
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
-        """Estimated position and mean residual of each beacon received on the walk."""
+        """Estimated position and mean residual of each beacon that is received, and those that are off."""
         [block] = at.blocks_of(self.name)
         reached = self.keyframe >= 0
-        off, of_beacon = np.abs(BEACONS.level_sigma * block.residual), self.listed.beacon[reached]
+        error, of_beacon = np.abs(BEACONS.level_sigma * block.residual), self.listed.beacon[reached]
         place = at.state["b"][:, :2]
         away = np.hypot(*(at.state.poses[self.keyframe[reached], :2] - place[of_beacon]).T)
         received = [(m, of_beacon == m) for m in np.unique(of_beacon).tolist()]
-        return tuple(self._report(m, place[m], off[rows], float(away[rows].min())) for m, rows in received)
+        reports = [self._report(m, place[m], error[rows], float(away[rows].min())) for m, rows in received]
+        reason, label = "never received, although the walk passes by: it seems to be off", self.listed.label
+        off = [(m, *place[m].tolist()) for m in np.flatnonzero(self.prior[:, 2] < 0).tolist()]
+        return *reports, *(BeaconReport(label[m], 0, 0.0, x, y, False, reason) for m, x, y in off)
 
     def _report(self, m: int, place: Array, off: Array, away: float) -> BeaconReport:
         """The report of one beacon. away: least distance of the walk where it was received [m]."""
@@ -270,6 +327,18 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
 
 
+LEAST_SILENCE = 1e-6  # added to twice the cost of a silence, whose root has no derivative at 0
+
+
+def silence(expected: Array) -> tuple[Array, Array]:
+    """Cost [nats] that a beacon is not received where levels ``expected`` [dBm] are, and its derivative [1/dB]."""
+    deviation, bound = (BEACONS.weakest - expected) / BEACONS.within_sigma, np.exp(-BEACONS.most_evidence)
+    weight = (BEACONS.within_sigma / BEACONS.level_sigma) ** 2
+    probability = bound + (1 - bound) * ndtr(deviation)
+    density = (1 - bound) * np.exp(-0.5 * deviation**2) / np.sqrt(2 * np.pi)
+    return -weight * np.log(probability), weight * density / probability / BEACONS.within_sigma
+
+
 def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels:
     """Mean levels of the received beacons, by stretches of the walk. beacons: in the frame of the walk."""
     number = {name: m for m, name in enumerate(beacons.name)}
@@ -281,7 +350,7 @@ def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels
 
 
 def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons: Beacons) -> Levels:
-    """Mean level of every beacon on every stretch, at the mean time of all advertisements there.
+    """Mean level of every received beacon on every stretch, at the mean time of all advertisements there.
 
     stretch, time [s], beacon, rssi [dBm]: ``(n,)`` of single advertisements.
     """
@@ -295,9 +364,7 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
         rank = np.arange(len(order)) - np.searchsorted(of_stretch[first][order], of_stretch[first][order])
         kept = np.sort(order[rank < STRONGEST])
         first, mean = first[kept], mean[kept]
-    received, row = np.unique(beacon[first], return_inverse=True)
-    label = tuple(beacons.label[m] for m in received)
-    return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[received], beacons.sigma[received])
+    return Levels(middle[of_stretch[first]], beacon[first], mean, beacons.label, beacons.position, beacons.sigma)
 
 
 def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> list[Proposal]:
@@ -311,7 +378,9 @@ def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> 
     count = len(surveyed)
     own = np.diag(cost[:, :count])
     swaps = [(own[i] + own[j] - cost[i, j] - cost[j, i], i, j) for i in range(count) for j in range(i)]
-    gains = own - cost[:, count:].min(axis=1, initial=np.inf)
+    received = np.isin(surveyed, levels.beacon)
+    least = np.where(received, cost[:, count:].min(axis=1, initial=np.inf), 0.0)  # one that is off costs nothing
+    gains = own - least
     if max(gains.max(initial=0.0), max(swaps, default=(0.0,))[0]) < BEACONS.suspicious:
         return []
     found = [
@@ -322,9 +391,10 @@ def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> 
     best = places[count + np.argmin(cost[:, count:], axis=1)]
     for i in np.argsort(-gains)[: BEACONS.most_of_a_kind].tolist():
         if gains[i] > BEACONS.suspicious:
-            label = beacons.listed.label[surveyed[i]]
-            found.append(_unlisted(beacons, surveyed[i : i + 1], best[i : i + 1], "moved", (label,)))
-    if placed and count > 1 and np.sum(gains) > count * BEACONS.suspicious:
+            labels, which = (beacons.listed.label[surveyed[i]],), surveyed[i : i + 1]
+            moved = _unlisted(beacons, which, best[i : i + 1], "moved", labels)
+            found.append(moved if received[i] else _off(beacons, which, labels))
+    if placed and received.sum() > 1 and np.sum(gains) > received.sum() * BEACONS.suspicious:
         found.append(_unlisted(beacons, surveyed, best, "of another place"))
     return found
 
@@ -352,6 +422,13 @@ def _unlisted(
     return Proposal(Hypothesis((beacons.name, error), labels, price=price), (unlisted,), fresh=("b",))
 
 
+def _off(beacons: BeaconRssiFactor, which: Index, labels: tuple[str, ...]) -> Proposal:
+    """Beacons ``which`` are never received since they do not send: their power is far below that of others."""
+    off = beacons.at_places(beacons.position)
+    off.prior[which, 2] = -10 * BEACONS.power_sigma  # it is expected nowhere
+    return Proposal(Hypothesis((beacons.name, "off"), labels, price=PRICES.beacon_off), (off,), fresh=("b",))
+
+
 @wording_of(BeaconRssiFactor.name)
 def _wording(hypothesis: Hypothesis) -> Wording:
     """What is wrong with a list of beacons."""
@@ -360,6 +437,8 @@ def _wording(hypothesis: Hypothesis) -> Wording:
         text = f"the positions of {labels} are swapped in the list"
     elif error == "moved":
         text = f"{labels} is not where the list says"
+    elif error == "off":
+        return Wording(BeaconRssiFactor.name, f"{labels} sends nothing")  # no reason to doubt the walk
     elif error == "displaced":
         text = f"all positions in the list of beacons are off by about {hypothesis.parameter[0]:.0f} m"
     else:
@@ -400,8 +479,7 @@ def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
     levels: ``(m, s)`` of each stretch, NaN where not received; expected: ``(p, s)``.
     """
     most = BEACONS.most_evidence  # of one level
-    unheard = -log_ndtr((BEACONS.weakest - expected[:, None] - POWERS[:, None]) / BEACONS.level_sigma)
-    silent = np.minimum(unheard, most)
+    silent = silence(expected[:, None] + POWERS[:, None])[0]
     least = np.empty((len(levels), len(expected)))
     for m, received in enumerate(np.isfinite(levels)):
         expected_here = np.compress(received, expected, axis=1)[:, None]
@@ -427,7 +505,6 @@ class LevelCollector:
         self._by_minor = {minor_number(name): m for name, m in self._by_name.items()}
         self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
         self._window = np.empty((0, 3))  # the same of all advertisements in the window
-        self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
 
     def collect(self, received: Sightings, radio: str) -> None:
         """Store advertisements of surveyed beacons.
@@ -457,24 +534,9 @@ class LevelCollector:
         complete = (time <= until) & ((stretch < now) | (time < until - BEACONS.longest_stretch))
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T
-            for m in beacon.astype(int).tolist():
-                self._met.setdefault(m, len(self._met))
             levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
-            yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
+            yield replace(levels, time=np.round(levels.time, DECIMALS))
         self._waiting = self._waiting[~complete]
-
-    def _among_met(self, levels: Levels, received: Index) -> Levels:
-        """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
-        row = np.array([self._met[m] for m in received.tolist()])
-        met, beacons = np.array(list(self._met)), self._beacons
-        return Levels(
-            time=np.round(levels.time, DECIMALS),
-            beacon=row[levels.beacon],
-            rssi=levels.rssi,
-            label=tuple(beacons.label[m] for m in met),
-            position=beacons.position[met],
-            sigma=beacons.sigma[met],
-        )
 
     def complete(self, steps: Steps) -> Iterable[Levels]:
         """The levels of the window, as the batch makes them."""
