@@ -129,7 +129,7 @@ def push(level: Complex, vertical: Complex) -> Complex:
 def coherence_of_any_lead(level: Complex, vertical: Complex) -> Array:
     """Coherence ``(…,)`` of level and vertical acceleration ``(…, n)`` at the lead where it is largest, 0 to 1.
 
-    Leads differ between persons and grips by 100°, so that the length of `push` says little of how precise its angle is.
+    Leads differ by 100° between persons and grips: the length of `push` does not tell how precise its angle is.
     """
     power = 2 * np.mean(np.abs(level) ** 2, axis=-1) * np.mean(np.abs(vertical) ** 2, axis=-1)
     both = np.abs(np.mean(level * vertical, axis=-1)) + np.abs(np.mean(level * vertical.conj(), axis=-1))
@@ -421,7 +421,8 @@ class HeadingStream:
         found, coherence = push(ahead, vertical), coherence_of_any_lead(ahead, vertical)
         horizontal, high = (np.median(np.abs(each), axis=1) for each in (ahead, vertical))
         precise = np.sqrt(1 - coherence**2) * high < GRIP.imprecise * horizontal
-        clear = (coherence > GRIP.coherent) & precise & (2 * high > CANDIDATE.weakest)
+        steps = 4 * np.abs(vertical).min(axis=1) > CANDIDATE.weakest  # all along: no stop, at most one faint step
+        clear = (coherence > GRIP.coherent) & precise & steps
         held = self.doubt[begins + size - 1] == self.doubt[begins]  # the grip does not change meanwhile
         return np.where(clear & held & self.measured[part][rows].all(axis=1), found, 0.0)
 
