@@ -149,7 +149,9 @@ def in_corridors(*corridors: Literal["turns", "directions"]) -> WalkGraph:
     return graph.associated_at(graph.start)
 
 
-def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0) -> tuple[Steps, Fixes, Trajectory]:
+def drawn_from_the_model(
+    n: int, seed: int, every: int = 15, wrong: float = 1.0, sigma_length: float = 0.07
+) -> tuple[Steps, Fixes, Trajectory]:
     """A walk whose errors have the distributions of the graph's priors; ``wrong`` scales the errors of the fixes.
 
     Returns the measured steps, the fixes and the true trajectory.
@@ -158,7 +160,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
     from pdr_graph.geometry import rotation, row_times, unit
 
     random, prior = np.random.default_rng(seed), Prior()
-    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n), sigma_length=0.15)
+    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n), sigma_length)
     R_s, R_d, b = random.normal(prior.mean, prior.sigma)
     theta, position, rows = random.uniform(-np.pi, np.pi), random.uniform(-20, 20, 2), []
     rows.append([*position, theta])

@@ -87,7 +87,7 @@ def lines_along(truth, seed=0):
 
 def drawn(seed=0, n=100):
     """Steps, fixes, truth and lines of a walk drawn from the model."""
-    steps, fixes, truth = drawn_from_the_model(n, seed)
+    steps, fixes, truth = drawn_from_the_model(n, seed, sigma_length=0.15)
     return replace(steps, end=float(steps.time[-1])), fixes, truth, lines_along(truth, seed)
 
 
