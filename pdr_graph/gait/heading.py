@@ -421,8 +421,7 @@ class HeadingStream:
         found, coherence = push(ahead, vertical), coherence_of_any_lead(ahead, vertical)
         horizontal, high = (np.median(np.abs(each), axis=1) for each in (ahead, vertical))
         precise = np.sqrt(1 - coherence**2) * high < GRIP.imprecise * horizontal
-        steps = 4 * np.abs(vertical).min(axis=1) > CANDIDATE.weakest  # all along: no stop, at most one faint step
-        clear = (coherence > GRIP.coherent) & precise & steps
+        clear = (coherence > GRIP.coherent) & precise & (2 * high > CANDIDATE.weakest)
         held = self.doubt[begins + size - 1] == self.doubt[begins]  # the grip does not change meanwhile
         return np.where(clear & held & self.measured[part][rows].all(axis=1), found, 0.0)
 
