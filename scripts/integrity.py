@@ -56,7 +56,7 @@ def rows_of(given, lies, without=None):
 
 LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building", "another phone")
 RECEIVER = ("10 m off", "jumping", "20 m off from half-way on", "5 s late", "frozen for a minute", "3 times as sure")
-RECEIVER += ("half as far", "of two people")
+RECEIVER += ("half as far", "of two people", "not following")
 USER = ("clock 2 s off", "of two people")
 PLAN = ("5 m shifted", "a door missing", "of another floor")
 NO_COMPASS = "compass: none"
@@ -116,6 +116,7 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             *rows_of(("start", "plan"), PLAN, ("start",)),
             Row(("start: 8 m off", "user fixes", "plan"), ("user fixes", "plan")),
             Row(("start: 8 m off", "plan"), ("start: 8 m off",)),
+            Row((NO_COMPASS, "start", "plan"), (NO_COMPASS, "start")),
             Row(("stride: 40 % off", "user fixes", "plan")),
         ],
     ),

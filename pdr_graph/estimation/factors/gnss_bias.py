@@ -8,8 +8,9 @@ sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of st
 
 with ω = RECEIVERS.white, v the recent walking velocity. g is a Gauss–Markov process of sigma σ₀
 about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
-under a roof. Its sigma is k times the receiver's median σ₀, with k = RECEIVERS.throughout. The process runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the
-same error; the excess of worse ones among them is common to them as well.
+under a roof. Its sigma is RECEIVERS.throughout of the receiver's median σ₀. The process runs in units of `drift`, with
+correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
+common to them as well.
 
 Indoors receivers smooth their positions over minutes and follow a walk only in part: of three in a museum (IPIN 2023)
 0.87, 0.53 and 0.79 of it. l is how far the walk is ahead of its own recent mean (`Chain.lead`), and
@@ -18,7 +19,7 @@ axes of the estimate before: along the heading of the pose, a lag of 20 s would 
 
 Some receivers do not follow their walk at all: one of the ten museum logs states 8 m, is 26 m off throughout, and its
 course is not that of the walk. Where there is no other source nothing tells, so that it is a hypothesis, with all that
-it implies together: k = RECEIVERS.astray, behind up to 1, and courses that say nothing.
+it implies together: o of RECEIVERS.astray, behind up to 1, and courses that say nothing.
 
 The course of a receiver, which Doppler measures without the error of the position, is where the walk leads:
 
