@@ -274,6 +274,27 @@ def test_errors_k_times_as_large_cost_their_price_and_the_normaliser_of_every_er
     assert larger == pytest.approx({k: price + 2 * errors * np.log(k) for k, price in PRICES.larger})
 
 
+def test_a_receiver_that_does_not_follow_has_wider_priors_and_pays_their_normaliser():
+    """Of the offset throughout in two axes, and of the share that is not followed, at most all of the walk."""
+    steps = meander()
+    time = np.arange(2.0, steps.end, 4.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    graph = biased(WalkGraph(steps, named(fixes_at(time, true, 3.0))))
+    at = graph.evaluate(graph.start)
+    [proposal] = [p for p in graph.find(GnssBias).hypotheses(at, None) if p.hypothesis.kind[1] == "astray"]
+    lost = graph.assuming(proposal.measurements)
+
+    def sigmas(graph):
+        [prior] = graph.evaluate(graph.start).blocks_of("gnss_bias.throughout")
+        return 1 / np.abs(np.diag(prior.jacobian()[0]))
+
+    usual, unusual = sigmas(graph), sigmas(lost)
+    assert usual[:2] == pytest.approx(RECEIVERS.throughout * 3.0)
+    assert unusual[:2] == pytest.approx(RECEIVERS.astray * 3.0)
+    assert usual[2] < unusual[2] <= 1.0
+    assert proposal.hypothesis.price == pytest.approx(PRICES.astray + np.log(np.prod(unusual / usual)))
+
+
 @pytest.mark.parametrize(("astray", "larger"), [(True, 1.0), (False, 3.0), (True, 3.0)])
 def test_a_decision_about_receivers_holds_for_later_fixes(astray, larger):
     """A smoother that goes on from an earlier decision models the same errors."""
