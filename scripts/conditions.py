@@ -409,9 +409,9 @@ def shrunk(fixes):
 
 
 def not_following(fixes, random):
-    """Off throughout by so many stated sigmas, and half of the way, as one of IPIN 2023's ten logs."""
-    half = shrunk(fixes)
-    return replace(half, position=half.position + ASTRAY * np.median(fixes.sigma) * any_direction(random))
+    """Off throughout by so many stated sigmas, with the course of something else, as one of IPIN 2023's ten logs."""
+    position = fixes.position + ASTRAY * np.median(fixes.sigma) * any_direction(random)
+    return replace(fixes, position=position, course=wrap_angle(fixes.course + np.pi / 2))
 
 
 def alternating(fixes):

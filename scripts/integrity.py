@@ -56,7 +56,7 @@ def rows_of(given, lies, without=None):
 
 LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building", "another phone")
 RECEIVER = ("10 m off", "jumping", "20 m off from half-way on", "5 s late", "frozen for a minute", "3 times as sure")
-RECEIVER += ("half as far", "of two people", "not following")
+RECEIVER += ("half as far", "of two people")
 USER = ("clock 2 s off", "of two people")
 PLAN = ("5 m shifted", "a door missing", "of another floor")
 NO_COMPASS = "compass: none"
@@ -70,11 +70,17 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             *rows_of(("GNSS", "beacons"), LISTS, ("GNSS",)),
         ],
     ),
-    "beacons, GNSS": (INDOORS, rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",))),
+    "beacons, GNSS": (
+        INDOORS,
+        [
+            *rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",)),
+            Row(("beacons", "GNSS and speed: not following"), ("beacons",)),
+        ],
+    ),
     "beacons": (INDOORS, rows_of(("beacons",), LISTS)),
     "outdoors": (
         OUTDOORS,
-        [*rows_of(("GNSS",), RECEIVER), *rows_of(("GNSS and speed",), ("courses 90° off",), ("GNSS",))],
+        [*rows_of(("GNSS",), RECEIVER), *rows_of(("GNSS and speed",), ("courses 90° off", "not following"), ("GNSS",))],
     ),
     "fixes": (
         INDOORS,

@@ -305,16 +305,13 @@ class GnssBias(Refined, Remembered, Doubted):
 
     @cached_property
     def _of_throughout(self) -> Array:
-        """Sigmas ``(r, 3)`` of o [m, m] and behind. What is not followed is off at most by what a receiver states,
-        or by RECEIVERS.astray times that.
-        """
+        """Sigmas ``(r, 3)`` of o [m, m] and behind: what is not followed is at most off by what a receiver states."""
         lead = np.sum(self.lead[self.fixes.keyframe[self.fix]] ** 2, axis=1) / 2
         receiver, count = self.receiver[self.node], len(self.usual)
         mean = np.bincount(receiver, lead, count) / np.maximum(np.bincount(receiver, minlength=count), 1)
-        share = self.usual / np.sqrt(np.maximum(mean, INSTANT))
-        if self.astray:
-            return np.stack([RECEIVERS.astray * self.usual] * 2 + [np.minimum(1.0, RECEIVERS.astray * share)], axis=1)
-        return np.stack([RECEIVERS.throughout * self.usual] * 2 + [np.minimum(RECEIVERS.behind, share)], axis=1)
+        factor, most = (RECEIVERS.astray, 1.0) if self.astray else (RECEIVERS.throughout, RECEIVERS.behind)
+        behind = np.minimum(most, self.usual / np.sqrt(np.maximum(mean, INSTANT)))
+        return np.stack([factor * self.usual, factor * self.usual, behind], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
