@@ -692,10 +692,10 @@ class ReceiverPriors(Table):
         "0.13, 0.47, 0.21 of three museum walks, IPIN 2023",
     )
     astray: float = number(
-        2.8,
+        2.4,
         "share",
         "of the stated sigma in what stays the same, of a receiver that does not follow the walk",
-        "one museum log of ten: 2.4 most probable, 2.8 in the geometric mean; 1.3 to 6.1 within a nat",
+        "the most probable of one museum log of ten; 1.3 to 6.1 within a nat",
     )
     scattered: float = number(1.1, "σ", "root mean square residual from which all errors may be larger than stated")
 

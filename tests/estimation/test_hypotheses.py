@@ -34,9 +34,9 @@ TEXTS = [
     (
         "gnss_bias astray",
         ("A", "B"),
-        (2.8,),
+        (2.4,),
         "A and B",
-        "the positions of A and B do not follow the walk, and are off by about 3 times their sigma",
+        "the positions of A and B do not follow the walk, and are off by about 2.4 times their sigma",
     ),
     ("gnss_bias larger", GNSS, (2.0,), "GNSS", "the errors of GNSS are about 2 times what it states"),
     ("fixes wrong", (7,), (60.0, 3.0, 4.0), "fixes", "the fix at 60 s, (3, 4) m, is wrong"),

@@ -430,7 +430,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     check = "its sigmas, as stated; leave it out, or give a position that is known"
     if hypothesis.kind[1] == "larger":
         return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
-    text = f"the positions of {names} do not follow the walk, and are off by about {factor:.0f} times their sigma"
+    text = f"the positions of {names} do not follow the walk, and are off by about {factor:.1f} times their sigma"
     return Wording(names, text, check)
 
 
