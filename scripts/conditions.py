@@ -126,6 +126,7 @@ NETWORK_EVERY, NETWORK_SIGMA, NETWORK_LASTS, NETWORK_GAIN = 0.1, 0.3, 1.0, 0.1  
 FAR = 12.0  # [m] at least between two beacons that are swapped, or from a beacon to where it was moved
 BUILDING = 30.0  # [m] by which a list of another building is off
 OFF, JUMP, DELAY, FROZEN = 10.0, 20.0, 5.0, 60.0  # [m], [m], [s], [s] of a receiver
+ASTRAY = 3.0  # [σ] that a receiver is off throughout which does not follow its walk
 FOLLOWED = 0.5  # share of the way that a receiver follows indoors, as three of IPIN 2023's logs have it
 CLOCK = 2.0  # [s] by which the clock of another device is late
 WEAKER, FLATTER = -10.0, 0.8  # [dB] and factor of the levels about their mean, of another phone
@@ -417,6 +418,12 @@ def shrunk(fixes):
     return replace(fixes, position=middle + FOLLOWED * (fixes.position - middle))
 
 
+def not_following(fixes, random):
+    """Off throughout by so many stated sigmas, with the course of something else, as one of IPIN 2023's ten logs."""
+    position = fixes.position + ASTRAY * np.median(fixes.sigma) * any_direction(random)
+    return replace(fixes, position=position, course=wrap_angle(fixes.course + np.pi / 2))
+
+
 def alternating(fixes):
     """Every second fix is of another walker, who goes the same way backwards."""
     position = np.where(np.arange(len(fixes))[:, None] % 2, fixes.position[::-1], fixes.position)
@@ -431,6 +438,7 @@ RECEIVER_LIES = {
     "frozen for a minute": frozen,
     "half as far": lambda fixes, random: shrunk(fixes),
     "of two people": lambda fixes, random: alternating(fixes),
+    "not following": not_following,
     "3 times as sure": lambda fixes, random: replace(fixes, sigma=fixes.sigma / CONFIDENT),
     "courses 90° off": lambda fixes, random: replace(fixes, course=wrap_angle(fixes.course + np.pi / 2)),
 }

@@ -71,11 +71,17 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             *rows_of(("GNSS", "beacons"), LISTS, ("GNSS",)),
         ],
     ),
-    "beacons, GNSS": (INDOORS, rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",))),
+    "beacons, GNSS": (
+        INDOORS,
+        [
+            *rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",)),
+            Row(("beacons", "GNSS and speed: not following"), ("beacons",)),
+        ],
+    ),
     "beacons": (INDOORS, rows_of(("beacons",), LISTS)),
     "outdoors": (
         OUTDOORS,
-        [*rows_of(("GNSS",), RECEIVER), *rows_of(("GNSS and speed",), ("courses 90° off",), ("GNSS",))],
+        [*rows_of(("GNSS",), RECEIVER), *rows_of(("GNSS and speed",), ("courses 90° off", "not following"), ("GNSS",))],
     ),
     "fixes": (
         INDOORS,
@@ -120,6 +126,7 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             *rows_of(("start", "plan"), PLAN, ("start",)),
             Row(("start: 8 m off", "user fixes", "plan"), ("user fixes", "plan")),
             Row(("start: 8 m off", "plan"), ("start: 8 m off",)),
+            Row((NO_COMPASS, "start", "plan"), (NO_COMPASS, "start")),
             Row(("stride: 40 % off", "user fixes", "plan")),
         ],
     ),

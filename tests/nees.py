@@ -24,7 +24,7 @@ WIDE = 1e6  # [σ] within which Huber's loss is Gaussian
 def gaussian():
     """Without robust losses and hypotheses about sources that err, which are not Gaussian."""
     with ExitStack() as patches:
-        patches.enter_context(changed(PRICES, worse=()))
+        patches.enter_context(changed(PRICES, astray=100.0))
         patches.enter_context(changed(BEACONS, suspicious=np.inf))
         patches.enter_context(changed(LOSSES, huber=WIDE))
         for module in (base, kalman):

@@ -54,7 +54,7 @@ def test_a_minute_of_correlated_fixes_is_worth_a_few():
     time, sigma = np.arange(0, 61, RECEIVERS.node), 3.0
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
-    with changed(PRICES, worse=()):
+    with changed(PRICES, astray=100.0):
         estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
 
     alike = np.exp(-np.abs(time[:, None] - time) / RECEIVERS.standing)
@@ -274,8 +274,29 @@ def test_errors_k_times_as_large_cost_their_price_and_the_normaliser_of_every_er
     assert larger == pytest.approx({k: price + 2 * errors * np.log(k) for k, price in PRICES.larger})
 
 
-@pytest.mark.parametrize(("throughout", "larger"), [(2.0, 1.0), (RECEIVERS.throughout, 3.0), (2.0, 3.0)])
-def test_a_decision_about_receivers_holds_for_later_fixes(throughout, larger):
+def test_a_receiver_that_does_not_follow_has_wider_priors_and_pays_their_normaliser():
+    """Of the offset throughout in two axes, and of the share that is not followed, at most all of the walk."""
+    steps = meander()
+    time = np.arange(2.0, steps.end, 4.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    graph = biased(WalkGraph(steps, named(fixes_at(time, true, 3.0))))
+    at = graph.evaluate(graph.start)
+    [proposal] = [p for p in graph.find(GnssBias).hypotheses(at, None) if p.hypothesis.kind[1] == "astray"]
+    lost = graph.assuming(proposal.measurements)
+
+    def sigmas(graph):
+        [prior] = graph.evaluate(graph.start).blocks_of("gnss_bias.throughout")
+        return 1 / np.abs(np.diag(prior.jacobian()[0]))
+
+    usual, unusual = sigmas(graph), sigmas(lost)
+    assert usual[:2] == pytest.approx(RECEIVERS.throughout * 3.0)
+    assert unusual[:2] == pytest.approx(RECEIVERS.astray * 3.0)
+    assert usual[2] <= unusual[2] <= 1.0
+    assert proposal.hypothesis.price == pytest.approx(PRICES.astray + np.log(np.prod(unusual / usual)))
+
+
+@pytest.mark.parametrize(("astray", "larger"), [(True, 1.0), (False, 3.0), (True, 3.0)])
+def test_a_decision_about_receivers_holds_for_later_fixes(astray, larger):
     """A smoother that goes on from an earlier decision models the same errors."""
     steps = meander()
     time = np.arange(1.0, steps.end, 1.0)
@@ -283,9 +304,9 @@ def test_a_decision_about_receivers_holds_for_later_fixes(throughout, larger):
         steps, named(fixes_at(time, interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position), 3.0))
     )
     as_stated = GnssBias.of(graph.positions, graph.steps)
-    decided = replace(as_stated._times(larger), throughout=throughout)
-    later = as_stated.continued(decided.decisions())
-    assert later.throughout == throughout
+    decided = as_stated._times(larger)
+    later = as_stated.continued((decided._astray() if astray else decided).decisions())
+    assert later.astray == later.courses.wrong == astray
     assert later.larger == larger
     assert later.sigma == pytest.approx(larger * as_stated.sigma)
 

@@ -9,10 +9,12 @@ from test_gnss_bias import meander, named
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph import Fixes, Frame
+from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.factors.gnss_bias import COURSE, GnssBias
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
+from pdr_graph.estimation.verdict import verdict
 from pdr_graph.frames import enu, projected
 from pdr_graph.geometry import interpolate
 from pdr_graph.online.navigator import Navigator
@@ -84,10 +86,21 @@ def without(fixes):
 def test_courses_of_something_else_are_named_and_not_used(off):
     """A compass of the phone instead of the direction of motion, say."""
     lied, honest = smooth(graph_of(off=off)), smooth(WalkGraph(meander(), without(with_courses(meander()))))
-    assert lied.assumed == ("gnss_bias: course",)
-    assert any("course of GNSS" in found.text for found in lied.contradictions)
+    assert lied.assumed == ("gnss_bias: astray",)
+    assert any("GNSS do not follow" in found.text for found in lied.contradictions)
     apart = lied.trajectory.position - honest.trajectory.position
     assert np.hypot(*apart.T).max() < 0.5
+
+
+@pytest.mark.parametrize("direction", range(4))
+def test_a_receiver_that_does_not_follow_the_walk_has_a_region_that_holds_it(direction):
+    """Four sigmas off throughout, with courses of something else; it is never "ok"."""
+    steps = meander()
+    fixes = with_courses(steps, off=np.pi / 2)
+    away = 12.0 * np.array([np.cos(direction), np.sin(direction)])
+    estimate = smooth(WalkGraph(steps, replace(fixes, position=fixes.position + away)))
+    assert not verdict(estimate).ok
+    assert coverage(estimate.trajectory, dead_reckon(steps)) > 0.9
 
 
 def test_right_courses_are_not_doubted():

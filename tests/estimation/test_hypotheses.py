@@ -32,11 +32,11 @@ TEXTS = [
     ("beacons of another place", (), (), "beacons", "the list of beacons is of another place"),
     ("beacons displaced", (), (31.0,), "beacons", "all positions in the list of beacons are off by about 31 m"),
     (
-        "gnss_bias throughout",
+        "gnss_bias astray",
         ("A", "B"),
-        (5.0,),
+        (2.4,),
         "A and B",
-        "A and B is off throughout by up to 5 times what it states",
+        "the positions of A and B do not follow the walk, and are off by about 2.4 times their sigma",
     ),
     ("gnss_bias larger", GNSS, (2.0,), "GNSS", "the errors of GNSS are about 2 times what it states"),
     ("fixes wrong", (7,), (60.0, 3.0, 4.0), "fixes", "the fix at 60 s, (3, 4) m, is wrong"),
@@ -53,10 +53,6 @@ def test_what_a_user_reads_is_made_of_kind_instances_and_parameter(n):
     wording = HYPOTHESES[n].wording
     assert (wording.source, wording.text) == TEXTS[n][-2:]
     assert wording.check
-
-
-def test_a_receiver_that_is_off_by_twice_what_it_states_is_usual():
-    assert not Hypothesis(("gnss_bias", "throughout"), GNSS, (2.0,)).wording.check
 
 
 def test_a_hypothesis_is_stored_without_loss():
@@ -77,11 +73,6 @@ def test_the_sizes_of_one_claim_are_told_together_with_the_size_of_the_best():
     (found,) = contradictions(optima, np.array([0.4, 0.3, 0.3]))
     assert found.amount == pytest.approx(0.7)
     assert "about 4 times" in found.text
-
-
-def test_a_size_that_needs_no_check_adds_nothing():
-    twice, five = (Hypothesis(("gnss_bias", "throughout"), GNSS, (k,)) for k in (2.0, 5.0))
-    assert contradictions([assuming(twice), assuming(five)], np.array([0.7, 0.3])) == ()
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +106,7 @@ def fix_wrong(number):
 
 
 def off(factor, name="GNSS"):
-    return Hypothesis(("gnss_bias", "throughout"), (name,), (factor,), price=factor)
+    return Hypothesis(("gnss_bias", "larger"), (name,), (factor,), price=factor)
 
 
 def displaced(by):
@@ -210,7 +201,7 @@ def test_idle_moments_change_nothing(walk):
 def test_a_lone_receiver_has_the_batchs_region():
     """Nothing tells how far off it is: the variance stated at the last keyframe is the batch's, not the solver's."""
     steps, fixes, _ = drawn_with_a_receiver(160, 2)
-    with changed(PRICES, worse=((2.0, 0.7), (5.0, 2.3))):
+    with changed(PRICES, astray=0.7):
         live = pushed(LiveSmoother(), steps, fixes)
         batch = smooth(WalkGraph(steps, fixes)).trajectory.covariance[-1, :2, :2]
     stated, solved = live.graph.covariance(-1)[:2, :2], live.graph.solved_covariance(-1)[:2, :2]

@@ -229,10 +229,9 @@ def contradictions(optima: Sequence[Optimum], probability: Array) -> tuple[Contr
     """What the sources probably get wrong. probability: ``(n,)`` of each solution, up to a factor."""
     found = []
     for claim in dict.fromkeys(claim for optimum in optima for claim in optimum.assumed):
-        sizes = [[other for other in optimum.assumed if other == claim and other.wording.check] for optimum in optima]
-        share = float(probability[[bool(of_optimum) for of_optimum in sizes]].sum() / probability.sum())
+        share = float(probability[[claim in optimum.assumed for optimum in optima]].sum() / probability.sum())
         if share > DOUBTS.probable:
-            words = next(of_optimum[0] for of_optimum in sizes if of_optimum).wording
+            words = claim.wording
             text = f"{words.text} (probability {percent(share)})"
             against = "the steps and the other sources"
             found.append(Contradiction(words.source, against, round(share, 3), "probability", text, words.check))

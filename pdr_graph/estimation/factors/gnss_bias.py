@@ -8,15 +8,18 @@ sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of st
 
 with ω = RECEIVERS.white, v the recent walking velocity. g is a Gauss–Markov process of sigma σ₀
 about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
-under a roof. Its sigma is k times the receiver's median σ₀. How large k is nothing tells where there is no other
-source, so that it is a hypothesis: most receivers have RECEIVERS.throughout, some are several times worse than they
-state. The process runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the
-same error; the excess of worse ones among them is common to them as well.
+under a roof. Its sigma is RECEIVERS.throughout of the receiver's median σ₀. The process runs in units of `drift`, with
+correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
+common to them as well.
 
 Indoors receivers smooth their positions over minutes and follow a walk only in part: of three in a museum (IPIN 2023)
 0.87, 0.53 and 0.79 of it. l is how far the walk is ahead of its own recent mean (`Chain.lead`), and
 behind, a constant of the receiver, the share that it does not follow. Without it strides shrink. v and l are in the
 axes of the estimate before: along the heading of the pose, a lag of 20 s would let each heading explain each fix.
+
+Some receivers do not follow their walk at all: one of the ten museum logs states 8 m, is 26 m off throughout, and its
+course is not that of the walk. Where there is no other source nothing tells, so that it is a hypothesis, with all that
+it implies together: o of RECEIVERS.astray, behind up to 1, and courses that say nothing.
 
 The course of a receiver, which Doppler measures without the error of the position, is where the walk leads:
 
@@ -78,8 +81,9 @@ class GnssBias(Refined, Remembered, Doubted):
     row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
     node_number: ``(m,)``; sigma: ``(m,)`` σ₀ there [m]; keep: ``(m,)`` correlation with the node before, 0 for the
     first of a source; elapsed: ``(m,)`` time since the node before [s].
-    receiver: ``(m,)`` of each node; receiver_number: ``(r,)``; usual: ``(r,)`` median σ₀ [m]; throughout: k.
-    larger: factor by which all sigmas are larger than of the fixes; courses: of the receivers.
+    receiver: ``(m,)`` of each node; receiver_number: ``(r,)``; usual: ``(r,)`` median σ₀ [m].
+    larger: factor by which all sigmas are larger than of the fixes; courses: of the receivers, unused if these are
+    assumed to be astray, that is, not to follow the walk.
     """
 
     fixes: FixFactor
@@ -97,9 +101,9 @@ class GnssBias(Refined, Remembered, Doubted):
     receiver: Index
     receiver_number: Index
     usual: Array
-    throughout: float
     courses: Courses
     larger: float = 1.0
+    astray: bool = False
 
     name: ClassVar[str] = "gnss_bias"
     symbol: ClassVar[str] = "g"
@@ -137,7 +141,6 @@ class GnssBias(Refined, Remembered, Doubted):
             receiver=np.repeat(np.arange(len(numbers)), [len(n) for n in numbers]),
             receiver_number=np.array([_number(fixes.fixes.source[rows[0]]) for rows in sources], dtype=np.intp),
             usual=np.array([np.median(offset[rows]) for rows in sources]),
-            throughout=RECEIVERS.throughout,
             courses=Courses.of(fixes.fixes, fixes.sigma, sources),
         )
 
@@ -149,21 +152,19 @@ class GnssBias(Refined, Remembered, Doubted):
         return self.of(fixes, self.steps).continued(self.decisions())
 
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
-        """All receivers are off throughout by several times what they state, their courses or all their errors wrong.
+        """No receiver follows the walk, or all their errors are larger than they state.
 
         The latter only if the fixes lie accordingly about the walk and the offset.
         """
         if not len(self.fix):
             return ()
         names, found = tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist())), list[Proposal]()
-        for k, price in PRICES.worse:
-            normaliser = 2 * float(np.log(k / RECEIVERS.throughout)) * len(self.usual)  # of the wider prior
-            off = Hypothesis((self.name, "throughout"), names, (k,), price + normaliser)
-            found.append(Proposal(off, (replace(self, throughout=k),)))
-        price = PRICES.wrong_course + self.courses.surprise
-        if at.blocks_of(COURSE) and at.cost > price:  # nothing else could be gained
-            wrong = Hypothesis((self.name, "course"), names, price=price)
-            found.append(Proposal(wrong, (replace(self, courses=self.courses.unused()),), anew=True))
+        if not self.astray:
+            lost = self._astray()
+            wider = np.log(lost._of_throughout / self._of_throughout)  # normaliser of the wider prior
+            price = PRICES.astray + float(np.sum(wider)) + self.courses.surprise * bool(at.blocks_of(COURSE))
+            hypothesis = Hypothesis((self.name, "astray"), names, (RECEIVERS.astray,), price)
+            found.append(Proposal(hypothesis, (lost,), anew=bool(at.blocks_of(COURSE))))
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol_throughout]
         if np.sqrt(np.mean(block.residual**2)) < RECEIVERS.scattered:
             return found
@@ -180,26 +181,27 @@ class GnssBias(Refined, Remembered, Doubted):
         names = {int(self.receiver[n]): self.fixes.fixes.source[f] for n, f in zip(self.node, self.fix, strict=True)}
         return [(name, self.symbol_throughout, row) for row, name in sorted(names.items())]
 
+    def _astray(self) -> Self:
+        """The receivers do not follow the walk."""
+        return replace(self, courses=self.courses.unused(), astray=True)
+
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
         changes = {name: factor * getattr(self, name) for name in ("white", "sigma", "usual", "larger")}
         return replace(self, **changes)
 
     def decisions(self) -> dict[str, AnyArray]:
-        """The offset and the sigmas of receivers that are worse than they state, and whether their courses are used."""
-        wrong = self.courses.wrong
-        if self.throughout == RECEIVERS.throughout and self.larger == 1.0 and not wrong:
+        """Whether receivers are astray, and the factor of their sigmas."""
+        if self.larger == 1.0 and not self.astray:
             return {}
-        factors = {"throughout": np.array([self.throughout]), "larger": np.array([self.larger])}
-        return factors | {"wrong_course": np.array([wrong])}
+        return {"larger": np.array([self.larger]), "astray": np.array([self.astray])}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Apply an earlier decision about the errors of receivers."""
         if not decisions:
             return self
-        courses = self.courses.unused() if decisions["wrong_course"][0] else self.courses
         larger = self._times(float(decisions["larger"][0]))
-        return replace(larger, throughout=float(decisions["throughout"][0]), courses=courses)
+        return larger._astray() if decisions["astray"][0] else larger
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
@@ -288,8 +290,7 @@ class GnssBias(Refined, Remembered, Doubted):
             prior=True,
         )
         receivers = self.symbol_throughout, np.arange(len(o))
-        wide = np.stack([self.throughout * self.usual] * 2 + [self._unfollowed], axis=1)
-        same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, wide, self.receiver_number)
+        same = FactorBlock.prior_of(f"{self.name}.throughout", receivers, o, self._of_throughout, self.receiver_number)
         return [begin, follow, same]
 
     @cached_property
@@ -303,12 +304,14 @@ class GnssBias(Refined, Remembered, Doubted):
         return first, later, sigma, share, scale
 
     @cached_property
-    def _unfollowed(self) -> Array:
-        """Sigma of the share that each receiver does not follow: at most so that it is off by what it states."""
+    def _of_throughout(self) -> Array:
+        """Sigmas ``(r, 3)`` of o [m, m] and behind: what is not followed is at most off by what a receiver states."""
         lead = np.sum(self.lead[self.fixes.keyframe[self.fix]] ** 2, axis=1) / 2
         receiver, count = self.receiver[self.node], len(self.usual)
         mean = np.bincount(receiver, lead, count) / np.maximum(np.bincount(receiver, minlength=count), 1)
-        return np.minimum(RECEIVERS.behind, self.usual / np.sqrt(np.maximum(mean, INSTANT)))
+        factor, most = (RECEIVERS.astray, 1.0) if self.astray else (RECEIVERS.throughout, RECEIVERS.behind)
+        behind = np.minimum(most, self.usual / np.sqrt(np.maximum(mean, INSTANT)))
+        return np.stack([factor * self.usual, factor * self.usual, behind], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,16 +425,13 @@ class Courses:
 
 @wording_of(GnssBias.name)
 def _wording(hypothesis: Hypothesis) -> Wording:
-    """Receivers are off throughout, all their errors are larger than they state, or their courses are wrong."""
-    names = " and ".join(str(name) for name in hypothesis.instances)
-    if hypothesis.kind[1] == "course":
-        return Wording(names, f"the course of {names} is not that of the walk", "that it is the direction of motion")
-    (factor,) = hypothesis.parameter
+    """Receivers do not follow the walk, or all their errors are larger than they state."""
+    names, (factor,) = " and ".join(str(name) for name in hypothesis.instances), hypothesis.parameter
     check = "its sigmas, as stated; leave it out, or give a position that is known"
     if hypothesis.kind[1] == "larger":
         return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
-    text = f"{names} is off throughout by up to {factor:.0f} times what it states"
-    return Wording(names, text, check if factor > PRICES.worse[0][0] else "")
+    text = f"the positions of {names} do not follow the walk, and are off by about {factor:.1f} times their sigma"
+    return Wording(names, text, check)
 
 
 def _number(source: str) -> int:
