@@ -230,8 +230,8 @@ def contradictions(optima: Sequence[Optimum], probability: Array) -> tuple[Contr
     found = []
     for claim in dict.fromkeys(claim for optimum in optima for claim in optimum.assumed):
         share = float(probability[[claim in optimum.assumed for optimum in optima]].sum() / probability.sum())
-        if share > DOUBTS.probable:
-            words = claim.wording
+        words = claim.wording
+        if share > DOUBTS.probable and words.check:
             text = f"{words.text} (probability {percent(share)})"
             against = "the steps and the other sources"
             found.append(Contradiction(words.source, against, round(share, 3), "probability", text, words.check))

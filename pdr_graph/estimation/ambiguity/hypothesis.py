@@ -56,11 +56,11 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Wording:
-    """A hypothesis for the user. source: its name; text: what errs; check: what to check."""
+    """A hypothesis for the user. source: its name; text: what errs; check: what to check, "" if nothing."""
 
     source: str
     text: str
-    check: str
+    check: str = ""
 
 
 @dataclass(frozen=True)
