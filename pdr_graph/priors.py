@@ -323,13 +323,8 @@ class GripPriors(Table):
     clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
     windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
-    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation")
-    imprecise: float = number(
-        4.0,
-        "ratio",
-        "vertical acceleration over level, times √(1 - coherence²), from which the axis is unclear",
-        "85 mall walks: axes off by 0.5 rad in 0.2 % of 3,080 windows up to 4, in 2 % to 5, in 10 % to 7; RIDI: none",
-    )
+    coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(1, 2))
+    weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
     sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change")
 
 

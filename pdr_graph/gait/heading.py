@@ -126,16 +126,6 @@ def push(level: Complex, vertical: Complex) -> Complex:
     return np.mean(level * ahead, axis=-1) / np.sqrt(power + 1e-12)
 
 
-def coherence_of_any_lead(level: Complex, vertical: Complex) -> Array:
-    """Coherence ``(…,)`` of level and vertical acceleration ``(…, n)`` at the lead where it is largest, 0 to 1.
-
-    Leads differ by 100° between persons and grips: the length of `push` does not tell how precise its angle is.
-    """
-    power = 2 * np.mean(np.abs(level) ** 2, axis=-1) * np.mean(np.abs(vertical) ** 2, axis=-1)
-    both = np.abs(np.mean(level * vertical, axis=-1)) + np.abs(np.mean(level * vertical.conj(), axis=-1))
-    return np.minimum(both / np.sqrt(power + 1e-12), 1.0)
-
-
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level (complex, ahead real) and analytic vertical acceleration at the step frequency, both ``(n,)``. [m/s²]"""
     return harmonic(*level_and_vertical(attitude, heading), step / attitude.period)
@@ -418,10 +408,9 @@ class HeadingStream:
         level, up = level_and_vertical(self.attitude(part), self.straight[part])
         rows = rows - part.start
         ahead, vertical = (each[:, edge:] for each in harmonic(level[rows], up[rows], self.step / self.period))
-        found, coherence = push(ahead, vertical), coherence_of_any_lead(ahead, vertical)
+        found = push(ahead, vertical)
         horizontal, high = (np.median(np.abs(each), axis=1) for each in (ahead, vertical))
-        precise = np.sqrt(1 - coherence**2) * high < GRIP.imprecise * horizontal
-        clear = (coherence > GRIP.coherent) & precise & (2 * high > CANDIDATE.weakest)
+        clear = (np.abs(found) > GRIP.coherent) & (horizontal > GRIP.weak * high) & (2 * high > CANDIDATE.weakest)
         held = self.doubt[begins + size - 1] == self.doubt[begins]  # the grip does not change meanwhile
         return np.where(clear & held & self.measured[part][rows].all(axis=1), found, 0.0)
 

@@ -1,7 +1,5 @@
 """The walking direction of a phone held anyhow, on simulated walks and on movements that are known exactly."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gait_data import put_away
@@ -85,7 +83,7 @@ def test_the_error_is_below_eight_degrees_in_every_hold(hold, rate):
         found = attitude_of(walk.recording("accelerometer", "gyroscope"))
         step = 1 / walk.walker.cadence
         direction = walking_direction(found, step)
-        assert direction.variance[-1] < GRIP.off_sigma**2 / 5, "a corner is no grip change"
+        assert direction.variance[-1] < 0.003, "a corner is no grip change"
         heading = direction.heading
         truth = np.interp(found.time, walk.body.time, walk.body.heading)
         walking = np.interp(found.time, walk.body.time, walk.body.step_length) > 0.3
@@ -120,18 +118,6 @@ def test_a_phone_turned_in_the_hand_does_not_turn_the_walker(angle):
         assert plain.variance[-1] < 0.02
         assert GRIP.off_sigma**2 < direction.variance[-1] < GRIP.sigma**2 + 0.02
         assert direction.heading[-1] == pytest.approx(plain.heading[-1], abs=2 * GRIP.sigma)
-
-
-@pytest.mark.parametrize("lead", [20, 63, 120])
-@pytest.mark.parametrize("angle", [-90, 90, 150])
-def test_a_turn_of_the_phone_is_seen_whatever_the_lead_of_the_walker(lead, angle):
-    """Forward acceleration leads the vertical one by 18 to 121° in real walks; the walker goes straight on."""
-    turn = np.radians(angle) * np.clip((TIME - 20) / 0.7, 0, 1)
-    phase = 2 * np.pi * TIME / STEP
-    world = np.stack([np.cos(phase + np.radians(lead)), 0 * TIME, 9.81 + 2 * np.cos(phase)], axis=1)
-    turned = Rotation.from_euler("z", turn[:, None])
-    found = replace(attitude(turned), acceleration=turned.inv().apply(world))
-    assert np.degrees(walking_direction(found, STEP).heading[-1]) == pytest.approx(0, abs=10)
 
 
 @pytest.mark.parametrize("angle", [0, 90, 180])
