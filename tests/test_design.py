@@ -65,33 +65,33 @@ LIBRARIES = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (14, 3019),  # the pose of an estimate at any time; declared columns
+    ".": (14, 3063),  # the pose of an estimate at any time; declared columns
     "apps": (3, 189),  # the filter beside a replay
-    "apps/bench": (5, 474),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
+    "apps/bench": (5, 550),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
     "apps/evaal": (4, 531),
-    "apps/lifelog": (28, 5723),
+    "apps/lifelog": (28, 5734),
     "apps/lifelog/past": (8, 1040),
-    "apps/report": (9, 1450),  # the view for Rerun
+    "apps/report": (9, 1475),  # the view for Rerun
     "apps/serve": (14, 2949),  # Home Assistant, receivers that hear the phone
-    "estimation": (19, 3664),  # iSAM2; the filter of a walk under way; poses between steps
+    "estimation": (19, 3668),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
-    "estimation/factors": (16, 2936),  # the marginal; increments for a smoother of one's own; a path to go on from
-    "estimation/live": (9, 1751),
+    "estimation/factors": (17, 3070),  # the marginal; increments for a smoother of one's own; a path to go on from
+    "estimation/live": (9, 1755),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
-    "gait": (11, 1569),
+    "gait": (11, 1650),
     "inertial": (6, 530),
     "io": (20, 2076),  # recorders by the words in their columns, step counters, bags of ROS
     "lab": (2, 0),
     "lab/papers": (12, 2179),  # the experiments of the five papers
     "lab/simulation": (10, 1410),  # a crowd whose phones receive each other
-    "online": (7, 1038),  # the filter beside the smoother
+    "online": (7, 1040),  # the filter beside the smoother
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (31, 5829),
-    "online.navigator": (69, 13525),
+    "estimation.smoother": (31, 5916),
+    "online.navigator": (69, 13741),
 }
 
 
@@ -273,7 +273,7 @@ def test_no_factor_class_is_named_outside_the_factors():
 
 
 # How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 48, 32
+TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 49, 32
 
 
 def passed(call):
