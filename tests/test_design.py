@@ -44,7 +44,7 @@ HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 LIBRARIES = {
     "cli": {"typer"},
     "bench": {"matplotlib"},
-    "serve": {"starlette", "uvicorn", "aiomqtt"},
+    "serve": {"starlette", "uvicorn", "h11", "aiomqtt"},
     "lifelog": {"matplotlib", "lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}
     | {"garmin_fit_sdk"},
     "report": {"matplotlib", "isal", "rerun"},
@@ -76,7 +76,7 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps/serve": (14, 2949),  # Home Assistant, receivers that hear the phone
     "estimation": (19, 3668),  # iSAM2; the filter of a walk under way; poses between steps
     "estimation/ambiguity": (6, 390),
-    "estimation/factors": (17, 3070),  # the marginal; increments for a smoother of one's own; a path to go on from
+    "estimation/factors": (17, 3077),  # the marginal; increments for a smoother of one's own; a path to go on from
     "estimation/live": (9, 1755),
     "floor": (9, 1359),
     "floor/formats": (16, 1893),
@@ -90,8 +90,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (31, 5916),
-    "online.navigator": (69, 13741),
+    "estimation.smoother": (31, 5918),
+    "online.navigator": (69, 13746),
 }
 
 

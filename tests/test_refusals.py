@@ -194,7 +194,7 @@ FILES = {
     "a web page (was the download a login page or a message?)": ("a.zip", b"<!DOCTYPE html><html><body>Sign in</body>"),
     "expected a complete zip: was the download cut off?": ("a.zip", b"PK\x03\x04" + bytes(200)),
     "a RAR archive, expected a zip, a folder or a file (un": ("a.rar", b"Rar!\x1a\x07\x01\x00" + bytes(50)),
-    "a gzip archive, expected a zip": ("a.csv.gz", gzip.compress(b"time,x\n")),
+    "a gzip archive, expected a zip": ("a.csv", gzip.compress(b"time,x\n")),
     "an Excel file, expected CSV: save each table as CSV, or export": ("a.xlsx", excel()),
     "an empty file, " + RECORDERS: ("a.csv", b""),
     "a PNG picture, expected a recording (is this a floor plan": ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(50)),

@@ -255,7 +255,7 @@ def test_strides_too_short_for_any_walker_are_doubtful_whatever_confirms_them():
     estimate = pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[::6], 0.66 * track.position[::6], 0.5)))
     [reason] = pdr.verdict(estimate).reasons
     assert reason.source == "stride"
-    assert "in 120 steps, 0.47 m each: 67 % of what walkers" in reason.text
+    assert "in 120 steps, 0.46 m each: 67 % of what walkers" in reason.text
 
 
 def test_a_receiver_whose_fixes_lie_away_from_the_walk_is_named():

@@ -353,9 +353,7 @@ def without_rollover(time: Array, name: str, notes: list[str]) -> Array:
     missing = missing - missing.min(initial=0)  # the first may be among them
     if missing.any():
         times = count(int((missing > 0).sum()), "time")
-        notes.append(
-            f"{name}: {times} 1024 weeks early, as of a receiver whose weeks overflowed: put right"
-        )
+        notes.append(f"{name}: {times} 1024 weeks early, as of a receiver whose weeks overflowed: put right")
     return time + ROLLOVER * missing
 
 

@@ -56,11 +56,11 @@ def apart(values, others):
     return float(np.hypot(*(extract(values, "x") - extract(others, "x"))[:, :2].T).max())
 
 
-def assert_stays(estimate, start=None):
-    """GTSAM's optimisers end at the estimate's optimum, from there or from ``start``."""
+def assert_stays(estimate, start=None, within=0.02):
+    """GTSAM's optimisers end at the estimate's optimum, from there or from ``start``, up to a distance [m]."""
     exported, optimum = estimate.graph.to_gtsam(), estimate.graph.optimal_values()
     for name, method in OPTIMISERS.items():
-        assert apart(method(exported, start or optimum), optimum) < 0.02, name
+        assert apart(method(exported, start or optimum), optimum) < within, name
 
 
 @pytest.mark.parametrize("with_plan", [False, True])
@@ -85,7 +85,7 @@ def test_ranges_with_detours(with_fixes):
     ranges, detour = ranged(truth, 2)
     estimate = pdr.smooth(WalkGraph(steps, fixes if with_fixes else None, measurements=[ranges]))
     assert detour.any()
-    assert_stays(estimate)
+    assert_stays(estimate, within=0.05)  # by ranges alone the optimum is flat
 
 
 def demo(with_plan):

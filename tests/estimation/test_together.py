@@ -8,6 +8,7 @@ from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.estimation.multi_walk import smooth_together
+from pdr_graph.priors import WALKER, changed
 from pdr_graph.types import Closures, Estimate
 
 SIGMA_CLOSURE = 1.0  # [m]
@@ -64,13 +65,15 @@ def error(estimate, truth):
 
 
 def test_unconnected_walks_equal_their_separate_solutions():
-    """To 2 cm and 8 % of the covariance: what joins them is loose, not nothing, and segments are cut elsewhere."""
+    """To 2 cm and 8 % of the covariance or 40 cm²: what joins them is loose, and segments are cut elsewhere."""
     walks = [drawn(60, seed) for seed in range(3)]
-    alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
-    for estimate, other in zip(alone, together(walks, Closures.of([])), strict=True):
+    with changed(WALKER, drifting=1e-9):  # else it is asked of each walk, or of all, whether the gyroscope drifts far
+        alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
+        joined = together(walks, Closures.of([]))
+    for estimate, other in zip(alone, joined, strict=True):
         assert other.trajectory.time == pytest.approx(estimate.trajectory.time, abs=1e-6)
         assert np.abs(estimate.trajectory.position - other.trajectory.position).max() < 0.02
-        assert other.trajectory.covariance == pytest.approx(estimate.trajectory.covariance, rel=0.08, abs=1e-3)
+        assert other.trajectory.covariance == pytest.approx(estimate.trajectory.covariance, rel=0.08, abs=4e-3)
         assert other.calibration.value[-1] == pytest.approx(estimate.calibration.value[-1], abs=0.01)
         residuals = [fix.residual for fix in estimate.fixes]
         assert [fix.residual for fix in other.fixes] == pytest.approx(residuals, abs=0.01)

@@ -402,19 +402,22 @@ class Stage(Enum):
 class Measurement(ABC):
     """A measurement kind: all its instances on one walk. Subclasses are frozen.
 
-    name: in reports, decisions and blocks; determines_position: True if it measures absolute positions;
-    determines_drift: True if it measures the gyroscope's drift; overhang: time [s] by which an instance may lie before
-    or after the steps; price: cost of the association with rooms or ways, in addition to the residuals [half a squared
-    sigma].
+    name: in reports, decisions and blocks; determines_position: True if it measures absolute positions; overhang: time
+    [s] by which an instance may lie before or after the steps; price: cost of the association with rooms or ways, in
+    addition to the residuals [half a squared sigma].
     A kind that is made from data has ``of(data, steps, prior, number)`` too, see `register`. What else a kind may do is
     an interface below, which it inherits.
     """
 
     name: ClassVar[str] = ""
     determines_position: ClassVar[bool] = False
-    determines_drift: ClassVar[bool] = False
     overhang: ClassVar[float] = 0.0
     price: float = 0.0
+
+    @property
+    def determines_drift(self) -> bool:
+        """True if it determines the gyroscope's drift, so that the search finds one however large."""
+        return False
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""

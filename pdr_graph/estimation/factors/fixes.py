@@ -130,6 +130,11 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
     def __len__(self) -> int:
         return len(self.fixes)
 
+    @property
+    def determines_drift(self) -> bool:
+        """True for four fixes or more: a walk of any drift fits two, and one of another direction or length three."""
+        return int(self.used.sum()) > 3
+
     def keyframe_times(self) -> Array:
         """The times of the fixes that are used."""
         return self.fixes.time[self.used]

@@ -44,13 +44,17 @@ class DriftFactor(Itemized):
     keyframe: Index = field(metadata=KEYFRAME)
 
     name: ClassVar[str] = "drifts"
-    determines_drift: ClassVar[bool] = True
 
     @classmethod
     def of(cls, drifts: Drifts, steps: Steps, prior: Prior, number: Index | None = None) -> Self:
         """The drifts measured during the recording."""
         inside = np.flatnonzero((drifts.time >= steps.start) & (drifts.time <= steps.end))
         return cls(take(drifts, inside), inside if number is None else number[inside], np.full(len(inside), -1))
+
+    @property
+    def determines_drift(self) -> bool:
+        """True if there are any."""
+        return len(self.drifts) > 0
 
     def keyframe_times(self) -> Array:
         """The times of the drifts."""

@@ -154,7 +154,7 @@ class CalibrationFactor(Remembered, Doubted):
         return (*self._of_another(), *drifts)
 
     def _drifting(self, at: Evaluation, drift: float) -> Proposal:
-        """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning laid on the walk."""
+        """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning placed on the walk."""
         c = at.state.c.copy()
         c[:, 2] = drift
         delta = preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last]
@@ -162,8 +162,8 @@ class CalibrationFactor(Remembered, Doubted):
         track = np.append(0.0, np.cumsum(as_complex(delta[:, :2]) * np.exp(1j * heading[:-1])))
         walk = as_complex(at.state.poses[:, :2])
         turn = np.angle(np.vdot(track - track.mean(), walk - walk.mean()))
-        laid = walk.mean() + (track - track.mean()) * np.exp(1j * turn)
-        poses = np.column_stack([laid.real, laid.imag, wrap_angle(heading + turn)])
+        placed = walk.mean() + (track - track.mean()) * np.exp(1j * turn)
+        poses = np.column_stack([placed.real, placed.imag, wrap_angle(heading + turn)])
         far = WALKER.far * self._priors[2][:, 2, 2]
         price = float(np.sum(np.log(far * (1 - WALKER.drifting) / WALKER.drifting)))
         start = at.state.replaced(x=poses, c=c)
