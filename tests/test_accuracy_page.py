@@ -235,6 +235,9 @@ def test_markers_come_in_pairs():
 
 def test_two_scripts_agree_on_the_walks_in_malls(scripts):
     """The summary pools its errors from one case per recording, the other table from all walks at once."""
+    pages = ((ROOT / "docs/results" / name).read_text() for name in ("microsoft.md", "recordings.md"))
+    if len({re.findall(r"^Made at commit (\w+)", page, re.MULTILINE)[0] for page in pages}) > 1:
+        pytest.skip("made at two commits")
     rows = scripts[1].published("results/microsoft.md", "microsoft")[0]
     by_method = {(row["given"], row["method"]): row for row in rows}
     aligned_and_filter = {"PDR, rigidly aligned [m]": "dead reckoning", "filter [m]": "filter (causal)"}
