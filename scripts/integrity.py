@@ -160,7 +160,7 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
         for name, row in rows
     ]
     publish("results/integrity.md", "integrity", regions(["", "given", *HEADER], lines))
-    honest = [(name, row) for name, row in rows if LIE not in row.name or row.name.startswith(NO_COMPASS)]
+    honest = [(name, row) for name, row in rows if LIE not in row.name.removeprefix(NO_COMPASS)]
     sharp = [[FAMILIES[name][0], row.name, *sharpness(found[name, row.given])] for name, row in honest]
     publish("results/integrity.md", "integrity sharpness", table(["", "given", *SHARPNESS], sharp))
     groups = {"nothing lies": [], "a source lies": []}
