@@ -253,16 +253,12 @@ SCORED_AT = (50, 75, 95)  # percentiles
 LEVELS = (50, 90, 99)  # [%] of the regions whose coverage is counted
 GROUP = "data set", "given", "method"
 COVERAGE = tuple(f"in {level} %" for level in LEVELS)
-STATISTICS = (*GROUP, "walks", "failed", "places", "CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE)
 LOW = 0.6  # share of a walk's places in the 90 % region, up to which the walk is counted
-STATISTICS += (
-    "log score [nats]",
-    "energy score [m]",
-    f"walks up to {100 * LOW:.0f} % in 90 %",
-    "across walls",
-    "length",
+STATISTICS = (
+    *(*GROUP, "walks", "failed", "places"),
+    *("CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE, "log score [nats]", "energy score [m]"),
+    *(f"walks up to {100 * LOW:.0f} % in 90 %", "across walls", "length", "steps", "seconds"),
 )
-STATISTICS += ("steps", "seconds")
 WORST = (*GROUP, "walk", "places", "CE50 [m]", "CE95 [m]", "in 90 %", "log score [nats]", "verdict")
 
 

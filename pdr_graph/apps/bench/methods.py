@@ -21,23 +21,28 @@ from pdr_graph.geometry import row_times
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_steps
 from pdr_graph.types import Trajectory
-from pdr_graph.walk import LIVE, Evidence, Options, estimate, observe, read
+from pdr_graph.walk import LIVE, Evidence, Options, Result, estimate, observe, read
 
 Method = Callable[[Evidence], Trajectory]
 LONGEST_COMMAND = 600.0  # [s] for a command
 ESTIMATES = ("graph", "filter", "rts", "pdr")  # methods of `walk.estimate`, which has a verdict
 
 
-def by_name(method: str, evidence: Evidence) -> Trajectory:
-    """The trajectory of a method of ``walk.estimate``."""
-    return estimate(replace(evidence, options=replace(evidence.options, method=method))).estimate.trajectory
+def result_of(name: str, evidence: Evidence) -> Result:
+    """The result of ``walk.estimate`` by one of ESTIMATES."""
+    return estimate(replace(evidence, options=replace(evidence.options, method=name)))
+
+
+def by_name(name: str, evidence: Evidence) -> Trajectory:
+    """The trajectory of one of ESTIMATES."""
+    return result_of(name, evidence).estimate.trajectory
 
 
 def with_verdict(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str]:
     """The trajectory of a method, and the state of its verdict, "" if it states none."""
     if name not in ESTIMATES:
         return method(evidence), ""
-    result = estimate(replace(evidence, options=replace(evidence.options, method=name)))
+    result = result_of(name, evidence)
     return result.estimate.trajectory, result.verdict.state
 
 

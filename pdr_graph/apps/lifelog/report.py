@@ -153,7 +153,7 @@ def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Seq
     missing, warnings: a line each.
     """
     [day], maps = shown.days, panels(shown)
-    entries = day.known
+    entries, floors = day.known, [_plan(panel) for panel in maps]
     start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
     ways = {n: _joined(path for own in panel.ways for path in own) for n, panel in enumerate(maps) if panel.ways}
     sigmas = [sigma({"where": (BLUE, way)}) for way in list(ways.values())[:1]]
@@ -169,8 +169,8 @@ def content(shown: Overview, zone: tzinfo, missing: Sequence[str], warnings: Seq
         "offsets": _offsets(start, end, zone),
         "start": start,
         "end": end,
-        "maps": [_map(panel, n) for n, panel in enumerate(maps)],
-        "tracks": [line for n, way in ways.items() for line in _tracks(maps[n], way, n, len(maps))],
+        "maps": [_map(panel, floors[n], n) for n, panel in enumerate(maps)],
+        "tracks": [line for n, way in ways.items() for line in _tracks(maps[n], floors[n], way, n, len(maps))],
         "marks": [marks for n, panel in enumerate(maps) for marks in _marks(panel, n)],
         "charts": [_hours_chart(entries), *sigmas] if entries else [],
         "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
@@ -195,10 +195,9 @@ def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
     return [[time, by.total_seconds() if by is not None else 0.0] for time, by in changes]
 
 
-def _map(panel: Panel, number: int) -> dict[str, Any]:
-    """A map; its plan is None if it has none, or its file is no longer there."""
+def _map(panel: Panel, floor: FloorPlan | None, number: int) -> dict[str, Any]:
+    """A map with its floor plan."""
     name = " ".join(word for word in (panel.letter, panel.floor) if word) or f"map {number + 1}"
-    floor = _plan(panel)
     return {"name": name, "corners": panel.corners.tolist(), "plan": plan_drawing(floor) if floor else None}
 
 
@@ -223,7 +222,7 @@ def _joined(paths: Iterable[Trajectory]) -> Trajectory:
     return Trajectory(times, positions, headings, tuple(floor), np.concatenate(covariance))
 
 
-def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[dict[str, Any]]:
+def _tracks(panel: Panel, floor: FloorPlan | None, way: Trajectory, number: int, maps: int) -> Iterator[dict[str, Any]]:
     """A track per kind of activity, and the track of the walker with its 95 % region."""
     for line in lines_of(panel):
         paths = [path for path in line.tracks if len(path) > 1]
@@ -234,7 +233,6 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
     on = [number if panel.floor in ("", label) else ON_NO_MAP for label in way.floor]
     regions: list[Any] = [None] * maps
     parts = [path for own in panel.ways for path in own]
-    floor = _plan(panel)
     bands = [region(path, np.array([panel.floor in ("", label) for label in path.floor]), floor) for path in parts]
     regions[number] = rings(np.concatenate(bands))
     yield track("where", BLUE, way, on, width=0, walker=True, lead=True, bands=regions)

@@ -160,39 +160,28 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
     def _levels(self, at: Evaluation) -> FactorBlock:
         which = np.flatnonzero(self.keyframe >= 0)
         keyframe, m = self.keyframe[which], self.listed.beacon[which]
-        pose, beacon, q = at.state.poses[keyframe], at.state["b"][m], at.state["q"][0]
-        gap = beacon[:, :2] - pose[:, :2]
-        square = np.sum(gap**2, axis=1) + BEACONS.height**2
-        ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
-        left = ahead[:, ::-1] * [-1, 1]
-        along, aside, distance = np.sum(ahead * gap, axis=1), np.sum(left * gap, axis=1), np.sqrt(square)
-        expected = q[0] + beacon[:, 2] - 5 * q[1] * np.log10(square) + q[2] * along / distance
+        loss = PathLoss(at.state.poses[keyframe], at.state["b"][m], at.state["q"][0])
 
         def jacobian() -> list[Array]:
-            slope = (-10 * q[1] / np.log(10) / square - q[2] * along / distance**3)[:, None]
-            by_beacon = np.column_stack([slope * gap + q[2] * ahead / distance[:, None], np.ones(len(pose))])
-            by_place = (np.sum(v * by_beacon[:, :2], axis=1) for v in (ahead, left))
-            by_pose = -np.stack([*by_place, -q[2] * aside / distance], axis=1)
-            by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), along / distance], axis=1)
-            return [by[:, None] / BEACONS.level_sigma for by in (by_pose, by_beacon, by_loss)]
+            return [by[:, None] / BEACONS.level_sigma for by in loss.derivatives()]
 
         def curvature() -> Array:
             """Of 10 n log₁₀ d, across and along the direction to the beacon, where it adds to the cost."""
-            pull = -10 * q[1] / np.log(10) / BEACONS.level_sigma * value[:, 0]
-            bend = np.maximum(0.0, pull / square), np.maximum(0.0, pull * (2 * BEACONS.height**2 / square - 1) / square)
-            towards = np.stack([along, aside], axis=1) / np.maximum(np.hypot(along, aside), 1e-9)[:, None]
+            pull = -10 * loss.q[1] / np.log(10) / BEACONS.level_sigma * value[:, 0]
+            bend = pull / loss.square, pull * (2 * BEACONS.height**2 / loss.square - 1) / loss.square
+            towards = loss.towards / np.maximum(np.hypot(*loss.towards.T), 1e-9)[:, None]
             across = towards[:, ::-1] * [-1, 1]
-            parts = [np.sqrt(size)[:, None] * way for size, way in zip(bend, (across, towards), strict=True)]
+            ways = zip(bend, (across, towards), strict=True)
+            parts = [np.sqrt(np.maximum(0.0, size))[:, None] * way for size, way in ways]
             by_pose = -np.stack(parts, axis=1)  # (l, 2, 2) in the axes of the pose
-            by_beacon = -by_pose @ np.stack([ahead, left], axis=1)
-            nothing = np.zeros((len(pose), 2, 1))
+            by_beacon = -by_pose @ loss.axes
+            nothing = np.zeros((len(which), 2, 1))
             return np.concatenate([by_pose, nothing, by_beacon, nothing, *[nothing] * 3], axis=2)
 
-        value = (expected - self.listed.rssi[which])[:, None] / BEACONS.level_sigma
+        value = (loss.level - self.listed.rssi[which])[:, None] / BEACONS.level_sigma
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
-        loss = RobustLoss(np.zeros(len(which), dtype=bool))
-        number = self.number[which]
-        return FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, curvature=curvature)
+        more = {"loss": RobustLoss(np.zeros(len(which), dtype=bool)), "curvature": curvature}
+        return FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], **more)
 
     @cached_property
     def _silent(self) -> tuple[Index, Index, Index]:
@@ -203,11 +192,12 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         levels, place = np.flatnonzero(self.keyframe >= 0), self.prior[:, :2]
         levels = levels[np.lexsort((-self.listed.rssi[levels], self.keyframe[levels]))]
         keyframe, first, of = np.unique(self.keyframe[levels], return_index=True, return_inverse=True)
-        gap = place[:, None] - place
+        strongest, row = np.unique(self.listed.beacon[levels[first]], return_inverse=True)
+        gap = place[strongest, None] - place
         nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :SILENT]
-        near = np.zeros((len(place), len(place)), dtype=bool)
+        near = np.zeros(gap.shape[:2], dtype=bool)
         np.put_along_axis(near, nearest, True, axis=1)
-        silent = near[self.listed.beacon[levels[first]]]
+        silent = near[row]
         silent[of, self.listed.beacon[levels]] = False
         stretch, beacon = np.nonzero(silent)
         number = np.minimum.reduceat(self.number[levels], first) if len(first) else first
@@ -215,20 +205,13 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
 
     def _silences(self, at: Evaluation) -> FactorBlock:
         keyframe, m, number = self._silent
-        pose, beacon, q = at.state.poses[keyframe], at.state["b"][m], at.state["q"][0]
-        gap = beacon[:, :2] - pose[:, :2]
-        square = np.sum(gap**2, axis=1) + BEACONS.height**2
-        cost, slope = silence(q[0] + beacon[:, 2] - 5 * q[1] * np.log10(square))
+        loss = PathLoss(at.state.poses[keyframe], at.state["b"][m], at.state["q"][0] * WITHOUT_BODY)
+        cost, slope = silence(loss.level)
         value = np.sqrt(2 * cost + LEAST_SILENCE)
 
         def jacobian() -> list[Array]:
-            rise = slope / value
-            by_beacon = np.column_stack([(-10 * q[1] / np.log(10) / square)[:, None] * gap, np.ones(len(pose))])
-            ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
-            by_place = [-np.sum(v * by_beacon[:, :2], axis=1) for v in (ahead, ahead[:, ::-1] * [-1, 1])]
-            by_pose = np.stack([*by_place, np.zeros(len(pose))], axis=1)
-            by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), np.zeros(len(pose))], axis=1)
-            return [(rise[:, None] * by)[:, None] for by in (by_pose, by_beacon, by_loss)]
+            by_pose, by_beacon, by_loss = loss.derivatives()
+            return [((slope / value)[:, None] * by)[:, None] for by in (by_pose, by_beacon, by_loss * WITHOUT_BODY)]
 
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(m), dtype=np.intp))]
         return FactorBlock.uniform(f"{self.name}.silence", value[:, None], variables, jacobian, number)
@@ -325,6 +308,36 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         elif away > BEACONS.range:
             moved, reason = True, f"received, although the walk is {away:.0f} m or more from where it is listed"
         return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
+
+
+WITHOUT_BODY = np.array([1.0, 1.0, 0.0])  # of (P, n, k): no shadowing by the body
+
+
+class PathLoss:
+    """Levels that are expected of ``n`` beacons at as many poses, see the module.
+
+    axes: unit vectors ``(n, 2, 2)`` ahead and to the left; gap: from each pose to its beacon ``(n, 2)`` [m]; towards:
+    the same in these axes; square: of the distance ``(n,)`` [m²]; level: ``(n,)`` [dBm].
+    """
+
+    def __init__(self, pose: Array, beacon: Array, q: Array):
+        """Of poses ``(n, 3)`` and beacons ``(n, 3)``, x, y, a; q: P, n, k."""
+        ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+        self.q, self.gap = q, beacon[:, :2] - pose[:, :2]
+        self.axes = np.stack([ahead, ahead[:, ::-1] * [-1, 1]], axis=1)
+        self.towards = np.sum(self.axes * self.gap[:, None], axis=2)
+        self.square = np.sum(self.gap**2, axis=1) + BEACONS.height**2
+        shadow = q[2] * self.towards[:, 0] / np.sqrt(self.square)
+        self.level = q[0] + beacon[:, 2] - 5 * q[1] * np.log10(self.square) + shadow
+
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        """Derivatives ``(n, 3)`` of the levels by pose, beacon and q."""
+        _, exponent, body = self.q
+        (along, aside), distance, one = self.towards.T, np.sqrt(self.square), np.ones(len(self.square))
+        slope = (-10 * exponent / np.log(10) / self.square - body * along / distance**3)[:, None]
+        by_beacon = np.column_stack([slope * self.gap + body * self.axes[:, 0] / distance[:, None], one])
+        by_pose = -np.column_stack([np.sum(self.axes * by_beacon[:, None, :2], axis=2), -body * aside / distance])
+        return by_pose, by_beacon, np.stack([one, -5 * np.log10(self.square), along / distance], axis=1)
 
 
 LEAST_SILENCE = 1e-6  # added to twice the cost of a silence, whose root has no derivative at 0

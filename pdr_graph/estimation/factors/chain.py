@@ -200,6 +200,13 @@ def _intervals(gap: Index) -> tuple[Index, Index]:
     return interval, np.flatnonzero(np.diff(interval, prepend=-1))
 
 
+def dead_reckoned(delta: Array) -> tuple[Complex, Array]:
+    """Keyframes ``(k + 1,)`` as complex numbers [m], and headings ``(k + 1,)`` [rad], of the moves ``(k, 3)``."""
+    heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
+    moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
+    return np.concatenate([[0.0], np.cumsum(moves)]), heading
+
+
 @dataclass(frozen=True)
 class Increments:
     """Partial sums Δ_k(c) to the end of each piece, in the frame of its interval's start.
@@ -433,9 +440,7 @@ class Chain:
     @cached_property
     def track(self) -> tuple[Complex, Array]:
         """Dead-reckoned keyframes ``(k + 1,)`` as complex numbers [m], and their headings ``(k + 1,)`` [rad]."""
-        heading = np.concatenate([[0.0], np.cumsum(self.delta[:, 2])])
-        moves = (self.delta[:, 0] + 1j * self.delta[:, 1]) * np.exp(1j * heading[:-1])
-        return np.concatenate([[0.0], np.cumsum(moves)]), heading
+        return dead_reckoned(self.delta)
 
     @cached_property
     def lead(self) -> Complex:

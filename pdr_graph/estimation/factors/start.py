@@ -20,7 +20,7 @@ from pdr_graph.estimation.factors.base import (
     Remembered,
     State,
 )
-from pdr_graph.estimation.factors.chain import preintegrate
+from pdr_graph.estimation.factors.chain import dead_reckoned, preintegrate
 from pdr_graph.geometry import ANY_HEADING, as_complex, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
@@ -157,9 +157,7 @@ class CalibrationFactor(Remembered, Doubted):
         """The gyroscope drifts far; the search starts at a drift [rad/s], with dead reckoning placed on the walk."""
         c = at.state.c.copy()
         c[:, 2] = drift
-        delta = preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last]
-        heading = np.append(0.0, np.cumsum(delta[:, 2]))
-        track = np.append(0.0, np.cumsum(as_complex(delta[:, :2]) * np.exp(1j * heading[:-1])))
+        track, heading = dead_reckoned(preintegrate(at.pieces, c[at.chain.segment]).delta[at.pieces.last])
         walk = as_complex(at.state.poses[:, :2])
         turn = np.angle(np.vdot(track - track.mean(), walk - walk.mean()))
         placed = walk.mean() + (track - track.mean()) * np.exp(1j * turn)
