@@ -11,7 +11,8 @@ from scipy.optimize import least_squares
 from tables import publish, table
 
 from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, smooth
-from pdr_graph.apps.bench.matrix import known, places
+from pdr_graph.apps.bench.matrix import ERRORS, known, places, stated
+from pdr_graph.apps.report.evaluation import REGION_90
 from pdr_graph.gait import walker
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
@@ -259,8 +260,8 @@ def carried(data):
             (f"{name}, sideways or backwards", [row for row in group if ASIDE.search(row["walk"])]),
         ):
             if of:
-                errors, inside = (np.concatenate([known(row, key) for row in of]) for key in ("errors", "inside"))
-                least = min(known(row, "inside").mean() for row in of)
+                errors, regions = np.concatenate([known(row, ERRORS) for row in of]), [stated(row)[:, 0] for row in of]
+                inside, least = np.concatenate(regions) < REGION_90, min(np.mean(d < REGION_90) for d in regions)
                 cells = [percentiles(errors), f"{np.sqrt(np.mean(errors**2)):.2f}"]
                 rows.append([which, len(of), *cells, f"{100 * inside.mean():.0f} %", f"{100 * least:.0f} %"])
     header = ["carried", "walks", "error [m]", "rms [m]", "in 90 %", "of the worst walk"]

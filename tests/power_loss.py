@@ -4,6 +4,7 @@ A `Target` has the files of a folder at several moments and a function that open
 back. ``scripts/power_cuts.py`` counts thousands of cuts, ``test_power_cuts.py`` some.
 """
 
+import asyncio
 import json
 import random
 import shutil
@@ -399,9 +400,12 @@ def published_target(folder):
         (root / PUBLISHED).write_text(json.dumps(published))
         ages.append(taken(folder / "store"))
 
+    async def load(reception):
+        reception.load()  # makes the recordings that a server's end prevented, in its loop
+
     def shown(damaged):
         hub, said = Hub(), []
-        Reception(damaged, hub, say=said.append).load()
+        asyncio.run(load(Reception(damaged, hub, say=said.append)))
         walkers = {id_: (walker.user, walker.pose, walker.finalised) for id_, walker in hub.walkers.items()}
         return walkers, said + [issue for _, pose, _ in walkers.values() for issue in pose["issues"]]
 

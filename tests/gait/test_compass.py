@@ -265,11 +265,14 @@ def test_standing_long_beside_steel_gives_no_certainty():
 
 @pytest.mark.thorough
 def test_a_phone_in_the_hand_has_a_better_heading_later():
-    """The last equals that of the whole recording to the drift of a filter."""
-    walk = walked(seed=1, laps=2)
-    found = live(walk)
-    assert found[-1].sigma < found[0].sigma
-    assert abs(errors(walk, found[-1:])[1][0] - errors(walk, batch(walk)[-1:])[1][0]) < 0.15
+    """The last equals that of the whole recording to the drift of a filter, a third of the sigma of either."""
+    apart = []
+    for seed in range(1, 5):
+        walk = walked(seed=seed, laps=2)
+        found = live(walk)
+        assert found[-1].sigma < next(one for one in found if one.stretch == found[-1].stretch).sigma
+        apart.append(errors(walk, found[-1:])[1][0] - errors(walk, batch(walk)[-1:])[1][0])
+    assert np.sqrt(np.mean(np.square(apart))) < 0.15
 
 
 @pytest.mark.thorough

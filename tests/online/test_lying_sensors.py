@@ -73,7 +73,7 @@ LIES = {
     "1 % of the samples NaN": (samples(some_missing, "gyroscope", "accelerometer"), 0.95, False),
     "gyroscope in degrees": (samples(lambda _, values: np.degrees(values)), 0.95, False),
     "bursts of the gyroscope": (samples(bursts), 0.9, False),
-    "gyroscope hangs": (samples(lambda time, values: np.where(time[:, None] > LATER, 0.1, values)), 0.9, False),
+    "gyroscope hangs": (samples(lambda time, values: np.where(time[:, None] > LATER, 0.1, values)), 0.85, False),
     "axes of the gyroscope swapped": (samples(lambda _, values: values[:, [1, 0, 2]]), 0.85, False),
     "clock of the receiver 5 s ahead": (ahead(5.0), 0.85, False),
     "clock of the receiver 40 s ahead": (ahead(40.0), 0.75, False),
