@@ -1189,7 +1189,6 @@ class LivePathPriors(Table):
 class FixesAlonePriors(Table):
     """The current position by fixes alone."""
 
-    wander: float = number(1.0, "m/√s", "growth of sigma without steps: 8 m in a minute")
     given_up: int = number(3, "fixes", "beyond the gate in a row, after which the position restarts")
     away: int = number(10, "fixes", "that agree, outside the region of the walk, after which the position is theirs")
     moved: float = number(10.0, "m", "least distance that they go meanwhile, and the walker's steps not half of it")

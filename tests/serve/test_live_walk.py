@@ -1,6 +1,7 @@
 """One walker: order, repeats, gaps, damage, and the walk that goes on after the process ended at any moment."""
 
 import contextlib
+import json
 from dataclasses import replace
 from functools import partial
 
@@ -190,6 +191,31 @@ def entry(identity, received=0.0):
 
 
 TOO_MANY = list(range(5, 5 + live_walk.MOST_WAITING + 1))
+
+
+# Positions alone: (seconds before the last, metres to the east, seconds by which the phone's clock is ahead)
+QUEUED = [(180, 480, 0), (120, 540, 0), (60, 600, 0)]
+ARRIVALS = {
+    "queued": (QUEUED, 600),
+    "newest first": ([(60, 540, 0), (120, 480, 0), (180, 420, 0), (240, 360, 0)], 540),
+    "hours late": ([*QUEUED, (6000, 0, 0), (5940, 60, 0), (5880, 120, 0)], 600),
+    "doubled": ([*QUEUED, QUEUED[0], QUEUED[2]], 600),
+    "a clock set right": ([*((ago, east, 86400) for ago, east, _ in QUEUED), (30, 630, 0)], 630),
+}
+
+
+@pytest.mark.parametrize("posted, newest", ARRIVALS.values(), ids=ARRIVALS)
+def test_the_dot_is_at_the_newest_position_in_any_order_of_arrival(posted, newest, tmp_path):
+    """A late one changes the recording, not the dot; one of the future is of the moment at which it came."""
+    log, degree = MessageLog(tmp_path / LOG), 111_320 * np.cos(np.radians(48.0))
+    for n, (ago, east, ahead) in enumerate(posted):
+        place = {"_type": "location", "tst": EPOCH - ago + ahead, "lat": 48.0, "lon": 11.0 + east / degree, "acc": 8}
+        log.add(n, EPOCH - ago if ahead else EPOCH, json.dumps(place).encode())
+    log.close()
+    walk = LiveWalk(tmp_path, Session("s", "s", "phone", "owner", "owntracks", "", 0.0), Navigator)
+    pose = used(walk)
+    assert (pose["lon"] - 11.0) * degree == pytest.approx(newest, abs=5.0)
+    assert pose["time"] == pytest.approx(EPOCH - min(ago for ago, _, _ in posted), abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -189,14 +189,15 @@ class LiveWalk:
         self._used += 1
         self._last_received = entry.received
         try:
-            events = self.intake.events(read_body(self.folder / LOG, entry))
+            events = self.intake.events(read_body(self.folder / LOG, entry), entry.received)
         except InputError:  # the door refuses these; one that it let pass by an older version
             self._refused += 1
             return True
         self._push(events)
         if events:
             at = self.intake.origin + (self.intake.latest if np.isfinite(self.intake.latest) else 0.0)
-            self._clock_error = at - entry.received if self.intake.protocol == SENSOR_LOGGER else 0.0
+            sensed = self.intake.protocol == SENSOR_LOGGER  # positions may be queued: late is no error
+            self._clock_error = at - entry.received if sensed else max(self.intake.ahead, 0.0)
         return True
 
     def _push(self, events: Sequence[Event]) -> None:

@@ -278,7 +278,8 @@ class Intake:
 
     protocol; platform: "ios" or "android" if the user stated it; origin: Unix time of time 0 of the events [s], NaN
     before the first; latest: time of the last inertial sample [s]; held: rows that wait, by sensor, times in seconds
-    since origin; held_fixes ``(n, 8)``: columns of `Fixes` but labels; ignored: number of samples of other sensors;
+    since origin; held_fixes ``(n, 8)``: columns of `Fixes` but labels; ahead: by which the last positions of a message
+    were later than its arrival [s]; ignored: number of samples of other sensors;
     unusable: number of rows by sensor that were no numbers, or years away.
     """
 
@@ -289,15 +290,21 @@ class Intake:
     signs: Signs = field(default_factory=Signs)
     held: dict[str, Array] = field(default_factory=dict)
     held_fixes: Array = field(default_factory=lambda: np.empty((0, 8)))
+    ahead: float = -np.inf
     ignored: dict[str, int] = field(default_factory=dict)
     unusable: dict[str, int] = field(default_factory=dict)
 
-    def events(self, body: bytes) -> list[Event]:
-        """The events of a message. Raises InputError if it is malformed."""
+    def events(self, body: bytes, received: float = np.inf) -> list[Event]:
+        """The events of a message, received at a Unix time [s]. Raises InputError if it is malformed.
+
+        A position of the future is by a wrong clock: it is of the moment at which it was received, so that those after
+        the clock was set right are newer.
+        """
         if self.protocol == SENSOR_LOGGER:
             return self._sensor_events(parse(body))
         _, fixes = parse_positions(self.protocol, body)
-        return self._fix_events(fixes)
+        self.ahead = float(max(fixes.time, default=-np.inf)) - received
+        return self._fix_events(replace(fixes, time=np.minimum(fixes.time, received)))
 
     def flush(self) -> list[Event]:
         """The events that waited for another message."""

@@ -255,18 +255,20 @@ class FixesAlone:
         return covariance
 
     def growth(self, time: float) -> float:
-        """Variance per axis that the position has gained by then [s]: it wanders, and goes on as before. [m²]"""
-        later = max(time - self.time, 0.0)
-        return FIXES_ALONE.wander**2 * later + (self.speed * later) ** 2
+        """Variance per axis that the position has gained by then [s]: its owner goes on as before, or walks. [m²]"""
+        return (max(self.speed, FIXES.walking_speed) * max(time - self.time, 0.0)) ** 2
 
 
 def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
     """The state after some fixes; begins at the first.
 
-    A fix beyond the gate is not used; at the third of them in a row, the state restarts.
+    A fix beyond the gate is not used; at the third of them in a row, the state restarts. An earlier one than the last,
+    which arrived late, says nothing of the present.
     """
     for time, position, sigma in zip(fixes.time.tolist(), fixes.position, fixes.sigma.tolist(), strict=True):
         R = sigma**2 * np.eye(2)
+        if state is not None and time < state.time - INSTANT:
+            continue
         if state is None:
             state = FixesAlone(time, position.copy(), R, sigma)
             continue
@@ -282,7 +284,7 @@ def after_fixes(state: FixesAlone | None, fixes: Fixes) -> FixesAlone | None:
             mean, covariance = position.copy(), R
         moved, later = float(np.hypot(*(mean - state.mean))), time - state.time
         speed = min(moved / later, FIXES.driven) if later > INSTANT else state.speed
-        state = FixesAlone(max(time, state.time), mean, covariance, sigma, speed)
+        state = FixesAlone(time, mean, covariance, sigma, speed)
     return state
 
 
