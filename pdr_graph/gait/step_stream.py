@@ -59,7 +59,8 @@ class StepStream:
     def health(self) -> dict[str, Health]:
         """Statistics of each sensor's samples."""
         sensors = {
-            name: replace(sensor, arrived=[*sensor.arrived]) for name, sensor in self._sensors.items()
+            name: replace(sensor, arrived=[*sensor.arrived], left_out=sensor.left_out.copy())
+            for name, sensor in self._sensors.items()
         }  # packets are validated together when they are due, whatever is asked before
         _ingest(*sensors.values())
         return {name: sensor.health for name, sensor in sensors.items()}
@@ -109,7 +110,7 @@ class StepStream:
     def finish(self) -> Steps | None:
         """The remaining steps: no more samples follow."""
         accelerometer, gyroscope = self._sensors.values()
-        _ingest(accelerometer, gyroscope)
+        _ingest(accelerometer, gyroscope, last=True)
         alone = gyroscope.last < accelerometer.last - REST.longest_bridged
         return self._advance(accelerometer.last if alone else min(accelerometer.last, gyroscope.last), last=True)
 
@@ -155,10 +156,10 @@ class StepStream:
         return profile.corrected(steps) if profile is not None and steps is not None else steps
 
 
-def _ingest(accelerometer: SensorStream, gyroscope: SensorStream) -> None:
-    """Validate the queued samples of both sensors."""
-    accelerometer.ingest(gyroscope.offset)
-    gyroscope.ingest(accelerometer.offset)
+def _ingest(accelerometer: SensorStream, gyroscope: SensorStream, last: bool = False) -> None:
+    """Validate the queued samples of both sensors; last: none follow."""
+    accelerometer.ingest(gyroscope.offset, last)
+    gyroscope.ingest(accelerometer.offset, last)
     if gyroscope.last > accelerometer.last + 2 * SENSOR_VALIDATION.longest_packet:  # it runs alone
         gyroscope.drop_until(gyroscope.last - SENSOR_VALIDATION.longest_packet)
 

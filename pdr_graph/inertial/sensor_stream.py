@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +22,7 @@ class ValidationSettings:
     confirming: number of samples after a jump ahead that confirm it: a single wrong time is no gap.
     clock_reset: duration of samples from an earlier time after which the clock was reset [s].
     longest_packet: time for which a phone may hold samples back [s].
+    memory: time constant with which it is forgotten how late samples came [s].
     hold: time for which a sensor's last sample is valid [s].
     history: duration of the samples that are stored after use [s].
     """
@@ -29,24 +32,28 @@ class ValidationSettings:
     confirming: int = 3
     clock_reset: float = 2.0
     longest_packet: float = 60.0
+    memory: float = 60.0
     hold: float = 0.1
     history: float = 1.0
 
 
 SENSOR_VALIDATION = ValidationSettings()
+UNUSABLE, REPEATED = "could not be used: no numbers, or none that phones measure", "came twice and were used once"
+LATE, UNCONFIRMED = "came too late", "had a time that no later sample confirmed"
+SHORTEST_WAIT = 0.005  # [s]: less is the jitter of one stream's clock
 
 
 @dataclass(frozen=True)
 class Health:
     """Statistics of one sensor's samples.
 
-    samples: number used; dropped: number that were NaN, out of range, repeated, late, or at a time that no later sample
-    confirmed; rate: recent [Hz]; gaps: number of gaps; last: time of the latest sample [s], NaN before the first;
-    clock_resets: number of resets of its clock; offset: added to its times since then [s].
+    samples: number used; left_out: number of others, by the reason; rate: recent [Hz]; gaps: number of gaps; last: time
+    of the latest sample [s], NaN before the first; clock_resets: number of resets of its clock; offset: added to its
+    times since then [s].
     """
 
     samples: int
-    dropped: int
+    left_out: Mapping[str, int]
     rate: float
     gaps: int
     last: float
@@ -61,14 +68,15 @@ class SensorStream:
     time ``(n,)`` [s], values ``(n, 3)``: samples that were not used yet, and the last ones before them.
     start: time of the first sample of all [s]; longest_packet: recently [s].
     suspect_time ``(k,)``, suspect_values ``(k, 3)``: samples after a jump in time, times by the sensor's clock.
-    arrived: packets that were not validated yet.
+    arrived: packets that were not validated yet, those that wait among them; wait: for samples that come late [s], as
+    late as some did recently, up to ``clock_reset``: the newest wait so long and are put in order.
     """
 
     time: Array = field(default_factory=lambda: np.empty(0))
     values: Array = field(default_factory=lambda: np.empty((0, 3)))
     start: float = np.inf
     samples: int = 0
-    dropped: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
     gaps: int = 0
     clock_resets: int = 0
     offset: float = 0.0
@@ -76,6 +84,7 @@ class SensorStream:
     suspect_time: Array = field(default_factory=lambda: np.empty(0))
     suspect_values: Array = field(default_factory=lambda: np.empty((0, 3)))
     arrived: list[tuple[Array, Array]] = field(default_factory=list)
+    wait: float = 0.0
 
     @property
     def last(self) -> float:
@@ -93,7 +102,7 @@ class SensorStream:
         recent = self.time[-50:]
         rate = float(1 / np.median(np.diff(recent))) if len(recent) > 1 else 0.0
         last = self.last if len(self.time) else np.nan
-        return Health(self.samples, self.dropped, rate, self.gaps, last, self.clock_resets, self.offset)
+        return Health(self.samples, dict(self.left_out), rate, self.gaps, last, self.clock_resets, self.offset)
 
     def push(self, time: Array, values: Array) -> None:
         """Queue samples at times ``(n,)`` [s] with values ``(n, 3)``. Raises ValueError for other shapes."""
@@ -103,8 +112,8 @@ class SensorStream:
         if len(time):
             self.arrived.append((time, values))
 
-    def ingest(self, offset: float) -> None:
-        """Validate the queued samples; offset: that of another sensor with the same clock [s]."""
+    def ingest(self, offset: float, last: bool = False) -> None:
+        """Validate the queued samples; offset: that of another sensor with the same clock [s]; last: none follow."""
         if not self.arrived:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
@@ -114,8 +123,9 @@ class SensorStream:
         self.arrived.clear()
         good = (np.abs(time) < SENSOR_VALIDATION.latest) & (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
         if not good.all():
-            self.dropped += int(np.sum(~good))
+            self.left_out[UNUSABLE] += int(np.sum(~good))
             time, values = time[good], values[good]
+        time, values = self._in_order(time, values, last)
         apart = np.diff(time)
         jumps = np.flatnonzero((apart <= 0) | (apart > REST.longest_bridged)) + 1
         for part, its_values in zip(np.split(time, jumps), np.split(values, jumps), strict=True):
@@ -161,10 +171,28 @@ class SensorStream:
         since = time - edges[after]
         return (edges[after + 1] - edges[after] <= REST.longest_bridged) | (since <= SENSOR_VALIDATION.hold)
 
+    def _in_order(self, time: Array, values: Array, last: bool) -> tuple[Array, Array]:
+        """The samples in order of time, without those that wait for others; where a clock was reset, as they came."""
+        if not len(time):
+            return time, values
+        behind = np.maximum.accumulate(np.append(self.last - self.offset, time))[1:] - time
+        late = float(behind.max(initial=0.0))
+        self.wait *= np.exp(-max(float(time[-1]) + self.offset - self.last, 0.0) / SENSOR_VALIDATION.memory)
+        if late > SENSOR_VALIDATION.clock_reset or max(late, self.wait) < SHORTEST_WAIT:
+            return time, values
+        # half as long again: what came so late so far was not the latest
+        self.wait = max(self.wait, min(1.5 * late, SENSOR_VALIDATION.clock_reset))
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], values[order]
+        first = len(time) if last else int(np.searchsorted(time, time[-1] - self.wait, side="right"))
+        if first < len(time):
+            self.arrived.append((time[first:], values[first:]))
+        return time[:first], values[:first]
+
     def _follows(self, time: Array) -> bool:
         """True if times increase from the last sample on without a gap."""
-        apart = np.diff(time, prepend=time[0] - REST.longest_bridged if not len(self.time) else self.time[-1])
-        return bool(apart.min() > 0 and apart.max() <= REST.longest_bridged)
+        apart = np.diff(time, prepend=self.time[-1:])
+        return not len(apart) or bool(apart.min() > 0 and apart.max() <= REST.longest_bridged)
 
     def _accept(self, time: Array, values: Array) -> None:
         """Append valid samples."""
@@ -177,7 +205,7 @@ class SensorStream:
         """Add one sample after a jump in time; it becomes valid when later samples confirm the jump."""
         since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else REST.longest_bridged
         if -SENSOR_VALIDATION.clock_reset < since <= 0:
-            self.dropped += 1
+            self.left_out[LATE if since else REPEATED] += 1
             return
         if not 0 < since <= REST.longest_bridged:
             self._discard_suspects()
@@ -197,5 +225,8 @@ class SensorStream:
             self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
 
     def _discard_suspects(self) -> None:
-        self.dropped += len(self.suspect_time)
+        time = self.suspect_time + self.offset
+        repeated, ahead = np.isin(time, self.time), time > self.last
+        for reason, of in ((REPEATED, repeated), (UNCONFIRMED, ahead), (LATE, ~repeated & ~ahead)):
+            self.left_out[reason] += int(of.sum())
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]

@@ -114,8 +114,7 @@ def issues_of(health: Mapping[str, Health], stepless: bool, away: float) -> Iter
             yield f"{name}: silent for {latest - sensor.last:.0f} s"
         elif not sensor.samples and np.isfinite(latest):
             yield f"{name}: {NO_DATA}"
-        if sensor.dropped:
-            yield f"{name}: {sensor.dropped} samples could not be used"
+        yield from (f"{name}: {count(number, 'sample')} {why}" for why, number in sensor.left_out.items() if number)
         if sensor.clock_resets:
             yield f"{name}: clock reset {sensor.clock_resets} times"
 

@@ -15,7 +15,7 @@ from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import attitude_of
-from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
+from pdr_graph.inertial.sensor_stream import REPEATED, SENSOR_VALIDATION, UNUSABLE
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.priors import MOTION
@@ -240,8 +240,33 @@ def test_bad_samples_are_dropped_and_counted():
             bad.append((sensor, np.array([[np.nan, np.inf, 1e300, time[0] + 4000][n // 11 % 4]]), values[:1]))
     chunks, _, gait = live(bad)
     assert same(whole(chunks), whole(usual()[0]))
-    assert all(health.dropped > 100 for health in gait.health.values())
+    assert all(sum(health.left_out.values()) > 100 for health in gait.health.values())
     assert all(health.gaps == health.clock_resets == 0 for health in gait.health.values())
+
+
+@pytest.mark.parametrize("delay", [0.5, 1.5])
+def test_packets_that_overtake_each_other_are_put_in_order(delay):
+    """Those that come before the first late one are lost; then as many samples as without delays, and no clock reset."""
+    packets = sent(walk())
+    random = np.random.default_rng(0)
+    arrival = np.array([time[-1] for _, time, _ in packets]) + delay * random.random(len(packets))
+    chunks, _, gait = live([packets[n] for n in np.argsort(arrival, kind="stable")])
+    lost = sum(sum(health.left_out.values()) for health in gait.health.values())
+    assert lost <= 0.03 * sum(len(time) for _, time, _ in packets)
+    assert all(health.clock_resets == 0 for health in gait.health.values())
+    assert len(whole(chunks)) == pytest.approx(len(whole(usual()[0])), abs=1)
+    assert heading(whole(chunks), 30.0) == pytest.approx(heading(whole(usual()[0]), 30.0), abs=0.1)
+
+
+def test_what_is_left_out_is_named():
+    """Twice the same and no numbers, each by its reason; of orderly samples only the row that its recorder repeated."""
+    packets, (_, _, gait) = sent(walk()), usual()
+    assert [sum(health.left_out.values()) for health in gait.health.values()] == [1, 1]
+    assert [health.left_out[REPEATED] for health in gait.health.values()] == [1, 1]
+    lies = {30: packets[20], 50: packets[50], 70: (packets[70][0], packets[70][1] + 1e-3, packets[70][2] * np.nan)}
+    chunks, _, gait = live([packet for n, first in enumerate(packets) for packet in (first, lies.get(n)) if packet])
+    counted = {why for health in gait.health.values() for why, number in health.left_out.items() if number}
+    assert counted == {REPEATED, UNUSABLE}
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -1e6])
