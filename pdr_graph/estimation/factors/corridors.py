@@ -1,4 +1,4 @@
-"""The corridor network of a plan as factors: directions of straight runs along links, and turns from link to link.
+"""The links that a plan draws as factors: directions of straight runs along links, and turns from link to link.
 
 A turn has two bounds: [map-matching] Eq. (6) limits its angle, from one corridor into the other; and it happens in the
 intersection, between the walls of both corridors. The residual is zero within the bounds and linear outside. Runs and

@@ -44,8 +44,8 @@ class Prior:
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
-    corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
-        "turns" at intersections.
+    corridors: factors of the links that a plan draws, beside the walls, which contain the same information:
+        "directions" of straight runs, "turns" at intersections.
     another: prior of another walker, if the steps were corrected by a profile, which may be of somebody else.
     usual: R_s of a usual walker; not 1 for steps that a profile has corrected.
     """
