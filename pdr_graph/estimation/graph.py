@@ -103,8 +103,7 @@ class WalkGraph:
     sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used;
     optimum: of the graph of an estimate, None of others.
 
-    Raises TypeError for arguments of other types, ValueError if fixes are not in metres, if ``floors`` is missing, or
-    for `Prior.corridors` on a plan that draws no links.
+    Raises TypeError for other types; ValueError if fixes are not in metres, ``floors`` is missing, or as of `Prior.on`.
     """
 
     def __init__(
@@ -123,7 +122,7 @@ class WalkGraph:
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps, self.floor, self._given, self._others = steps, floor, prior or Prior(), tuple(others)
+        self.steps, self.floor, self._given, self._others = steps, floor, (prior or Prior()).on(floor), tuple(others)
         self.prior = self._given.after(steps)
         self.paths = paths
         self.fixes = Fixes.none() if fixes is None else fixes
@@ -499,7 +498,7 @@ def _check(
     floor: FloorPlan | Building | None,
     prior: Prior | None,
 ) -> None:
-    """Raise TypeError for arguments of other types; ValueError for fixes in degrees, or corridors without links."""
+    """Raise TypeError for arguments of other types, ValueError for fixes that are not in metres."""
     expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
     expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
     expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
@@ -508,10 +507,6 @@ def _check(
     if fixes is not None and fixes.epsg is not None and len(fixes):
         expected = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
         raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, expected {expected}")
-    floors = Building.around(floor).floors if floor is not None and prior is not None and prior.corridors else ()
-    if floors and not any(len(plan.network) for plan in floors):
-        expected = "areas of kind intersection, and corridors or lines of kind link between them, clear of walls"
-        raise ValueError(f"Prior.corridors: found a plan without links, expected {expected}")
 
 
 def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:
