@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
-from pdr_graph.errors import InputError
+from pdr_graph import InputError
 from pdr_graph.web_request import REDIRECTS, TooLongError, ask
 from pdr_graph.whole_files import lock
 

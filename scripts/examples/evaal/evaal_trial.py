@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from pdr_graph.apps.evaal.client import (
+from evaal_client import (
     CREATED,
     GOOD,
     MAXIMUM_DATA,
@@ -32,11 +31,25 @@ from pdr_graph.apps.evaal.client import (
     State,
     UnreachableError,
 )
+
+from pdr_graph import (
+    LONLAT,
+    Building,
+    Event,
+    Fixes,
+    Frame,
+    InputError,
+    Navigator,
+    Pose,
+    Recording,
+    Sightings,
+    Signal,
+    events_of,
+    read_trajectory,
+)
 from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.report.output_files import smooth_recording
-from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.building import Building
-from pdr_graph.frames import Frame
+from pdr_graph.errors import one_line
 from pdr_graph.inertial.units import IMPLAUSIBLE, unit_of
 from pdr_graph.io import writers
 from pdr_graph.io.delimited import MAXIMUM_LINE, TextRows
@@ -49,10 +62,9 @@ from pdr_graph.io.get_sensor_data import (
     samples,
     sightings,
 )
-from pdr_graph.io.tables import read_trajectory
-from pdr_graph.online.interface import Event, Georeferenced, Pose, events_of, trajectory_of
+from pdr_graph.online.interface import trajectory_of
 from pdr_graph.plausibility import check_initial
-from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Signal, take
+from pdr_graph.types import Array, take
 from pdr_graph.walk import Options
 from pdr_graph.whole_files import output_folder, write_file
 
@@ -297,7 +309,7 @@ class _OnlineWalk:
     a readable row since the last one with some.
     """
 
-    def __init__(self, navigator: Georeferenced, form: PositionFormat, floors: tuple[str, ...], log: RequestLog):
+    def __init__(self, navigator: Navigator, form: PositionFormat, floors: tuple[str, ...], log: RequestLog):
         """Replays the slots that an interrupted client had received."""
         self.stream, self.notes = RowStream(), list[str]()
         self.seconds, self.repeated, self.empty = list[float](), 0, 0
