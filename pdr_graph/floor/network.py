@@ -48,9 +48,9 @@ class Lines:
 class Network(Lines, OneLineRepr):
     """Nodes and links of a floor.
 
-    nodes: ``(n, 2)`` [m]; corners: ``(n, 4, 2)`` of each intersection, counter-clockwise, NaN at dead ends and where no
-    corridors cross [m]; links: ``(l, 2)`` nodes; lines: the centre line of each link, ``(m, 2)`` from its first node to
-    its second [m]; width: ``(l,)`` between the walls beside it [m]; area: the polygon that they lie in [m].
+    nodes: ``(n, 2)`` [m]; corners: ``(n, 4, 2)`` of each intersection, counter-clockwise, NaN at dead ends [m]; links:
+    ``(l, 2)`` nodes; lines: the centre line of each link, ``(m, 2)`` from its first node to its second [m]; width:
+    ``(l,)`` between the walls beside it [m]; area: the polygon that they lie in [m].
     """
 
     nodes: Array
@@ -84,14 +84,10 @@ class Network(Lines, OneLineRepr):
         rings = [shapely.get_coordinates(r) for r in shapely.get_rings(shapely.get_parts(area))]
         return np.concatenate([np.stack([r[:-1], r[1:]], axis=1) for r in rings] or [np.empty((0, 2, 2))])
 
-    def leaving(self, link: int, node: int) -> Array:
-        """The centre line ``(m, 2)`` of a link, from one of its nodes to the other. [m]"""
-        line = self.lines[link]
-        return line if self.links[link, 0] == node else line[::-1]
-
     def direction(self, link: int, node: int) -> Array:
         """Unit vector ``(2,)`` along a link, away from one of its nodes."""
-        ahead = np.diff(self.leaving(link, node)[:2], axis=0)[0]
+        line = self.lines[link] if self.links[link, 0] == node else self.lines[link][::-1]
+        ahead = line[1] - line[0]
         return ahead / np.hypot(*ahead)
 
 

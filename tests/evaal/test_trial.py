@@ -11,7 +11,8 @@ import pytest
 from evaal.evaal_server import Trial, serving
 from evaal.trials import Echo, assert_same_as_loaded, received, rows_of, run, summary
 from evaal_client import TRIES, Api, State
-from evaal_trial import FIRST_SECOND, INTERVAL, PositionFormat, RowStream, run_trial
+from evaal_rows import FIRST_SECOND, RowStream
+from evaal_trial import INTERVAL, PositionFormat, run_trial
 from recorders import G, get_sensor_data, sample
 
 from pdr_graph.errors import InputError

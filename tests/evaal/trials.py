@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 from evaal_client import Api
-from evaal_trial import INTERVAL, RowStream, run_trial
+from evaal_rows import RowStream
+from evaal_trial import INTERVAL, run_trial
 
 from pdr_graph.frames import Frame, enu
 from pdr_graph.io.loading import load
