@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
+from aisles import aisles_of
 from scipy.signal import lfilter
 from shapely.affinity import scale, translate
 
@@ -21,7 +22,6 @@ from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded, walks_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL, Area
-from pdr_graph.floor.network import Network
 from pdr_graph.frames import Frame
 from pdr_graph.gait.compass import compass_measurements
 from pdr_graph.gait.learned import Velocities
@@ -167,17 +167,22 @@ def simulated_recording(scenario, plan=None):
 
 @cache
 def loaded(path, label):
-    """A floor, whose network is found only once."""
+    """A floor, read once."""
     return FloorPlan.load(path, label)
 
 
-def route_between_walls(floor, random, ways):
-    """Corners ``(k, 2)`` [m] of a random way of a length between `ways` along the network of a floor."""
-    network = floor.network
-    total = sum(map(_length, network.lines))
-    wanted = min(np.exp(random.uniform(*np.log(ways))), total)
+@cache
+def aisles(path, label):
+    """The aisles of a floor, derived once, see `aisles_of`."""
+    return aisles_of(loaded(path, label))
+
+
+def route_between_walls(path, label, random, lengths):
+    """Corners ``(k, 2)`` [m] of a random route along the aisles of a floor. lengths: shortest and longest [m]."""
+    floor, (links, lines) = loaded(path, label), aisles(path, label)
+    wanted = min(np.exp(random.uniform(*np.log(lengths))), sum(map(_length, lines)))
     for attempt in range(ATTEMPTS):
-        line = _wandered(network, wanted, random)
+        line = _wandered(links, lines, wanted, random)
         if _length(line) < wanted * (1 - attempt / ATTEMPTS):
             continue
         corners = _swayed(line, floor, random)
@@ -186,25 +191,30 @@ def route_between_walls(floor, random, ways):
     raise SystemExit(f"no way of {wanted:.0f} m on floor {floor.label}")
 
 
-def _wandered(network: Network, wanted, random):
-    """A line from one link to the next, never back, of a length if the network has it."""
-    length = np.array([_length(line) for line in network.lines])
-    link = int(random.choice(len(network), p=length / length.sum()))
-    node = int(network.links[link, random.integers(2)])
-    line = network.leaving(link, node)
+def _wandered(links, lines, wanted, random):
+    """A line from one aisle to the next, never back, of a length if the floor has it."""
+    length = np.array([_length(line) for line in lines])
+    link = int(random.choice(len(lines), p=length / length.sum()))
+    node = int(links[link, random.integers(2)])
+    line = _leaving(links, lines, link, node)
     line = _cut(line, random.uniform(0, 0.8) * length[link], length[link])
-    node = int(network.links[link].sum() - node)
+    node = int(links[link].sum() - node)
     while _length(line) < wanted:
-        ahead = [n for n in np.flatnonzero((network.links == node).any(axis=1)).tolist() if n != link]
+        ahead = [n for n in np.flatnonzero((links == node).any(axis=1)).tolist() if n != link]
         if not ahead:
             break
-        ways = [network.leaving(n, node) for n in ahead]
+        ways = [_leaving(links, lines, n, node) for n in ahead]
         turns = np.array([_course(w, 0) for w in ways]) - _course(line, -1)
         weight = np.exp(STRAIGHT * np.cos(turns))
         chosen = int(random.choice(len(ahead), p=weight / weight.sum()))
-        link, node = ahead[chosen], int(network.links[ahead[chosen]].sum() - node)
+        link, node = ahead[chosen], int(links[ahead[chosen]].sum() - node)
         line = np.concatenate([line, ways[chosen][1:]])
     return _cut(line, 0.0, wanted)
+
+
+def _leaving(links, lines, link, node):
+    """The line of an aisle from one of its ends."""
+    return lines[link] if links[link, 0] == node else lines[link][::-1]
 
 
 def _swayed(line, floor, random):
@@ -289,7 +299,7 @@ def route_of(setting, seed, random, length):
         return None, (route_outdoors if setting == OUTDOORS else nearly_closed)(random), {}
     path = MAPS / f"{PLANS[seed % len(PLANS)]}.geojson"
     plan = loaded(path, None)
-    return plan, route_between_walls(plan, random, length), {"plan": str(path), "floor": plan.label}
+    return plan, route_between_walls(path, None, random, length), {"plan": str(path), "floor": plan.label}
 
 
 def route_outdoors(random):

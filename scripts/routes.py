@@ -93,7 +93,7 @@ def simulated(kind, floor, lengths, seed):
     """Outcomes of a simulated walk of a length in a range [m], by what is given."""
     path, label = floor
     random, plan = np.random.default_rng((seed, 7)), loaded(path, label)
-    corners = route_between_walls(plan, random, lengths)
+    corners = route_between_walls(path, label, random, lengths)
     content = {"plan": str(path.resolve()), "floor": plan.label}
     walk = walk_along(corners, INDOORS, seed, random, plan, content)
     truth, random = walk.truth, np.random.default_rng((seed, 8))

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.append(str(Path(__file__).parents[1] / "scripts" / "examples" / "evaal"))
 
 settings.register_profile("steady", derandomize=True, deadline=None)  # a failure is one of the commit, not of the day
 settings.load_profile("steady")

@@ -15,7 +15,7 @@ from pdr_graph import read_trajectory
 from pdr_graph.errors import printable
 from pdr_graph.lab.simulation import scenario
 
-COMMANDS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaal",), ("evaluate",)]
+COMMANDS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaluate",)]
 COMMANDS += [("compare",), ("export",), ("simulate",), ("map", "show"), ("map", "check")]
 COMMANDS += [("lifelog", command) for command in ("add", "build", "show", "export")]
 CORRECTIONS = ("was-at", "merge", "split", "was", "not-me", "name", "forget", "list", "undo")

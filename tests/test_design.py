@@ -25,7 +25,7 @@ FLOORS = [
     ["__main__"],
     ["cli", "papers"],
     ["serve"],
-    ["lifelog", "evaal", "bench"],
+    ["lifelog", "bench"],
     ["replay"],
     ["report"],
     ["online"],
@@ -69,7 +69,6 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "apps": (3, 189),  # the filter beside a replay
     "apps/bench": (5, 550),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
     "apps/cli": (7, 1180),
-    "apps/evaal": (4, 531),
     "apps/lifelog": (28, 5734),
     "apps/lifelog/past": (8, 1040),
     "apps/report": (9, 1475),  # the view for Rerun

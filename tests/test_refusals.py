@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import recorders
 from commands import run
+from evaal_trial import PositionFormat
 from plans import ARCADE, MAPS, moved
 
 from pdr_graph import InputError
-from pdr_graph.apps.evaal.trial import PositionFormat
 from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.serving import Settings, build, read_inputs
 from pdr_graph.floor import plan_files

@@ -103,7 +103,7 @@ class WalkGraph:
     sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used;
     optimum: of the graph of an estimate, None of others.
 
-    Raises TypeError for arguments of other types, ValueError if fixes are not in metres or ``floors`` is missing.
+    Raises TypeError for other types; ValueError if fixes are not in metres, ``floors`` is missing, or as of `Prior.on`.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class WalkGraph:
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps, self.floor, self._given, self._others = steps, floor, prior or Prior(), tuple(others)
+        self.steps, self.floor, self._given, self._others = steps, floor, (prior or Prior()).on(floor), tuple(others)
         self.prior = self._given.after(steps)
         self.paths = paths
         self.fixes = Fixes.none() if fixes is None else fixes

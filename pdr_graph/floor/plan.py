@@ -12,7 +12,7 @@ import shapely
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.floor.network import Network, derived_network, drawn_network
+from pdr_graph.floor.network import Network
 from pdr_graph.types import Array, Mask, OneLineRepr
 
 if TYPE_CHECKING:
@@ -101,9 +101,8 @@ class FloorPlan(OneLineRepr):
 
     @cached_property
     def network(self) -> Network:
-        """Network of intersections and corridors, as drawn, else derived from the walkable area."""
-        drawn = drawn_network(self.areas, self.cells, self.walkable)
-        return derived_network(self.cells, self.walkable) if drawn is None else drawn
+        """Network of intersections and the links between them, as drawn; empty if none are."""
+        return Network.drawn(self.areas, self.cells, self.walkable)
 
     @cached_property
     def corners(self) -> Array:

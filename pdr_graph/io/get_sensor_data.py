@@ -5,7 +5,7 @@ the log and is common to all sensors, but it is the time at which the app receiv
 time at which it was measured, on the sensor's own clock (since boot; GNSS: Unix). Samples therefore keep the sensor's
 times, shifted to the app's clock by one offset per sensor. The xDR dialect has the accelerometer in g; `io.validation`
 recognises that by the magnitude. A competition's server may separate the cells by commas or tabs instead.
-``evaal.trial`` reads the same rows live.
+``scripts/examples/evaal`` reads the same rows live.
 """
 
 from __future__ import annotations

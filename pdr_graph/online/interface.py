@@ -20,7 +20,6 @@ from pdr_graph.estimation.factors.registry import KINDS
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
 from pdr_graph.geometry import confidence_ellipse, horizontal_sigma, protection_level, wrap_angle
 from pdr_graph.priors import REPORTS
 from pdr_graph.types import (
@@ -267,15 +266,6 @@ class LiveEstimator(Protocol):
 
     def finish(self) -> Estimate:
         """End the walk and return its estimate."""
-        ...
-
-
-class Georeferenced(LiveEstimator, Protocol):
-    """A navigator whose poses have a frame on earth."""
-
-    @property
-    def frame(self) -> Frame | None:
-        """The frame of the poses; None before anything defines it."""
         ...
 
 

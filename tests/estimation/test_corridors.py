@@ -14,11 +14,9 @@ from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor, s
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.floor.network import derived_network
 from pdr_graph.geometry import wrap_angle
 
 LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
-NETWORKS = {"drawn": LOOP.network, "derived": derived_network(LOOP.cells, LOOP.walkable)}
 LAP = [[14.85, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25]]
 STRIDE = 0.7
 
@@ -33,11 +31,10 @@ def along(*corners, sway=0.0):
     return way + sway * np.sin(2 * np.pi * at / 8.0)[:, None] * left
 
 
-@pytest.mark.parametrize("network", ["drawn", "derived"])
 @pytest.mark.parametrize("sway", [0.0, 0.6])
-def test_a_lap_is_five_straight_runs(sway, network):
+def test_a_lap_is_five_straight_runs(sway):
     """Also with a zigzag between the walls: the direction of a run is that of its corridor."""
-    runs = straight_runs(along(*LAP, sway=sway), NETWORKS[network])
+    runs = straight_runs(along(*LAP, sway=sway), LOOP.network)
     legs = np.diff(LAP, axis=0)
     directions = np.array([run.direction for run in runs])
     assert np.degrees(wrap_angle(directions - np.arctan2(*legs.T[::-1]))) == pytest.approx(np.zeros(5), abs=0.5)
@@ -49,44 +46,45 @@ def test_a_run_has_the_direction_of_the_walk():
     assert abs(wrap_angle(there.direction - back.direction)) == pytest.approx(np.pi)
 
 
-@pytest.mark.parametrize(
-    "area",
-    [
-        shapely.box(0, -5, 20, 5),  # [m] a hall half as wide as it is long
-        shapely.box(0, -30, 60, 30),  # a plaza: no wall in reach
-        shapely.box(0, -30, 60, 1),  # a wall on one side only
-    ],
-    ids=["hall", "plaza", "one wall"],
-)
-def test_there_is_no_run_without_a_corridor(area):
-    assert not straight_runs(along([0.5, 0.0], [19.5, 0.0]), plan(("floor", area)).network)
+def test_there_is_no_run_along_a_link_as_wide_as_a_hall_or_without_links():
+    hall = [("corridor", shapely.box(-20, -5, 20, 5)), ("link", shapely.LineString([(-20, 0), (20, 0)]))]
+    track = along([0.5, 0.0], [19.5, 0.0])
+    drawn = plan(*hall, ("intersection", shapely.box(-1, -1, 1, 1))).network
+    assert drawn.width == pytest.approx([10, 10])
+    assert not straight_runs(track, drawn)
+    assert not straight_runs(track, plan(*hall).network)
 
 
 def test_a_run_of_a_bend_has_the_direction_of_its_part():
-    """A round corridor, whose centre line is a polygon: the runs are short and within 5° of the walk."""
-    area = shapely.Point(0, 0).buffer(31) - shapely.Point(0, 0).buffer(29)
-    track = along(*shapely.get_coordinates(shapely.boundary(shapely.Point(0, 0).buffer(30))))
-    for run in straight_runs(track, plan(("floor", area)).network):
+    """A round corridor, whose link is a polygon of twenty sides: the runs are short and within 5° of the walk."""
+    middle, link = (shapely.boundary(shapely.Point(0, 0).buffer(30, quad_segs=sides)) for sides in (16, 5))
+    ends = [("intersection", shapely.box(x - 0.5, -0.5, x + 0.5, 0.5)) for x in (-30, 30)]
+    round_ = plan(("corridor", shapely.buffer(middle, 1)), ("link", link), *ends).network
+    track = along(*shapely.get_coordinates(middle))
+    runs = straight_runs(track, round_)
+    assert len(runs) > 10
+    for run in runs:
         walked = track[run.last - 1] - track[run.first]
         assert np.hypot(*walked) < 12
         assert abs(wrap_angle(run.direction - np.arctan2(walked[1], walked[0]))) < np.radians(5)
 
 
 def test_a_run_continues_across_an_intersection_and_past_pillars():
-    street = shapely.box(0, -1.5, 40, 1.5) | shapely.box(19, -20, 22, 20)
-    pillars = [shapely.box(x, 1.0, x + 0.4, 1.5) for x in range(2, 40, 5)]
-    area = shapely.affinity.rotate(street - shapely.union_all(pillars), 25, origin=(0, 0))
+    street, across = shapely.box(0, -1.5, 40, 1.5), shapely.box(19, -20, 22, 20)
+    areas = [("corridor", street - across), ("corridor", across - street), ("intersection", street & across)]
+    areas += [("wall", shapely.box(x, 1.0, x + 0.4, 1.5)) for x in range(2, 40, 5)]
+    areas += [("link", shapely.LineString(line)) for line in ([(0, 0), (40, 0)], [(20.5, -20), (20.5, 20)])]
+    turned = plan(*((kind, shapely.affinity.rotate(shape, 25, (0, 0))) for kind, shape in areas))
     track = shapely.get_coordinates(shapely.affinity.rotate(shapely.LineString(along([1, 0], [39, 0])), 25, (0, 0)))
-    (run,) = straight_runs(track, plan(("floor", area)).network)
+    (run,) = straight_runs(track, turned.network)
     assert np.degrees(run.direction) == pytest.approx(25, abs=1)
     assert run.last - run.first > 0.9 * len(track)
 
 
 @pytest.mark.parametrize("sway", [0.0, 0.6])
-@pytest.mark.parametrize("network", ["drawn", "derived"])
-def test_a_lap_turns_at_each_intersection(network, sway):
+def test_a_lap_turns_at_each_intersection(sway):
     track = along(*LAP, sway=sway)
-    found = list(turns_along(track, NETWORKS[network]))
+    found = list(turns_along(track, LOOP.network))
     for turn, corner, leg in zip(found, LAP[1:-1], pairwise(np.diff(LAP, axis=0)), strict=True):
         assert np.hypot(*(turn.corners.mean(axis=0) - corner)) < 0.1
         assert np.hypot(*(track[turn.at] - corner)) < STRIDE + sway
@@ -136,6 +134,9 @@ def test_corridors_are_matched_only_on_request():
     assert matched.find(CorridorFactor) is matched.find(TurnFactor) is None
     with pytest.raises(ValueError, match="expected 'directions', 'turns'"):
         Prior(corridors=("both",))
+    hall, walk = plan(("floor", shapely.box(-2, -2, 22, 24))), ell_walk()
+    with pytest.raises(ValueError, match="found a plan without links, expected areas of kind intersection"):
+        WalkGraph(walk.steps, walk.fixes, floor=hall, prior=Prior(corridors=("turns",)))
 
 
 def test_a_straight_run_determines_the_direction_where_walls_are_far():

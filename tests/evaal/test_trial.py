@@ -1,24 +1,27 @@
 """The client of the EvAAL API with a test server, and with a navigator that echoes the last fix."""
 
 import csv
+import runpy
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
 from evaal.evaal_server import Trial, serving
 from evaal.trials import Echo, assert_same_as_loaded, received, rows_of, run, summary
+from evaal_client import TRIES, Api, State
+from evaal_rows import FIRST_SECOND, RowStream
+from evaal_trial import INTERVAL, PositionFormat, run_trial
 from recorders import G, get_sensor_data, sample
 
-from pdr_graph.apps import cli
-from pdr_graph.apps.evaal.client import TRIES, Api, State
-from pdr_graph.apps.evaal.trial import FIRST_SECOND, INTERVAL, PositionFormat, RowStream, run_trial
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.types import Fixes
 
+EXAMPLE = Path(__file__).resolve().parents[2] / "scripts" / "examples" / "evaal"
 INITIAL = "11.10000000,49.45000000,1"
 
 
@@ -222,7 +225,7 @@ def test_a_wrong_url_or_trial_raises_one_line(tmp_path, log):
 
 
 def test_a_too_long_answer_raises(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("pdr_graph.apps.evaal.client.MAXIMUM_REQUEST", 3000)
+    monkeypatch.setattr("evaal_client.MAXIMUM_REQUEST", 3000)
     with serving(t=Trial(log)) as url, pytest.raises(InputError, match="more than 3000 bytes"):
         Api(url, "t").next_data("0", "", 20.0)
 
@@ -326,10 +329,10 @@ def command(monkeypatch, *arguments):
     stand_in = types.ModuleType("pdr_graph.online.navigator")
     stand_in.Navigator = Echo
     monkeypatch.setitem(sys.modules, "pdr_graph.online.navigator", stand_in)
-    monkeypatch.setattr(sys, "argv", ["pdr-graph", "evaal", *map(str, arguments)])
+    monkeypatch.setattr(sys, "argv", ["evaal", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return ended.value.code or 0
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
+    return ended.value.code
 
 
 def test_exit_codes_and_files_of_the_command_line(tmp_path, log, monkeypatch, capsys):
@@ -339,7 +342,7 @@ def test_exit_codes_and_files_of_the_command_line(tmp_path, log, monkeypatch, ca
         assert "timeout" in capsys.readouterr().err
         assert command(monkeypatch, url, "nobody", "--out", tmp_path / "n") == 2
     error = capsys.readouterr().err
-    assert error.startswith("pdr-graph: ")
+    assert error.startswith("evaal: ")
     assert error.count("\n") == 1
     with (tmp_path / "t" / "causal.csv").open(newline="") as file:
         header = next(csv.reader(file))

@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from evaal_client import Api
+from evaal_rows import RowStream
+from evaal_trial import INTERVAL, run_trial
 
-from pdr_graph.apps.evaal.client import Api
-from pdr_graph.apps.evaal.trial import INTERVAL, RowStream, run_trial
 from pdr_graph.frames import Frame, enu
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Pose, Samples, Scan

@@ -19,10 +19,8 @@ from pdr_graph.apps.cli.bench import bench
 from pdr_graph.apps.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.apps.cli.options import (
     AsJson,
-    Coordinates,
     Force,
     Height,
-    MapPath,
     Method,
     OutputOptions,
     Pairing,
@@ -39,7 +37,7 @@ from pdr_graph.apps.cli.options import (
 )
 from pdr_graph.apps.cli.serve import serve
 from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result, print_summary
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, printable, shows_progress
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line
 from pdr_graph.whole_files import check_replaceable
 
 if TYPE_CHECKING:
@@ -348,55 +346,6 @@ def _frame_of(summary: Path) -> dict[str, Any]:
     if not isinstance(frame, dict):
         raise InputError(summary, "frame", "none", "the frame of a walk, as pdr-graph smooth writes it")
     return frame
-
-
-@app.command()
-def evaal(
-    url: Annotated[str, typer.Argument(metavar="URL", help="The server's base URL, which ends in /evaalapi/.")],
-    trial: Annotated[str, typer.Argument(metavar="TRIAL", help="The trial's name.")],
-    map_: MapPath = None,
-    scale: PlanScale = None,
-    format_: Annotated[
-        Coordinates, typer.Option("--format", help="Positions as lon,lat,floor or as x,y,floor in the output frame.")
-    ] = Coordinates.lonlat,
-    ignore_initial: Annotated[
-        bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
-    ] = False,
-    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="The list of beacons, as of smooth.")] = None,
-    walker: WalkerPath = None,
-    height: Height = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Output folder; default: evaal-TRIAL.")
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
-) -> None:
-    """Take part in a competition over the EvAAL API.
-
-    The same command resumes an interrupted trial (same --out).
-
-    \b
-    pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
-    """
-    from urllib.parse import quote
-
-    from pdr_graph.apps.evaal.client import Api
-    from pdr_graph.apps.evaal.trial import run_trial
-    from pdr_graph.walk import Options
-
-    api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
-    check_replaceable(folder, "requests.log", force)
-    options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
-
-    def show(text: str) -> None:
-        typer.echo(f"\r{printable(text)} ", nl=False, err=True)
-
-    lonlat, progress = format_ is Coordinates.lonlat, show if shows_progress() else None
-    ending = run_trial(api, folder, options, lonlat, ignore_initial, progress)
-    echo(f"{ending.text} -> {folder}", err=not ending.normal)
-    if not ending.normal:
-        echo_errors(*(f"without {part}" for part in ending.missing))
-        raise typer.Exit(EXIT_DEGRADED)
 
 
 @app.command()

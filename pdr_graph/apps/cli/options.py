@@ -137,13 +137,6 @@ class Method(StrEnum):
     pdr = "pdr"
 
 
-class Coordinates(StrEnum):
-    """Coordinates of the positions of a competition."""
-
-    lonlat = "lonlat"
-    xy = "xy"
-
-
 class Pairing(StrEnum):
     """How an estimate is paired with a sample of the truth."""
 

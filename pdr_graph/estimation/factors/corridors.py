@@ -1,4 +1,4 @@
-"""The corridor network of a plan as factors: directions of straight runs along links, and turns from link to link.
+"""The links that a plan draws as factors: directions of straight runs along links, and turns from link to link.
 
 A turn has two bounds: [map-matching] Eq. (6) limits its angle, from one corridor into the other; and it happens in the
 intersection, between the walls of both corridors. The residual is zero within the bounds and linear outside. Runs and
@@ -24,7 +24,7 @@ from pdr_graph.floor.network import Lines, Network, nearest_segments
 from pdr_graph.floor.paths import PathNetwork, match
 from pdr_graph.geometry import interpolate, length_along, nearest, pose_rotation, turn_between, wrap_angle
 from pdr_graph.priors import CORRIDOR, FIXES, REPORTS, TURNS, VERDICTS, WAYS
-from pdr_graph.types import INSTANT, KEYFRAME, Array, Contradiction, Headings, Index, Mask, OneLineRepr
+from pdr_graph.types import INSTANT, KEYFRAME, Array, Contradiction, Headings, Index, Mask
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -47,7 +47,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Run(OneLineRepr):
+class Run:
     """A straight run along links.
 
     first, last: its places [first, last); direction: of the corridor, as walked [rad]; width: of the corridor [m];
@@ -59,10 +59,6 @@ class Run(OneLineRepr):
     direction: float
     width: float
     spread: float
-
-    def _summary(self) -> list[str]:
-        direction = f"{np.degrees(self.direction):.0f}° ± {np.degrees(self.spread):.1f}°"
-        return [f"places {self.first} to {self.last}", direction, f"corridor of {self.width:.1f} m"]
 
 
 @dataclass(frozen=True)
@@ -472,14 +468,10 @@ def turns_along(track: Array, network: Network) -> Iterator[Turn]:
             into, out_of = -network.direction(before.link, node), network.direction(after.link, node)
             low, high = max(before.last - TURNS.overlap, before.first), min(after.first + TURNS.overlap, after.last)
             at = low + int(np.argmax(track[low:high] @ (into - out_of)))  # the sharpest
-            turned, around = abs(turn_between(into, out_of)), walked[after.first] - walked[before.last - 1]
+            is_turn = TURNS.least < abs(turn_between(into, out_of)) < TURNS.most
+            around = walked[after.first] - walked[before.last - 1]
             apart = shapely.distance(shapely.polygons(network.corners[node]), shapely.Point(track[at]))
-            if (
-                before.link != after.link
-                and TURNS.least < turned < TURNS.most
-                and around < TURNS.longest
-                and apart < TURNS.at_node
-            ):
+            if is_turn and around < TURNS.longest and apart < TURNS.at_node:
                 yield Turn(before.first, at, after.last - 1, into, out_of, network.corners[node])
 
 

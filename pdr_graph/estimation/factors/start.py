@@ -21,6 +21,7 @@ from pdr_graph.estimation.factors.base import (
     State,
 )
 from pdr_graph.estimation.factors.chain import dead_reckoned, preintegrate
+from pdr_graph.floor.building import Building
 from pdr_graph.geometry import ANY_HEADING, as_complex, pose_rotation, rotation, wrap_angle
 from pdr_graph.priors import MOTION, PRICES, WALKER, WALLS
 from pdr_graph.types import Array, Steps
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     import gtsam
 
     from pdr_graph.estimation.factors.chain import Evaluation
+    from pdr_graph.floor.plan import FloorPlan
 
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 WALKER_KIND = "calibration"  # the kind of the prior of the walker, and of the hypothesis about it
@@ -44,8 +46,8 @@ class Prior:
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
-    corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
-        "turns" at intersections.
+    corridors: factors of the links that a plan draws, beside the walls, which contain the same information:
+        "directions" of straight runs, "turns" at intersections.
     another: prior of another walker, if the steps were corrected by a profile, which may be of somebody else.
     usual: R_s of a usual walker; not 1 for steps that a profile has corrected.
     """
@@ -74,6 +76,13 @@ class Prior:
         correlation = np.eye(3)
         correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
         return correlation * np.outer(self.sigma, self.sigma)
+
+    def on(self, floor: FloorPlan | Building | None) -> Prior:
+        """Return the prior for a walk on `floor`. Raises ValueError for `corridors` of a plan that draws no links."""
+        if self.corridors and floor and not any(len(plan.network) for plan in Building.around(floor).floors):
+            expected = "areas of kind intersection, and corridors or lines of kind link between them, clear of walls"
+            raise ValueError(f"Prior.corridors: found a plan without links, expected {expected}")
+        return self
 
     def after(self, steps: Steps) -> Prior:
         """The prior for these steps: if most of their turns are unmeasured, positions say little of the stride."""

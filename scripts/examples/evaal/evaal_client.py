@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
-from pdr_graph.errors import InputError
+from pdr_graph import InputError
 from pdr_graph.web_request import REDIRECTS, TooLongError, ask
 from pdr_graph.whole_files import lock
 
@@ -113,7 +113,7 @@ class Api:
         except ValueError:
             valid = False
         if not valid or not trial:
-            raise InputError("evaal", "", f"{url!r} and trial {trial!r}", "http://…/evaalapi/ and a trial's name")
+            raise InputError("the server", "", f"{url!r} and trial {trial!r}", "http://…/evaalapi/ and a trial's name")
         self.url, self.trial = url.rstrip("/") + "/", trial
         self._base, self._sleep = self.url + quote(trial, safe="") + "/", sleep
 

@@ -1,1 +1,0 @@
-"""Competitions over the EvAAL API: the client, a trial, and its rows as they come."""
