@@ -62,7 +62,7 @@ class StepStream:
             name: replace(sensor, arrived=[*sensor.arrived], left_out=sensor.left_out.copy())
             for name, sensor in self._sensors.items()
         }  # packets are validated together when they are due, whatever is asked before
-        _ingest(*sensors.values())
+        _ingest(sensors["accelerometer"], sensors["gyroscope"])
         return {name: sensor.health for name, sensor in sensors.items()}
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -177,7 +178,7 @@ class SensorStream:
             return time, values
         behind = np.maximum.accumulate(np.append(self.last - self.offset, time))[1:] - time
         late = float(behind.max(initial=0.0))
-        self.wait *= np.exp(-max(float(time[-1]) + self.offset - self.last, 0.0) / SENSOR_VALIDATION.memory)
+        self.wait *= math.exp(-max(float(time[-1]) + self.offset - self.last, 0.0) / SENSOR_VALIDATION.memory)
         if late > SENSOR_VALIDATION.clock_reset or max(late, self.wait) < SHORTEST_WAIT:
             return time, values
         # half as long again: what came so late so far was not the latest

@@ -204,7 +204,7 @@ ARRIVALS = {
 }
 
 
-@pytest.mark.parametrize("posted, newest", ARRIVALS.values(), ids=ARRIVALS)
+@pytest.mark.parametrize(("posted", "newest"), ARRIVALS.values(), ids=ARRIVALS)
 def test_the_dot_is_at_the_newest_position_in_any_order_of_arrival(posted, newest, tmp_path):
     """A late one changes the recording, not the dot; one of the future is of the moment at which it came."""
     log, degree = MessageLog(tmp_path / LOG), 111_320 * np.cos(np.radians(48.0))
