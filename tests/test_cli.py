@@ -39,12 +39,15 @@ def test_the_help_of_a_command_is_in_plain_words_with_an_example(command):
     code, printed, _ = run(*command, "--help")
     assert (code, printed) == run(*command, "-h")[:2]
     assert code == 0
-    about, options = printed.split("\nOptions:\n")
+    about, _, options = printed.partition("\nOptions:\n")
     examples = [line.split() for line in about.splitlines() if line.startswith(f"  pdr-graph {' '.join(command)} ")]
     assert examples
     assert all(f"  {word} " in options for example in examples for word in example if word.startswith("--"))
     assert not re.search(r"\\b|[<\[{](path|str|int|list|Path|RECORDING|STORE)\b", printed)
     assert not re.search(r"pdr-graph .* pdr-graph ", printed), "two examples on one line"
+    sections = printed.split("\nArguments:\n")[-1] if "\nArguments:\n" in printed else options
+    rows = re.findall(r"^  \S.*(?:\n {5,}.*)*", sections, re.MULTILINE)
+    assert [row for row in rows if not re.search(r"\S(?: {2,}|\n +)\S", row)] == [], "without help"
 
 
 def test_version_prints_the_version():

@@ -30,7 +30,8 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.live_walk import LiveWalk, read_session
 from pdr_graph.apps.serve.publishing import PATH_INTERVAL
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.walk import Options, settings_changed
+from pdr_graph.options import Options
+from pdr_graph.walk import settings_changed
 
 RESTART = 1.0  # [s] until a process that ended is started again, doubled each time up to SLOWEST_RESTART
 SLOWEST_RESTART = 60.0

@@ -34,8 +34,8 @@ from pdr_graph.apps.serve.receivers import listen
 from pdr_graph.apps.serve.reception import Limits, Reception
 from pdr_graph.errors import InputError, Interrupted
 from pdr_graph.floor.building import Building
+from pdr_graph.options import LIVE, Options
 from pdr_graph.types import Beacons
-from pdr_graph.walk import LIVE, Options
 
 SESSIONS, TOKENS = "sessions", "tokens.json"
 
