@@ -269,6 +269,7 @@ COMMANDS = {
     "smooth walk --mapp plan.geojson": "Unknown option: --mapp. Did you mean --map?",
     "smooth walk other": "other: found an argument too many",
     "simulate arcade --seed -1": "--seed: found -1, expected >= 0",
+    "serve --port -5": "--port: found -5, expected >= 0",
     "lifelog correct undo days.db 1.5": "N: found 1.5, expected a whole number",
     "simulate atlantis": "arcade, campus",
     "serve --map maps/two_floors.geojson --floor 3 --out o": "expected a floor '3'",
@@ -359,5 +360,5 @@ def test_a_plan_with_its_fixes_is_accepted(place, tmp_path, case):
     (tmp_path / "f.csv").write_text(fixes(place / "walk"))
     options = Options(plan=place / f"{plan}.geojson", fixes=tmp_path / "f.csv", floor=floor)
     assert len(read(place / "walk", options).fixes) > 0
-    server = {"plan": options.plan, "floor": floor}
+    server = Options(plan=options.plan, floor=floor)
     assert refused(build, Settings(tmp_path / "server", server), read_inputs(server)[0]) == ""

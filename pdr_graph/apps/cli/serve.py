@@ -15,16 +15,16 @@ from pdr_graph.apps.cli.terminal import echo
 from pdr_graph.errors import InputError, install
 from pdr_graph.options import Options
 
-Port = Annotated[Count, Parameter(validator=Number(lte=65535), help="0: any free one.")]
+Port = Annotated[Count, Parameter(validator=Number(gte=0, lte=65535), help="0: any free one.")]
 LOOPBACK = "127.0.0.1"
 STUDY = "study"  # folder of the uploads that wait
-
-ESTIMATES = ("plan", "walker", "beacons", "radio_map", "paths", "floor", "lag", "settings")  # options of live walks
 
 
 def serve(
     *,
-    options: Annotated[Options, only(*ESTIMATES)] = Options(),
+    options: Annotated[
+        Options, only("plan", "walker", "beacons", "radio_map", "paths", "floor", "lag", "settings")
+    ] = Options(),
     store: Path | None = None,
     port: Port = 8080,
     host: str = LOOPBACK,
@@ -73,8 +73,7 @@ def serve(
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
 
-    estimates = {name: getattr(options, name) for name in ESTIMATES}
-    building, placed = serving.read_inputs(estimates)
+    building, placed = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
     secured = host not in LOCAL_HOSTS or token is not None or bool(user) or file.exists()
@@ -86,7 +85,7 @@ def serve(
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
     sources = Sources(phyphox, pulled, reports, home, receivers)
-    server = serving.Settings(out, estimates, store, workers, tokens, checked_tiles(tiles), sources=sources)
+    server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
 
