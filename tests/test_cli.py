@@ -19,15 +19,8 @@ from pdr_graph.lab.simulation import scenario
 from pdr_graph.options import Options
 
 COMMANDS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaal",), ("evaluate",)]
-COMMANDS += [
-    ("compare",),
-    ("export",),
-    ("simulate",),
-    ("serve",),
-    ("map", "show"),
-    ("map", "check"),
-    ("map", "convert"),
-]
+COMMANDS += [("compare",), ("export",), ("simulate",), ("serve",)]
+COMMANDS += [("map", command) for command in ("show", "check", "convert")]
 COMMANDS += [("lifelog", command) for command in ("add", "import", "build", "show", "export", "serve")]
 COMMANDS += [("bench", command) for command in ("ls", "run", "stats")]
 CORRECTIONS = ("was-at", "merge", "split", "was", "not-me", "name", "forget", "list", "undo")
