@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -58,6 +58,7 @@ from pdr_graph.io.tables import (
     read_ranges,
     read_trajectory,
 )
+from pdr_graph.options import Options
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
 from pdr_graph.priors import INITIAL, changed, entries, tables
 from pdr_graph.types import (
@@ -83,12 +84,6 @@ from pdr_graph.types import (
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
     from pdr_graph.floor.paths import PathNetwork
-
-FASTEST_OUTPUT = 1000.0  # [Hz] largest rate of output rows
-LARGEST_LATENCY = 60.0  # [s]
-SHORTEST_WALKER, TALLEST_WALKER = 0.5, 2.8  # [m] height of a walker
-LIVE = "live"  # the method of a navigator
-LIVE_ONLY = ("lag", "journal")  # options of that method alone
 
 
 @contextmanager
@@ -120,79 +115,6 @@ def settings_changed(given: Iterable[str]) -> Iterator[list[str]]:
                 stack.enter_context(changed(tables()[entry.table], **{name: new}))
                 kept.append(f"{full}={value}")
         yield kept
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of an estimate, and its input files beside the recording; the defaults of every command."""
-
-    plan: Path | None = None
-    """Floor plan; its frame is the output's."""
-    scale: float | None = None
-    """Metres per unit of the plan, for a drawing or a picture that does not state it [m]."""
-    fixes: Path | None = None
-    """CSV of positions, `time,x,y,sigma` or `time,lat,lon,sigma`, each also with `floor` and `source`."""
-    beacons: Path | None = None
-    """CSV of surveyed beacons; default: the list beside the recording, else the plan's."""
-    ranges: Path | None = None
-    """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
-    paths: Path | None = None
-    """Ways outdoors: an OpenStreetMap extract, lines of GeoJSON or GPX routes."""
-    learned: Path | None = None
-    """ONNX network of one's own that reads inertial samples and says velocities, see `gait.learned`."""
-    radio_map: Path | None = None
-    """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
-    walker: Path | None = None
-    """TOML of the walker's height, stride and profile."""
-    height: float | None = None
-    """Height of the walker [m]; None: that of `walker`."""
-    truth: Path | None = None
-    """CSV of the true trajectory, for drawings and scores only."""
-    method: str = "graph"
-    """`graph`, `filter`, `rts`, `pdr`, or `live` (the navigator of `replay`)."""
-    recorded_fixes: bool = True
-    """Also use positions inside the recording."""
-    rate: float | None = None
-    """Rows of the trajectory per second [Hz]; None: a row per step."""
-    gnss_latency: float = 0.0
-    """Delay of the phone's own positions [s]."""
-    floor: str | None = None
-    """Label of the floor on which the walk begins; None: as the fixes say."""
-    start_heading: float | None = None
-    """Direction of the first step, clockwise from north (from +y in a frame without latitude) [deg]."""
-    lag: float | None = 60.0
-    """Time after which a live navigator finalizes a step [s]; None: never."""
-    journal: Path | None = None
-    """File that stores a live walk, and from which it is resumed."""
-    settings: tuple[str, ...] = ()
-    """Numbers that ``--set`` changed, for the record: in Python `pdr_graph.priors.changed` sets them."""
-
-    def __post_init__(self) -> None:
-        """Raise InputError if a number is out of range."""
-        if self.rate is not None and not 0 < self.rate <= FASTEST_OUTPUT:
-            raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_OUTPUT:.0f} Hz")
-        if self.start_heading is not None and not abs(self.start_heading) <= 360:
-            expected = "degrees clockwise from north, -360 to 360"
-            raise InputError("--start-heading", "", f"{self.start_heading}", expected)
-        if not abs(self.gnss_latency) <= LARGEST_LATENCY:
-            hint = " (milliseconds?)" if LARGEST_LATENCY < abs(self.gnss_latency) <= 1000 * LARGEST_LATENCY else ""
-            expected = f"seconds from -{LARGEST_LATENCY:.0f} to {LARGEST_LATENCY:.0f}"
-            raise InputError("--gnss-latency", "", f"{self.gnss_latency}{hint}", expected)
-        if self.height is not None and not SHORTEST_WALKER <= self.height <= TALLEST_WALKER:
-            hint = " (centimetres?)" if 100 * SHORTEST_WALKER <= self.height <= 100 * TALLEST_WALKER else ""
-            expected = f"metres from {SHORTEST_WALKER} to {TALLEST_WALKER}"
-            raise InputError("--height", "", f"{self.height}{hint}", expected)
-
-    def person(self) -> Walker:
-        """The walker. Raises InputError if the file cannot be used."""
-        walker = Walker.load(self.walker) if self.walker else Walker()
-        return walker if self.height is None else replace(walker, height=self.height)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the options for `summary.json`, with the names of the command line."""
-        names = [field.name for field in fields(self) if self.method == LIVE or field.name not in LIVE_ONLY]
-        values = {"map" if name == "plan" else name: getattr(self, name) for name in names}
-        return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
 
 
 FASTEST_FIXES = 25.0  # [Hz] of the fastest receivers; each fix costs milliseconds, and denser ones repeat each other

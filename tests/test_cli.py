@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +13,21 @@ from plans import MAPS
 
 import pdr_graph
 from pdr_graph import read_trajectory
+from pdr_graph.apps.cli import app
 from pdr_graph.errors import printable
 from pdr_graph.lab.simulation import scenario
+from pdr_graph.options import Options
 
 COMMANDS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaluate",)]
-COMMANDS += [("compare",), ("export",), ("simulate",), ("map", "show"), ("map", "check")]
-COMMANDS += [("lifelog", command) for command in ("add", "build", "show", "export")]
+COMMANDS += [("compare",), ("export",), ("simulate",), ("serve",)]
+COMMANDS += [("map", command) for command in ("show", "check", "convert")]
+COMMANDS += [("lifelog", command) for command in ("add", "import", "build", "show", "export", "serve")]
+COMMANDS += [("bench", command) for command in ("ls", "run", "stats")]
 CORRECTIONS = ("was-at", "merge", "split", "was", "not-me", "name", "forget", "list", "undo")
 COMMANDS += [("lifelog", "correct", command) for command in CORRECTIONS]
 
 
-@pytest.mark.parametrize("group", [(), ("map",), ("lifelog",), ("lifelog", "correct")], ids=" ".join)
+@pytest.mark.parametrize("group", [(), ("map",), ("lifelog",), ("lifelog", "correct"), ("bench",)], ids=" ".join)
 def test_the_help_of_a_group_lists_its_commands_whole(group):
     """No line of the list is cut off."""
     code, printed, _ = run(*group, "--help")
@@ -39,12 +44,28 @@ def test_the_help_of_a_command_is_in_plain_words_with_an_example(command):
     code, printed, _ = run(*command, "--help")
     assert (code, printed) == run(*command, "-h")[:2]
     assert code == 0
-    about, options = printed.split("\nOptions:\n")
+    about, _, options = printed.partition("\nOptions:\n")
     examples = [line.split() for line in about.splitlines() if line.startswith(f"  pdr-graph {' '.join(command)} ")]
     assert examples
     assert all(f"  {word} " in options for example in examples for word in example if word.startswith("--"))
     assert not re.search(r"\\b|[<\[{](path|str|int|list|Path|RECORDING|STORE)\b", printed)
     assert not re.search(r"pdr-graph .* pdr-graph ", printed), "two examples on one line"
+    sections = printed.split("\nArguments:\n")[-1] if "\nArguments:\n" in printed else options
+    rows = re.findall(r"^  \S.*(?:\n {5,}.*)*", sections, re.MULTILINE)
+    assert [row for row in rows if not re.search(r"\S(?: {2,}|\n +)\S", row)] == [], "without help"
+
+
+def test_options_stand_anywhere_and_the_last_one_counts():
+    words = ["a.db", "walks", "--map", "x.json", "more", "--map=y.json", "--walker", "w.toml", "--", "-1 h.zip"]
+    _, given, _ = app.parse_args(["lifelog", "add", *words], exit_on_error=False, print_error=False)
+    assert given.args == (Path("a.db"), Path("walks"), Path("more"), Path("-1 h.zip"))
+    assert given.kwargs == {"options": Options(plan=Path("y.json"), walker=Path("w.toml"))}
+
+
+def test_a_group_without_a_command_prints_its_help_as_an_error():
+    code, printed, errors = run("map")
+    assert (code, printed) == (2, "")
+    assert "\n".join(errors) == run("map", "--help").output.strip()
 
 
 def test_version_prints_the_version():

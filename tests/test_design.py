@@ -30,7 +30,7 @@ FLOORS = [
     ["report"],
     ["online"],
     ["walk"],
-    ["plausibility"],
+    ["plausibility", "options"],
     ["estimation", "simulation"],
     ["gait"],
     ["inertial", "floor", "io"],
@@ -42,7 +42,7 @@ FLOORS = [
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 # What each room may import of others' libraries, of those that are listed for some room
 LIBRARIES = {
-    "cli": {"typer"},
+    "cli": {"cyclopts"},
     "bench": {"matplotlib"},
     "serve": {"starlette", "uvicorn", "h11", "aiomqtt"},
     "lifelog": {"matplotlib", "lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}

@@ -226,7 +226,7 @@ COMMANDS = {
     "smooth walk --map fixes.csv --out o": "fixes.csv",
     "smooth walk --walker fixes.csv": "fixes.csv",
     "smooth walk --rate -1": "--rate",
-    "replay walk --lag soon --out o": "--lag: found soon, expected seconds",
+    "replay walk --lag soon --out o": "--lag: found soon, expected a number",
     "smooth walk --height 172": "--height: found 172.0 (centimetres?), expected metres",
     "smooth walk --walker walker.toml": "walker.toml, height: found 172 (centimetres?), expected",
     "smooth walk --gnss-latency 2000": "--gnss-latency: found 2000.0 (milliseconds?), expected",
@@ -261,6 +261,16 @@ COMMANDS = {
     "calibrate walk --route nowhere.geojson --out o.toml": "nowhere.geojson",
     "calibrate walk --route maps/arcade.geojson --out o.toml": "'link'",
     "calibrate long/walk.txt --route maps/figure_eight.geojson --out o.toml": "leave the route",
+    "smooth": "RECORDING: found no value, expected one (pdr-graph smooth --help)",
+    "calibrate walk --out o.toml": "--route: found no value",
+    "smooth walk --rate": "--rate: found no value",
+    "smooth walk --rate fast": "--rate: found fast, expected a number",
+    "smooth walk --method best": "--method: found best, expected one of graph, filter, rts, pdr",
+    "smooth walk --mapp plan.geojson": "Unknown option: --mapp. Did you mean --map?",
+    "smooth walk other": "other: found an argument too many",
+    "simulate arcade --seed -1": "--seed: found -1, expected >= 0",
+    "serve --port -5": "--port: found -5, expected >= 0",
+    "lifelog correct undo days.db 1.5": "N: found 1.5, expected a whole number",
     "simulate atlantis": "arcade, campus",
     "serve --map maps/two_floors.geojson --floor 3 --out o": "expected a floor '3'",
     "serve --map beyond.geojson --out o": "(latitude before longitude?)",
@@ -284,7 +294,7 @@ def test_a_lifelog_refuses_the_plan_that_a_walk_cannot_reach(place, tmp_path):
 def test_a_misspelt_command_suggests_the_right_one():
     code, _, errors = run("smoth", "walk.txt")
     assert code == 2
-    assert "'smooth'" in errors[-1]
+    assert '"smooth"' in errors[-1]
 
 
 def refused(call, *arguments):
@@ -350,5 +360,5 @@ def test_a_plan_with_its_fixes_is_accepted(place, tmp_path, case):
     (tmp_path / "f.csv").write_text(fixes(place / "walk"))
     options = Options(plan=place / f"{plan}.geojson", fixes=tmp_path / "f.csv", floor=floor)
     assert len(read(place / "walk", options).fixes) > 0
-    server = {"plan": options.plan, "floor": floor}
+    server = Options(plan=options.plan, floor=floor)
     assert refused(build, Settings(tmp_path / "server", server), read_inputs(server)[0]) == ""

@@ -28,14 +28,13 @@ from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.filter_beside import disagree
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal
+from pdr_graph.options import LIVE, Options
 from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.priors import FIXES
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import OUTSIDE, Fixes, FixReport, Trajectory
 from pdr_graph.walk import (
-    LIVE,
     Evidence,
-    Options,
     Result,
     beacons_on_plan,
     fixes_alone,

@@ -3,15 +3,14 @@
 import json
 import re
 
+import commands
 import numpy as np
 import pytest
 import shapely
 from plans import MAPS
 from refusals import refused
-from typer.testing import CliRunner
 
 from pdr_graph import FloorPlan
-from pdr_graph.apps.cli import app
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
@@ -50,8 +49,8 @@ def checked(plan, folder):
     """Problems that the command prints, and its exit code."""
     path = folder / "damaged.geojson"
     path.write_text(json.dumps(plan))
-    run = CliRunner().invoke(app, ["map", "check", str(path)])
-    return [line.removeprefix("problem: ") for line in run.output.splitlines() if "problem: " in line], run.exit_code
+    run = commands.run("map", "check", path)
+    return [line.removeprefix("problem: ") for line in run.output.splitlines() if "problem: " in line], run.code
 
 
 @pytest.mark.parametrize("path", sorted(MAPS.glob("*.geojson")), ids=lambda path: path.stem)
@@ -60,12 +59,12 @@ def test_our_own_plans_have_no_problems(path):
 
 
 def test_floors_and_connections_are_listed_and_drawn(tmp_path):
-    run = CliRunner().invoke(app, ["map", "check", str(OFFICE)])
-    assert run.exit_code == 0
+    run = commands.run("map", "check", OFFICE)
+    assert run.code == 0
     assert "2: at 4 m, " in run.output
     assert "stairs Stairs: 1, 2\nlift Lift: 1, 2\nno problems found" in run.output
-    run = CliRunner().invoke(app, ["map", "show", str(OFFICE), "--out", str(tmp_path / "house.png")])
-    assert (run.exit_code, run.output.count("walkable")) == (0, 2)
+    run = commands.run("map", "show", OFFICE, "--out", tmp_path / "house.png")
+    assert (run.code, run.output.count("walkable")) == (0, 2)
     assert (tmp_path / "house.png").stat().st_size > 5000
 
 

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from itertools import pairwise
 
+import commands
 import made_tracks as made
 import numpy as np
 import pytest
@@ -14,11 +15,9 @@ from made_tracks import HOUR, OFFICE, at, clock, place
 from observations import NOON, observation, walk
 from streets import USUAL, seen, streets
 from test_activities import walk_and_ride
-from typer.testing import CliRunner
 from walks import drawn_from_the_model, steps_of
 
 from pdr_graph import InputError
-from pdr_graph.apps import cli
 from pdr_graph.apps.lifelog import cache, revision
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
@@ -372,8 +371,7 @@ def test_the_frame_is_not_about_a_masked_position():
 
 
 def run(*arguments):
-    done = CliRunner().invoke(cli.app, ["lifelog", "correct", *map(str, arguments)])
-    return done.exit_code, done.output, done.exception
+    return commands.run("lifelog", "correct", *arguments)
 
 
 def test_the_commands_correct_list_and_undo(tmp_path):
@@ -420,9 +418,9 @@ def shared(tmp_path_factory):
 )
 def test_a_correction_that_cannot_be_made_is_one_line(shared, arguments, message):
     name, *rest = arguments
-    _, _, error = run(name, shared, *rest)
-    assert isinstance(error, InputError)
-    assert message in str(error)
+    code, _, errors = run(name, shared, *rest)
+    assert (code, len(errors)) == (2, 1)
+    assert message in errors[0]
     assert revision.listing(shared) == ["no corrections"]
 
 
@@ -431,8 +429,8 @@ def test_the_list_and_the_page_of_a_day_show_what_was_corrected(tmp_path):
     revision.state_mode(store, clock(9), clock(9 + 1 / 6), "bus")
     revision.name_place(store, place(*OFFICE), "office")
     revision.state_place(store, clock(10), "office")
-    done = CliRunner().invoke(cli.app, ["lifelog", "show", str(store), "--date", DATE, "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0
+    done = commands.run("lifelog", "show", store, "--date", DATE, "--out", tmp_path / "out")
+    assert done.code == 0
     assert " bus " in done.output
     assert "office; corrected" in done.output
     assert "office; corrected" in (tmp_path / "out" / "report.html").read_text()

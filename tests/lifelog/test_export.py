@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import pairwise
 
+import commands
 import gpxpy
 import made_tracks as made
 import numpy as np
@@ -17,9 +18,7 @@ import shapely
 from lxml import etree
 from made_days import HERE, NOWHERE, day, outing, stay
 from made_month import HOME, OFFICE, made_month
-from typer.testing import CliRunner
 
-from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.diary import diary
@@ -157,8 +156,8 @@ def store(tmp_path):
 
 
 def run(*words):
-    result = CliRunner().invoke(app, ["lifelog", *map(str, words)])
-    assert result.exit_code == 0, result.output
+    result = commands.run("lifelog", *words)
+    assert result.code == 0, result.errors
     return result.output
 
 

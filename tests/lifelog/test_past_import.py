@@ -6,6 +6,7 @@ import re
 import shutil
 from dataclasses import replace
 
+import commands
 import numpy as np
 import pytest
 from gps_days import METRES, gps_day
@@ -27,10 +28,8 @@ from made_past import (
     timeline,
     zipped,
 )
-from typer.testing import CliRunner
 
 from pdr_graph import InputError
-from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
@@ -285,14 +284,14 @@ def test_rows_beyond_the_memory_wait_on_disk(tmp_path, monkeypatch):
 
 def test_the_command_says_what_is_new_and_what_was_there(tmp_path):
     log, file = tmp_path / "log", records(tmp_path / "a.json", [*a_walk(3), location(NOON, 0, 0)])
-    command = ["lifelog", "import", str(log), str(file)]
-    first, again = (CliRunner().invoke(app, command) for _ in range(2))
-    assert first.exit_code == again.exit_code == 0
-    assert first.stdout == f"3 new positions, 0 there already, 1 day changed -> {log}\n"
-    assert again.stdout == f"0 new positions, 3 there already, 0 days changed -> {log}\n"
-    assert "1 of 4 positions were left out: 1 latitude 0, longitude 0" in first.stderr
+    command = "lifelog", "import", log, file
+    first, again = (commands.run(*command) for _ in range(2))
+    assert first.code == again.code == 0
+    assert first.output == f"3 new positions, 0 there already, 1 day changed -> {log}\n"
+    assert again.output == f"0 new positions, 3 there already, 0 days changed -> {log}\n"
+    assert "1 of 4 positions were left out: 1 latitude 0, longitude 0" in first.errors[0]
     file.write_text("no timeline")
-    assert CliRunner().invoke(app, command).exit_code == 2
+    assert commands.run(*command).code == 2
 
 
 # Wi-Fi scans of days without GPS get positions from the scans of other days, with a sigma that holds
@@ -503,11 +502,11 @@ def test_guesses_alone_are_a_diary_that_says_so(tmp_path):
     ]
     assert [entry.distance for entry in day.entries] == pytest.approx([0, 11_119, 0, 2224], rel=1e-3)
     assert day.totals.observed == 0
-    shown = CliRunner().invoke(app, ["lifelog", "show", str(log), "--out", str(tmp_path / "shown")])
-    assert shown.exit_code == 0, shown.output
+    shown = commands.run("lifelog", "show", log, "--out", tmp_path / "shown")
+    assert shown.code == 0, shown.errors
     assert "Google Timeline: HOME, 80%" in shown.output
     assert "4 h 30 min are what Google Timeline guessed, without data" in shown.output
-    assert CliRunner().invoke(app, ["lifelog", "correct", "name", str(log), "2024-05-01 14:30", "home"]).exit_code == 0
+    assert commands.run("lifelog", "correct", "name", log, "2024-05-01 14:30", "home").code == 0
     with Store(log) as store:
         assert diary(store, "me").days[0].entries[0].place == "home"
 

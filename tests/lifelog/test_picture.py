@@ -11,6 +11,7 @@ from dataclasses import replace
 from datetime import date
 from zoneinfo import ZoneInfo
 
+import commands
 import numpy as np
 import pytest
 from browser import Page, chromium
@@ -18,9 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, day, outing, overview_of, stay
 from matplotlib.image import imsave
-from typer.testing import CliRunner
 
-from pdr_graph.apps.cli import app
 from pdr_graph.apps.lifelog import maps
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.local_time import period_of
@@ -251,8 +250,8 @@ def test_a_name_with_dollar_signs_is_drawn_as_it_is(tmp_path):
 
 
 def test_the_command_prints_text_and_writes_a_folder_named_after_the_period(month_log):
-    result = CliRunner().invoke(app, ["lifelog", "show", str(month_log), "--week", "2024-W20", "--person", "Ada"])
-    assert result.exit_code == 0, result.output
+    result = commands.run("lifelog", "show", month_log, "--week", "2024-W20", "--person", "Ada")
+    assert result.code == 0, result.errors
     assert result.output.splitlines()[-1] == f"-> {month_log.parent / 'days-2024-W20' / 'overview.html'}"
     assert result.output.startswith("Ada  2024-W20 (2024-05-13 to 2024-05-19)")
 

@@ -2,13 +2,12 @@
 
 import json
 
+import commands
 import numpy as np
 import pytest
 import shapely
-from typer.testing import CliRunner
 
 from pdr_graph import evaluate, read_trajectory
-from pdr_graph.apps import cli
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.plan_files import Building
 
@@ -40,8 +39,8 @@ def smoothed(folder, plan, scenario):
         ["simulate", folder / "walk.toml", "--out", folder / "walk"],
         ["smooth", folder / "walk", "--map", plan, "--fixes", folder / "walk" / "fixes.csv", "--out", folder / "out"],
     ):
-        run = CliRunner().invoke(cli.app, [str(part) for part in command])
-        assert run.exit_code == 0, run.output
+        run = commands.run(*command)
+        assert run.code == 0, run.output
     scores = evaluate(
         read_trajectory(folder / "out" / "trajectory.csv"), read_trajectory(folder / "walk" / "truth.csv")
     )

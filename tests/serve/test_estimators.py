@@ -10,6 +10,7 @@ import pytest
 
 from pdr_graph.apps.serve import estimators
 from pdr_graph.apps.serve.estimators import MOST_ATTEMPTS, Estimators
+from pdr_graph.options import Options
 
 PATIENCE = 60.0  # [s] on a machine under load
 
@@ -31,7 +32,7 @@ def with_walkers(tmp_path, ids, until, act=lambda running: None):
             for id_ in ids:
                 running.tell("new", id_)
 
-        running = Estimators(1, tmp_path, {}, lambda kind, update: updates.append((kind, update)), started)
+        running = Estimators(1, tmp_path, Options(), lambda kind, update: updates.append((kind, update)), started)
         await running.start()
         try:
             async with asyncio.timeout(PATIENCE):

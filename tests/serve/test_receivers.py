@@ -25,6 +25,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.options import Options
 
 aiomqtt = pytest.importorskip("aiomqtt")
 MALL = Path(__file__).resolve().parents[2] / "maps" / "mall.geojson"
@@ -88,7 +89,7 @@ def test_receivers_need_a_broker():
 def mall():
     """The messages of 30 s of a walk without a fix, what the receivers say after each, and where it then is [m]."""
     walk = simulate(replace(Scenario.load("mall"), seed=12))
-    heard_by, (plan, beacons) = walk.bluetooth, read_inputs({"plan": MALL})
+    heard_by, (plan, beacons) = walk.bluetooth, read_inputs(Options(plan=MALL))
     names, second = np.array(heard_by.transmitter), heard_by.time.astype(int)
     at = [{name: (second == n) & (names == name) for name in beacons.name} for n in range(30)]
     levels = [{name: np.median(heard_by.rssi[rows]) for name, rows in each.items() if rows.any()} for each in at]
@@ -104,7 +105,7 @@ async def walked(folder, port, monkeypatch, late):
     clock = SimpleNamespace(time=lambda: now + 1e-5 * next(ticks), monotonic=time.monotonic)
     monkeypatch.setattr(reception, "time", clock)
     receivers = receivers_of(broker_of(f"mqtt://127.0.0.1:{port}"), [f"{PHONE}={DEVICE}"], beacons.name)
-    app = build(Settings(folder, {"plan": MALL}, workers=0, sources=Sources(receivers=receivers)), plan)
+    app = build(Settings(folder, Options(plan=MALL), workers=0, sources=Sources(receivers=receivers)), plan)
     async with aiomqtt.Client("127.0.0.1", port) as nodes, app.router.lifespan_context(app):
         while not receivers.unplaced:  # nobody listens yet
             await nodes.publish(f"{TOPIC}/garage", json.dumps(NEW))

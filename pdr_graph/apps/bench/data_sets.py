@@ -25,8 +25,9 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.tables import workbook_columns
+from pdr_graph.options import Options
 from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Recording, Signal, Trajectory
-from pdr_graph.walk import Evidence, Options, read
+from pdr_graph.walk import Evidence, read
 
 GIVEN_SIGMA = 0.5  # [m] stated of a place of the truth that is given
 DENSE = 2.0  # [s] between the rows of a truth that is a track, of which no second row can be given

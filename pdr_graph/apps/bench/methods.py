@@ -20,8 +20,9 @@ from pdr_graph.estimation.particle_filter import particle_filter
 from pdr_graph.geometry import row_times
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_steps
+from pdr_graph.options import LIVE, Options
 from pdr_graph.types import Trajectory
-from pdr_graph.walk import LIVE, Evidence, Options, Result, estimate, observe, read
+from pdr_graph.walk import Evidence, Result, estimate, observe, read
 
 Method = Callable[[Evidence], Trajectory]
 LONGEST_COMMAND = 600.0  # [s] for a command

@@ -3,172 +3,142 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-from typer.core import TyperGroup
+from cyclopts import App, Parameter
+from cyclopts.exceptions import CycloptsError
+from cyclopts.utils import default_name_transform
 
 import pdr_graph
 from pdr_graph.apps.cli.bench import bench
 from pdr_graph.apps.cli.lifelog import lifelog as lifelog_commands
-from pdr_graph.apps.cli.options import (
+from pdr_graph.apps.cli.parameters import (
+    HYPHEN,
     AsJson,
+    Count,
     Force,
-    Height,
-    Method,
     OutputOptions,
-    Pairing,
-    PictureFile,
-    PlanScale,
+    PersonOptions,
+    PlanOptions,
     Quiet,
-    Rate,
-    RecordingPath,
-    WalkerPath,
-    WalkOptions,
-    lag_seconds,
+    ScaleOption,
+    all_but,
+    applied,
     path_named_after,
-    with_groups,
 )
 from pdr_graph.apps.cli.serve import serve
-from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result, print_summary
+from pdr_graph.apps.cli.terminal import (
+    PlainHelp,
+    echo,
+    echo_errors,
+    echo_lines,
+    echo_result,
+    print_summary,
+    usage_error,
+)
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line
+from pdr_graph.options import LIVE, Options
 from pdr_graph.whole_files import check_replaceable
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
 
-class Commands(TyperGroup):
-    """The commands of pdr-graph."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Resolve a command as every group does; if a path is given first, raise InputError that suggests one."""
-        if args[0] not in self.commands and Path(args[0]).exists():
-            raise InputError(args[0], "", "a path and no command", f"a command before it: pdr-graph smooth {args[0]}")
-        return super().resolve_command(ctx, args)
-
+OTHER_NAMES = {"plan": "map", "settings": "set"}  # of fields of `Options` on the command line
+HELP = ("--help", "-h")
 
 app = App(
-    cls=Commands,
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
-    pretty_exceptions_enable=False,
+    "pdr-graph",
+    help="""Reconstruct the most probable walk from a phone's sensor log and a floor plan.
+
+pdr-graph smooth walk.zip              a recording of any supported app -> walk-smoothed/report.html
+pdr-graph simulate arcade              a simulated walk with its truth -> arcade/
+""",
+    version=f"pdr-graph {pdr_graph.__version__}",
+    help_flags=HELP,
+    help_format="plaintext",
+    help_formatter=PlainHelp(),
+    default_parameter=Parameter(
+        negative_iterable=(),
+        allow_repeating=True,  # the last one counts
+        json_dict=False,
+        json_list=False,
+        name_transform=lambda name: OTHER_NAMES.get(name, default_name_transform(name)),
+    ),
 )
-maps = App(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")
-app.add_typer(maps, name="map")
-app.add_typer(lifelog_commands, name="lifelog")
-app.add_typer(bench, name="bench")
-app.command()(serve)
+app["--help"].group = app["--version"].group = "Options"
+maps = App("map", help="Draw, check and convert floor plans.")
+for group in (maps, lifelog_commands, bench):
+    app.command(group)
+app.command(serve)
 
 
-def _print_version(requested: bool) -> None:
-    if requested:
-        echo(f"pdr-graph {pdr_graph.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def about(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
-) -> None:
-    """Reconstruct the most probable walk from a phone's sensor log and a floor plan.
-
-    \b
-    pdr-graph smooth walk.zip              a recording of any supported app -> walk-smoothed/report.html
-    pdr-graph simulate arcade              a simulated walk with its truth -> arcade/
-    """
-
-
-@app.command()
-@with_groups
+@app.command
 def smooth(
-    recording: RecordingPath,
-    walk: WalkOptions,
-    output: OutputOptions,
-    method: Annotated[
-        Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
-    ] = Method.graph,
-    rate: Rate = None,
+    recording: Path,
+    /,
+    *,
+    options: Annotated[Options, all_but("method", "lag", "journal")] = Options(),
+    output: OutputOptions = OutputOptions(),
+    method: Literal["graph", "filter", "rts", "pdr"] = "graph",
 ) -> None:
     """Reconstruct a walk from a recording.
 
-    \b
     pdr-graph smooth walk.zip
     pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
+
+    Args:
+        recording: A recording: file, folder or zip of a supported recorder.
+        method: The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.
     """
     from pdr_graph.apps.report.output_files import smooth_recording
 
-    folder = output.folder(recording, "-smoothed", walk.files)
-    options = walk.options(method=str(method), rate=rate)
-    missing = smooth_recording(recording, folder, options, output.report)
-    print_summary(folder, missing, output.json)
+    folder = output.folder(recording, "-smoothed", options)
+    missing = smooth_recording(recording, folder, replace(options, method=method), output.report)
+    print_summary(folder, missing, output.json_)
 
 
-@app.command()
-@with_groups
+@app.command
 def replay(
-    recording: RecordingPath,
-    walk: WalkOptions,
-    output: OutputOptions,
-    rate: Rate = None,
-    lag: Annotated[
-        str, typer.Option(metavar="SECONDS", help="Finalise steps older than this; inf or none: never.")
-    ] = "60",
-    journal: Annotated[
-        Path | None,
-        typer.Option("--journal", metavar="FILE", help="Save the walk in this file, or resume the walk in it."),
-    ] = None,
-    rerun: Annotated[
-        Path | None, typer.Option(metavar="RRD", help="Write the replay for Rerun, whose viewer follows the file.")
-    ] = None,
+    recording: Path,
+    /,
+    *,
+    options: Annotated[Options, all_but("method")] = Options(),
+    output: OutputOptions = OutputOptions(),
+    rerun: Path | None = None,
 ) -> None:
     """Estimate a recording as if it were live.
 
     Each pose is estimated from earlier data only; the computing time of each step is measured.
 
-    \b
     pdr-graph replay walk.zip
     pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
+
+    Args:
+        recording: A recording: file, folder or zip of a supported recorder.
+        rerun: Write the replay for Rerun, whose viewer follows the file.
     """
     from pdr_graph.apps.replay import replay_recording
-    from pdr_graph.walk import LIVE
 
-    folder = output.folder(recording, "-replayed", [*walk.files, *([journal] if journal else [])])
-    options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
+    folder = output.folder(recording, "-replayed", options)
+    options = replace(options, method=LIVE)
     issues = replay_recording(recording, folder, options, report=output.report, rerun=rerun)
-    print_summary(folder, issues, output.json)
+    print_summary(folder, issues, output.json_)
 
 
-Tracks = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="A B ...",
-        help="Trajectories as CSV or TUM, output folders of smooth or replay; with --recording also methods: graph, "
-        "filter, rts, pdr, live, particles (with --map), module:function.",
-    ),
-]
-Recorded = Annotated[
-    Path | None, typer.Option("--recording", metavar="RECORDING", help="The recording that methods estimate.")
-]
-
-
-@app.command()
-@with_groups
+@app.command
 def compare(
-    tracks: Tracks,
-    walk: WalkOptions,
-    recording: Recorded = None,
-    out: PictureFile = Path("comparison.png"),
+    *tracks: Annotated[str, Parameter(required=True)],
+    options: Annotated[Options, all_but("method", "rate", "lag", "journal")] = Options(),
+    recording: Path | None = None,
+    out: Path = Path("comparison.png"),
     quiet: Quiet = False,
     json_: AsJson = False,
 ) -> None:
@@ -178,9 +148,14 @@ def compare(
     against the first. All are in one frame and on one clock. The options from --fixes to --paths are those of the
     methods.
 
-    \b
     pdr-graph compare result other.tum --truth truth.csv --map plan.geojson
     pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
+
+    Args:
+        tracks: Trajectories as CSV or TUM, output folders of smooth or replay; with --recording also methods: graph,
+            filter, rts, pdr, live, particles (with --map), module:function.
+        recording: The recording that methods estimate.
+        out: File of the picture.
     """
     from pdr_graph.apps.bench.methods import estimated
     from pdr_graph.apps.report import evaluation
@@ -189,13 +164,13 @@ def compare(
     from pdr_graph.io.tables import read_trajectory
     from pdr_graph.whole_files import write_file
 
-    by, truth, frame = estimated(tracks, recording, walk.options())
+    by, truth, frame = estimated(tracks, recording, options)
     read = by | evaluation.read_tracks([Path(name) for name in tracks if name not in by], frame)
-    reference = "the recording's truth" if walk.truth is None else walk.truth.name
-    truth = read_trajectory(walk.truth) if walk.truth else truth
+    reference = "the recording's truth" if options.truth is None else options.truth.name
+    truth = read_trajectory(options.truth) if options.truth else truth
     if len(read) < 2 and truth is None:
         raise InputError(tracks[0], "", "one trajectory", "two or more, or --truth")
-    building = Building.load(walk.map, walk.scale) if walk.map else None
+    building = Building.load(options.plan, options.scale) if options.plan else None
     compared = evaluation.compare(read, truth, reference if truth else "", building)
     write_file(out, picture_bytes(plot_comparison(read, truth, building)))
     if json_:
@@ -204,14 +179,13 @@ def compare(
     echo(f"-> {out}")
 
 
-@app.command()
+@app.command
 def steps(
-    recording: RecordingPath,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="CSV", help="Default: here, named after the recording.")
-    ] = None,
-    walker: WalkerPath = None,
-    height: Height = None,
+    recording: Path,
+    /,
+    *,
+    options: PersonOptions = Options(),
+    out: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
     """Write the detected steps, as input of other back ends.
@@ -219,37 +193,42 @@ def steps(
     Without an acceleration they are those of the phone's own counter. One row per step:
     time,length,turn,sigma_length,sigma_turn,confidence.
 
-    \b
     pdr-graph steps walk.zip
+
+    Args:
+        recording: A recording: file, folder or zip of a supported recorder.
+        out: CSV of the steps; default: here, named after the recording.
     """
     from pdr_graph.gait.steps import detect_steps
     from pdr_graph.io.loading import load
     from pdr_graph.io.writers import write_steps
-    from pdr_graph.walk import Options, counted
+    from pdr_graph.walk import counted
 
-    walk, person = load(recording), Options(walker=walker, height=height).person()
+    walk, person = load(recording), options.person()
     detected = counted(walk, person) or detect_steps(walk, person)
     file = out or path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
 
 
-@app.command()
+@app.command
 def calibrate(
-    recording: RecordingPath,
-    route: Annotated[
-        Path,
-        typer.Option("--route", metavar="GEOJSON", help="The route that was walked: one feature of kind link."),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="File of the walker's profile.")],
-    walker: WalkerPath = None,
-    height: Height = None,
+    recording: Path,
+    /,
+    *,
+    route: Path,
+    out: Path,
+    options: PersonOptions = Options(),
     quiet: Quiet = False,
 ) -> None:
     """Estimate a walker's stride and turn scales on a known route.
 
-    \b
     pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
+
+    Args:
+        recording: A recording: file, folder or zip of a supported recorder.
+        route: The route that was walked: GeoJSON with one feature of kind link.
+        out: TOML of the walker's profile.
     """
     import numpy as np
 
@@ -260,10 +239,9 @@ def calibrate(
     from pdr_graph.gait.walker import COEFFICIENTS
     from pdr_graph.io.loading import load
     from pdr_graph.types import Trajectory
-    from pdr_graph.walk import Options
     from pdr_graph.whole_files import write_file
 
-    walk, person = load(recording), Options(walker=walker, height=height).person()
+    walk, person = load(recording), options.person()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
     steps, line = detect_steps(walk, replace(person, profile=None)), read_route(route)
@@ -279,23 +257,21 @@ def calibrate(
     echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
 
 
-@app.command("radio-map")
+@app.command
 def radio_map(
-    walks: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RECORDING DIR ...", help="Recordings, each followed by the output folder of its smooth."
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File of the radio map.")],
+    *walks: Annotated[Path, Parameter(required=True)],
+    out: Path,
     quiet: Quiet = False,
 ) -> None:
     """Make a radio map of Wi-Fi and BLE from smoothed walks.
 
     For smooth --radio-map. All walks must have been smoothed with the same plan.
 
-    \b
     pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
+
+    Args:
+        walks: Recordings, each followed by the output folder of its smooth.
+        out: File of the radio map.
     """
     if len(walks) % 2:
         raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
@@ -348,58 +324,52 @@ def _frame_of(summary: Path) -> dict[str, Any]:
     return frame
 
 
-@app.command()
+@app.command
 def evaluate(
-    trajectory: Annotated[
-        Path,
-        typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, any CSV with time,x,y[,heading][,floor], or TUM."),
-    ],
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor], or TUM.")],
-    map_: Annotated[
-        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for the obstacle error OE.")
-    ] = None,
-    scale: PlanScale = None,
-    pairing: Annotated[
-        Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
-    ] = Pairing.linear,
+    trajectory: Path,
+    truth: Path,
+    /,
+    *,
+    options: PlanOptions = Options(),
+    pairing: Literal["linear", "nearest"] = "linear",
     json_: AsJson = False,
 ) -> None:
     """Score a trajectory against ground truth.
 
     CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/results/metrics.md).
 
-    \b
     pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
+
+    Args:
+        trajectory: trajectory.csv, any CSV with time,x,y[,heading][,floor], or TUM.
+        truth: CSV with time,x,y[,heading][,floor], or TUM.
+        pairing: Interpolate the estimate, or take its nearest row.
     """
     from pdr_graph.apps.report import evaluation
     from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import clock_hint, read_trajectory
 
-    floor = Building.load(map_, scale) if map_ else None
+    floor = Building.load(options.plan, options.scale) if options.plan else None
     tracks = read_trajectory(trajectory), read_trajectory(truth)
-    if not len(evaluation.pair(*tracks, str(pairing)).time):
+    if not len(evaluation.pair(*tracks, pairing).time):
         spans = [(float(track.time[0]), float(track.time[-1])) for track in reversed(tracks)]
         found = f"no row within {evaluation.TOLERANCE} s of {trajectory}{clock_hint(*spans)}"
         raise InputError(truth, "time", found, "the same clock")
-    scores = evaluation.evaluate(*tracks, floor, str(pairing))
+    scores = evaluation.evaluate(*tracks, floor, pairing)
     echo_result(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
-@app.command()
-def export(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="An output folder of smooth or replay.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="BAG", help="A file .mcap, or a folder of rosbag2; default: RESULT.mcap here."),
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
+@app.command
+def export(result: Path, /, *, out: Path | None = None, quiet: Quiet = False) -> None:
     """Write a walk as a bag of ROS 2 for Foxglove and RViz.
 
     PoseWithCovarianceStamped, and in a frame with latitudes Foxglove's LocationFix and GeoJSON. Needs the extra ros.
 
-    \b
     pdr-graph export walk-smoothed
+
+    Args:
+        result: An output folder of smooth or replay.
+        out: A file .mcap, or a folder of rosbag2; default: RESULT.mcap here.
     """
     from pdr_graph.io.ros_bags import write
     from pdr_graph.io.tables import read_trajectory
@@ -412,21 +382,13 @@ def export(
     echo(f"{len(track)} poses -> {bag}")
 
 
-@app.command()
+@app.command
 def simulate(
-    scenario: Annotated[
-        Path,
-        typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready scenario."),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="DIR", help="Folder of recording, truth and plan; default: SCENARIO's name, here."
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, metavar="N", help="Replaces the scenario's seed: another walk.")
-    ] = None,
+    scenario: Path,
+    /,
+    *,
+    out: Path | None = None,
+    seed: Count | None = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -435,9 +397,13 @@ def simulate(
     Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
     outdoors stairs two_floors.
 
-    \b
     pdr-graph simulate arcade --out walk
     pdr-graph smooth walk --map walk/plan.geojson --fixes walk/fixes.csv
+
+    Args:
+        scenario: A TOML file (docs/simulation.md), or the name of a ready scenario.
+        out: Folder of recording, truth and plan; default: SCENARIO's name, here.
+        seed: Replaces the scenario's seed: another walk.
     """
     from pdr_graph.lab.simulation.recorders import write
     from pdr_graph.lab.simulation.scenario import Scenario
@@ -452,25 +418,17 @@ def simulate(
     echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
 
 
-PlanPath = Annotated[
-    Path, typer.Argument(metavar="PLAN", help="A floor plan of any format in docs/formats.md: a file, folder or zip.")
-]
-
-
-@maps.command("show")
-def map_show(
-    plan: PlanPath,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="PNG", help="Default: PLAN's name with .png, here.")
-    ] = None,
-    scale: PlanScale = None,
-    paths: Annotated[bool, typer.Option("--paths", help="PLAN has ways outdoors, as for smooth --paths.")] = False,
-) -> None:
+@maps.command(name="show")
+def map_show(plan: Path, /, *, out: Path | None = None, options: ScaleOption = Options(), paths: bool = False) -> None:
     """Draw a floor plan, all its floors, or ways.
 
-    \b
     pdr-graph map show plan.geojson --out plan.png
     pdr-graph map show town.osm.pbf --paths
+
+    Args:
+        plan: A floor plan of any format in docs/formats.md: a file, folder or zip.
+        out: The picture; default: PLAN's name with .png, here.
+        paths: PLAN has ways outdoors, as for smooth --paths.
     """
     from pdr_graph.apps.report.plotting import picture_bytes, plot_plan, plot_ways
     from pdr_graph.floor.paths import PathNetwork
@@ -483,44 +441,37 @@ def map_show(
         write_file(target, picture_bytes(plot_ways(network), dpi=150))
         echo(f"{network!r} -> {target}")
         return
-    floors = FloorPlan.load_all(plan, scale)
+    floors = FloorPlan.load_all(plan, options.scale)
     write_file(target, picture_bytes(plot_plan(*floors), dpi=150))
     for floor in floors:
         size = f"{len(floor.areas)} areas, {len(floor.cells)} cells, {floor.walkable_area:.0f} m² walkable"
         echo(f"{floor.label or plan.stem}: {size} -> {target}")
 
 
-@maps.command("check")
-def map_check(plan: PlanPath, scale: PlanScale = None) -> None:
+@maps.command(name="check")
+def map_check(plan: Path, /, *, options: ScaleOption = Options()) -> None:
     """Check a plan for errors that would mislead a walk.
 
     Sealed rooms, doors to nowhere, links through walls; exit code 3 if there are any.
 
-    \b
     pdr-graph map check plan.geojson
+
+    Args:
+        plan: A floor plan of any format in docs/formats.md: a file, folder or zip.
     """
-    _report_check(plan, scale)
+    _report_check(plan, options.scale)
 
 
-@maps.command("convert")
+@maps.command(name="convert")
 def map_convert(
-    plan: Annotated[
-        Path,
-        typer.Argument(metavar="INPUT", help="A plan in any format: DXF, CSV, PDF, PNG, JPEG, ROS map, GeoJSON ..."),
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="GEOJSON", help="Default: INPUT's name with .geojson, here.")
-    ] = None,
-    scale: PlanScale = None,
-    two_points: Annotated[
-        str | None,
-        typer.Option("--two-points", metavar="POINTS", help='The scale by a distance: "x1,y1 x2,y2 = METRES".'),
-    ] = None,
-    georeference: Annotated[
-        str | None,
-        typer.Option("--georeference", metavar="POINTS", help='Two points or more: "x,y=lat,lon x,y=lat,lon".'),
-    ] = None,
-    floor: Annotated[str | None, typer.Option("--floor", metavar="LABEL", help="The label of the only floor.")] = None,
+    plan: Annotated[Path, Parameter("INPUT")],
+    /,
+    *,
+    out: Path | None = None,
+    options: ScaleOption = Options(),
+    two_points: Annotated[str | None, HYPHEN] = None,
+    georeference: Annotated[str | None, HYPHEN] = None,
+    floor: str | None = None,
 ) -> None:
     """Convert a plan to GeoJSON, draw and check it.
 
@@ -528,9 +479,15 @@ def map_convert(
     left corner, points of a PDF page. Without a georeference the result is in metres along
     INPUT's own axes. Exit code 3 if the check finds problems.
 
-    \b
     pdr-graph map convert floor.dxf --out plan.geojson
     pdr-graph map convert scan.png --two-points "120,80 920,80 = 24.5"
+
+    Args:
+        plan: A plan in any format: DXF, CSV, PDF, PNG, JPEG, ROS map, GeoJSON ...
+        out: GeoJSON; default: INPUT's name with .geojson, here.
+        two_points: The scale by a distance: "x1,y1 x2,y2 = METRES".
+        georeference: Two points or more: "x,y=lat,lon x,y=lat,lon".
+        floor: The label of the only floor.
     """
     from pdr_graph.apps.report.plotting import picture_bytes, plot_conversion
     from pdr_graph.floor.formats.conversion import convert
@@ -538,7 +495,7 @@ def map_convert(
     from pdr_graph.whole_files import write_file
 
     target = out or Path(plan.resolve().stem + ".geojson")
-    drawing = convert(plan, target, scale, two_points, georeference, floor)
+    drawing = convert(plan, target, options.scale, two_points, georeference, floor)
     picture = _picture_beside(target, plan)
     write_file(picture, picture_bytes(plot_conversion(drawing.ignored, *FloorPlan.of(plan, drawing)), dpi=150))
     frame = "longitude and latitude" if drawing.frame.georeferenced else "metres along the drawing's own axes"
@@ -576,7 +533,7 @@ def _report_check(plan: Path, scale: float | None = None) -> None:
     for problem in errors:
         echo(f"problem: {problem}")
     if errors:
-        raise typer.Exit(EXIT_DEGRADED)
+        sys.exit(EXIT_DEGRADED)
     echo("no problems found")
 
 
@@ -593,14 +550,35 @@ def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> No
         _PYTHONS(message, kind, *rest)
 
 
+def run(tokens: Sequence[str]) -> None:
+    """Run a command. Raises CycloptsError for a command line that cannot be read, InputError for bad input."""
+    if tokens and tokens[0] not in app and Path(tokens[0]).exists():
+        expected = f"a command before it: pdr-graph smooth {tokens[0]}"
+        raise InputError(tokens[0], "", "a path and no command", expected)
+    command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+    if command == app.help_print and not set(HELP) & set(tokens):  # a group without a command
+        app.help_print(tokens, console=app.error_console)
+        sys.exit(EXIT_REFUSED)
+    with applied(bound.arguments) as parameters:
+        bound.arguments.update(parameters)
+        command(*bound.args, **bound.kwargs)
+
+
 def main() -> None:
-    """Run a command. Bad input ends with one line of text and exit code 2, never with a traceback."""
+    """Run the command of `sys.argv` and exit. Bad input ends with one line of text and code 2, never a traceback."""
     warnings.showwarning = _show_warning
     try:
-        app()
+        run(sys.argv[1:])
+        sys.exit()
+    except CycloptsError as error:
+        echo_errors(usage_error(error))
+        sys.exit(EXIT_REFUSED)
     except InputError as error:
         echo_errors(error)
         sys.exit(EXIT_REFUSED)
+    except BrokenPipeError:  # of head, for one: the rest is not wanted
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except (FileExistsError, NotADirectoryError) as error:
         echo_errors(InputError(error.filename or "", "", "a file", "a folder"))
         sys.exit(EXIT_REFUSED)

@@ -6,26 +6,24 @@ import csv
 import io
 import json
 import os
+import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import App, Parameter
+from cyclopts.validators import Number
 
-from pdr_graph.apps.cli.options import AsJson, Quiet
-from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result
+from pdr_graph.apps.cli.parameters import AsJson, Count, PositiveCount, Quiet
+from pdr_graph.apps.cli.terminal import echo, echo_errors, echo_lines, echo_progress, echo_result
 from pdr_graph.errors import EXIT_DEGRADED, InputError, count, shows_progress
 
-bench = App(no_args_is_help=True, rich_markup_mode=None, help="Data sets by methods, ours and your own, in one table.")
-MatrixPath = Annotated[Path, typer.Argument(metavar="MATRIX", help="A TOML file (docs/bench.md).")]
-DataFolder = Annotated[
-    Path | None,
-    typer.Option("--data", metavar="DIR", help="Folder of all data; default: of MATRIX, else $PDR_GRAPH_DATA."),
-]
+bench = App("bench", help="Data sets by methods, ours and your own, in one table.")
+DataFolder = Annotated[Path | None, Parameter(help="Folder of all data; default: of MATRIX, else $PDR_GRAPH_DATA.")]
 Only = Annotated[
-    list[str] | None,
-    typer.Option(metavar="TEXT", help="Only rows whose name, 'data set | walk | given | method', has it; repeatable."),
+    tuple[str, ...],
+    Parameter(help="Only rows whose name, 'data set | walk | given | method', has this text; repeatable."),
 ]
 
 
@@ -34,11 +32,10 @@ def _data(stated: Path | None) -> Path | None:
     return Path(folder) if folder else None
 
 
-@bench.command("ls")
-def ls(data: DataFolder = None) -> None:
+@bench.command
+def ls(*, data: DataFolder = None) -> None:
     """List the data sets with their number of walks, what can be given, and our methods.
 
-    \b
     pdr-graph bench ls --data recordings
     """
     from pdr_graph.apps.bench.data_sets import ALSO, DATA_SETS, GIVEN
@@ -53,56 +50,61 @@ def ls(data: DataFolder = None) -> None:
     echo(f"methods    {', '.join(OURS)}; module:function; [commands] that write TUM")
 
 
-@bench.command()
+@bench.command
 def run(
-    matrix: MatrixPath,
+    matrix: Path,
+    /,
+    *,
     data: DataFolder = None,
-    only: Only = None,
-    again: Annotated[bool, typer.Option("--again", help="Make rows anew that the results have.")] = False,
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Processes, a walk in each; default: number of cores.")
-    ] = None,
-    time_limit: Annotated[
-        float, typer.Option(metavar="SECONDS", min=1.0, help="Of a row, in a process of its own.")
-    ] = 900.0,
+    only: Only = (),
+    again: bool = False,
+    workers: PositiveCount | None = None,
+    time_limit: Annotated[float, Parameter(validator=Number(gte=1))] = 900.0,
     quiet: Quiet = False,
 ) -> None:
     """Make the rows of a matrix that its results lack; an interrupted run goes on.
 
     A row that fails says why, and is tried again by the next run.
 
-    \b
     pdr-graph bench run matrix.toml
     pdr-graph bench run matrix.toml --only ridi --only graph
+
+    Args:
+        matrix: A TOML file (docs/bench.md).
+        again: Make rows anew that the results have.
+        workers: Processes, a walk in each; default: number of cores.
+        time_limit: Longest time of a row, in a process of its own [s].
     """
     from pdr_graph.apps.bench.matrix import RESULTS, Matrix, key_of
     from pdr_graph.apps.lifelog.workers import cores
 
-    table, wanted = Matrix.load(matrix, _data(data)), only or ()
-    missing, failed, made = table.missing(wanted, again), 0, 0
+    table = Matrix.load(matrix, _data(data))
+    missing, failed, made = table.missing(only, again), 0, 0
     with closing(table.rows(missing, workers or cores(), time_limit)) as rows:
         for row in rows:
             made += 1
             failed += "failed" in row
             if shows_progress():
                 text = f"{made} of at most {len(missing)} rows: {' | '.join(key_of(row))[:100]:100}"
-                typer.echo(f"\r{text}", nl=False, err=True)
+                echo_progress(text)
     if shows_progress() and made:
-        typer.echo("", err=True)
+        echo("", err=True)
     echo(f"{count(made, 'row')} made -> {table.out / RESULTS}")
     if failed:
         echo_errors(f"{count(failed, 'row')} failed: pdr-graph bench stats {matrix} names them")
-        raise typer.Exit(EXIT_DEGRADED)
+        sys.exit(EXIT_DEGRADED)
 
 
-@bench.command()
+@bench.command
 def stats(
-    matrix: MatrixPath,
+    matrix: Path,
+    /,
+    *,
     data: DataFolder = None,
-    only: Only = None,
-    csv_: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="The table as CSV.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Picture of the errors.")] = None,
-    worst: Annotated[int, typer.Option(metavar="N", min=0, help="Walks with the largest errors, by name.")] = 0,
+    only: Only = (),
+    csv_: Path | None = None,
+    out: Path | None = None,
+    worst: Count = 0,
     json_: AsJson = False,
 ) -> None:
     """Print the table of the results so far, with 95 % bootstrap intervals over walks.
@@ -110,15 +112,20 @@ def stats(
     CSV and JSON also have the command that makes each line anew. With --worst N, a second table names the N walks of
     each line with the largest 95 % of their errors; in JSON it is `worst` of the line, as CSV it is TABLE-worst.csv.
 
-    \b
     pdr-graph bench stats matrix.toml --csv table.csv --out errors.png --worst 5
+
+    Args:
+        matrix: A TOML file (docs/bench.md).
+        csv_: The table as CSV.
+        out: Picture of the errors.
+        worst: Number of the walks with the largest errors that are named.
     """
     from pdr_graph.apps.bench import matrix as module
     from pdr_graph.apps.report.plotting import picture_bytes
     from pdr_graph.whole_files import write_file
 
     table = module.Matrix.load(matrix, _data(data))
-    rows = [row for row in table.results() if module.is_wanted(module.key_of(row), only or ())]
+    rows = [row for row in table.results() if module.is_wanted(module.key_of(row), only)]
     if not rows:
         raise InputError(table.out, "", "no rows", f"pdr-graph bench run {matrix} first")
     lines, far = module.statistics(rows), module.worst(rows, worst)

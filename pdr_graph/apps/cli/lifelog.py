@@ -2,68 +2,38 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-import typer
+from cyclopts import App, Parameter
+from cyclopts.validators import Number
 
-from pdr_graph.apps.cli.options import AsJson, BeaconsPath, FixesPath, Force, Quiet, RangesPath, WalkerPath
+from pdr_graph.apps.cli.parameters import HYPHEN, AsJson, Count, Force, PositiveCount, Quiet, only
 from pdr_graph.apps.cli.serve import serve_lifelog
-from pdr_graph.apps.cli.terminal import App, echo, echo_errors, echo_lines, echo_result
+from pdr_graph.apps.cli.terminal import echo, echo_errors, echo_lines, echo_result
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, shows_progress
+from pdr_graph.options import Options
 from pdr_graph.whole_files import check_replaceable
 
-lifelog = App(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Recordings of many days: places, activities, exports.",
-)
-
-StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
-RecordingPaths = Annotated[
-    list[Path],
-    typer.Argument(metavar="RECORDING...", help="Recordings: files, folders or zips; or folders full of them."),
-]
-
-Person = Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: the only one, or all.")]
+lifelog = App("lifelog", help="Recordings of many days: places, activities, exports.")
+Store = Annotated[Path, Parameter(help="The lifelog: one file, and STORE.d beside it.")]
+RECORDED_WITH = ("plan", "fixes", "beacons", "ranges", "walker", "floor")  # options that are kept with a recording
 
 
-class ExportFormat(StrEnum):
-    """File formats of exported days."""
-
-    gpx = "gpx"
-    geojson = "geojson"
-    kepler = "kepler"
-    csv = "csv"
-    parquet = "parquet"
-
-
-@lifelog.command()
+@lifelog.command
 def add(
-    store: StorePath,
-    recordings: RecordingPaths,
-    person: Annotated[str | None, typer.Option(metavar="NAME", help="The person who recorded; default: me.")] = None,
-    map_: Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan of the place.")] = None,
-    fixes: FixesPath = None,
-    beacons: BeaconsPath = None,
-    ranges: RangesPath = None,
-    walker: WalkerPath = None,
-    floor: Annotated[str | None, typer.Option(metavar="LABEL", help="The floor where the walks begin.")] = None,
-    begins: Annotated[
-        str | None,
-        typer.Option(metavar="ISO8601", help="Start of a recording without a clock; UTC without an offset."),
-    ] = None,
-    phone: Annotated[
-        str | None,
-        typer.Option(metavar="ID", help="Name of the person's phone or tag in the Bluetooth logs of others."),
-    ] = None,
-    copy: Annotated[
-        bool, typer.Option("--copy", help="Copy the recordings to STORE.d; else the originals must stay.")
-    ] = False,
+    store: Store,
+    /,
+    *recordings: Annotated[Path, Parameter(required=True)],
+    person: str | None = None,
+    options: Annotated[Options, only(*RECORDED_WITH)] = Options(),
+    begins: str | None = None,
+    phone: str | None = None,
+    copy: bool = False,
     quiet: Quiet = False,
 ) -> None:
     """Add recordings to a lifelog; create it if it does not exist.
@@ -71,17 +41,23 @@ def add(
     A recording is added once, whatever its name. Options hold for all the RECORDINGs; a recording that is in the
     lifelog already keeps its present value of an option that is not given.
 
-    \b
     pdr-graph lifelog add days.db walks/ --map maps/mall.geojson
+
+    Args:
+        recordings: Recordings: files, folders or zips; or folders full of them.
+        person: The person who recorded; default: me.
+        begins: Start of a recording without a clock, as ISO 8601; UTC without an offset.
+        phone: Name of the person's phone or tag in the Bluetooth logs of others.
+        copy: Copy the recordings to STORE.d; else the originals must stay.
     """
     from pdr_graph.apps.lifelog import ingest
     from pdr_graph.apps.lifelog.store import RecordingOptions
 
     start = None if begins is None else ingest.time_of(begins)
-    options = RecordingOptions(map_, fixes, beacons, ranges, walker, floor, start)
+    kept = RecordingOptions(**{name: getattr(options, name) for name in RECORDED_WITH}, begins=start)
     with _progress_bar() as advance:
         result = ingest.add(
-            store, recordings, options, person=person, phone=phone, copy=copy, progress=partial(advance, "")
+            store, recordings, kept, person=person, phone=phone, copy=copy, progress=partial(advance, "")
         )
     counts = [f"{result.added} added"]
     counts += (
@@ -92,13 +68,12 @@ def add(
     _end(result.refused, none=not result.added + result.existing)
 
 
-@lifelog.command("import")
+@lifelog.command(name="import")
 def import_(
-    store: StorePath,
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Exports: files, folders or zips (a Google Takeout).")
-    ],
-    person: Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: me.")] = None,
+    store: Store,
+    /,
+    *files: Annotated[Path, Parameter(required=True)],
+    person: str | None = None,
     quiet: Quiet = False,
 ) -> None:
     """Import the past from Google, OwnTracks, GPX and other exports.
@@ -107,8 +82,11 @@ def import_(
     and iOS and Timeline Edits; OwnTracks .rec, Overland, GPX, KML, TCX, FIT. Overlapping exports are merged; what
     Google guessed is kept apart from the positions.
 
-    \b
     pdr-graph lifelog import days.db takeout.zip
+
+    Args:
+        files: Exports: files, folders or zips (a Google Takeout).
+        person: The person; default: me.
     """
     from pdr_graph.apps.lifelog.past.importing import import_past
 
@@ -126,41 +104,17 @@ def import_(
     _end(result.refused, none=not changed.new + changed.better + changed.existing + result.guesses)
 
 
-@lifelog.command()
+@lifelog.command
 def build(
-    store: StorePath,
-    zone: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Time zone of the days, kept for later builds; default: local."),
-    ] = None,
-    paths: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Ways outdoors that walks follow, kept for later builds; none: no ways."),
-    ] = None,
-    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes on this machine.")] = 1,
-    scheduler: Annotated[
-        str,
-        typer.Option(
-            metavar="tcp://HOST:PORT",
-            help="A Dask cluster (extra fleet). Its workers must see STORE.d and the recordings under the same paths: "
-            "on other machines, a shared disk.",
-        ),
-    ] = "",
-    time_limit: Annotated[
-        float,
-        typer.Option(
-            metavar="MINUTES",
-            min=0.1,
-            help="Longest time of one recording or day in a worker process, which is then ended.",
-        ),
-    ] = 15.0,
-    together: Annotated[
-        bool,
-        typer.Option(
-            "--together",
-            help="Then estimate the walks of a building or group in common graphs, thirty walks each.",
-        ),
-    ] = False,
+    store: Store,
+    /,
+    *,
+    zone: str | None = None,
+    paths: str | None = None,
+    workers: PositiveCount = 1,
+    scheduler: str = "",
+    time_limit: Annotated[float, Parameter(validator=Number(gte=0.1))] = 15.0,
+    together: bool = False,
     quiet: Quiet = False,
 ) -> None:
     """Bring a lifelog up to date.
@@ -168,8 +122,16 @@ def build(
     Detect the steps of new recordings, and reconstruct the days that they change. Finished days are saved: an
     interrupted build continues where it stopped.
 
-    \b
     pdr-graph lifelog build days.db --zone Europe/Berlin --workers 2
+
+    Args:
+        zone: Time zone of the days, kept for later builds; default: local.
+        paths: Ways outdoors that walks follow, kept for later builds; none: no ways.
+        workers: Processes on this machine.
+        scheduler: A Dask cluster, tcp://HOST:PORT (extra fleet). Its workers must see STORE.d and the recordings under
+            the same paths: on other machines, a shared disk.
+        time_limit: Longest time of one recording or day in a worker process, which is then ended [min].
+        together: Then estimate the walks of a building or group in common graphs, thirty walks each.
     """
     from pdr_graph.apps.lifelog.build import build as built
 
@@ -186,46 +148,22 @@ def build(
     _end((*result.refusals, *result.failures, *result.unfinished))
 
 
-Persons = Annotated[
-    list[str] | None,
-    typer.Option("--person", metavar="NAME", help="The person, several times for several; default: all."),
-]
-Date = Annotated[str, typer.Option(metavar="DATE", help="A day, as 2024-05-01; default: the last day.")]
-Week = Annotated[str, typer.Option(metavar="WEEK", help="An ISO week, as 2024-W18.")]
-Month = Annotated[str, typer.Option(metavar="MONTH", help="A month, as 2024-05.")]
-Year = Annotated[str, typer.Option(metavar="YEAR", help="A year, as 2024.")]
-PlaceName = Annotated[
-    str, typer.Option(metavar="NAME|NUMBER", help="Only the visits to a place; default: on all days.")
-]
-GuessHome = Annotated[bool, typer.Option("--guess-home", help='Name the place of most nights "home?"; it is a guess.')]
-ListAll = Annotated[bool, typer.Option("--all", help="List all persons and days instead.")]
-Tiles = Annotated[
-    str,
-    typer.Option(
-        metavar="URL",
-        help="Map tiles behind the map, as https://tile.openstreetmap.org/{z}/{x}/{y}.png. Nothing is fetched without "
-        "it; the server learns which area is drawn.",
-    ),
-]
-Folder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder of page, picture and tables; default: beside STORE.")
-]
-
-
-@lifelog.command()
+@lifelog.command
 def show(
-    store: StorePath,
-    person: Persons = None,
-    date: Date = "",
-    week: Week = "",
-    month: Month = "",
-    year: Year = "",
-    place: PlaceName = "",
-    guess_home: GuessHome = False,
-    all_: ListAll = False,
+    store: Store,
+    /,
+    *,
+    person: tuple[str, ...] = (),
+    date: str = "",
+    week: str = "",
+    month: str = "",
+    year: str = "",
+    place: str = "",
+    guess_home: bool = False,
+    all_: bool = False,
     json_: AsJson = False,
-    tiles: Tiles = "",
-    out: Folder = None,
+    tiles: str = "",
+    out: Path | None = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -235,11 +173,23 @@ def show(
     only its owner can read; of one person's day also report.html, to play with. Several persons share one calendar.
     --person alone shows all days of that person. With --json files are written only with --out.
 
-    \b
     pdr-graph lifelog show days.db
     pdr-graph lifelog show days.db --date 2024-05-01 --out monday
     pdr-graph lifelog show days.db --month 2024-05 --person anna --person ben
     pdr-graph lifelog show days.db --place Office --json
+
+    Args:
+        person: The person, several times for several; default: all.
+        date: A day, as 2024-05-01; default: the last day.
+        week: An ISO week, as 2024-W18.
+        month: A month, as 2024-05.
+        year: A year, as 2024.
+        place: Only the visits to a place, by name or number; default: on all days.
+        guess_home: Name the place of most nights "home?"; it is a guess.
+        all_: List all persons and days instead.
+        tiles: Map tiles behind the map, as https://tile.openstreetmap.org/{z}/{x}/{y}.png. Nothing is fetched without
+            it; the server learns which area is drawn.
+        out: Folder of page, picture and tables; default: beside STORE.
     """
     if all_:
         _list_days(store)
@@ -254,7 +204,7 @@ def show(
         from pdr_graph.apps.lifelog.maps import check_template  # imports matplotlib, which is slow
 
         check_template(tiles)
-    choice = Choice(tuple(person or ()), period_of(date, week, month, year), place, guess_home)
+    choice = Choice(person, period_of(date, week, month, year), place, guess_home)
     result = shown(store, choice, out, tiles, write=not json_ or out is not None)
     if json_:
         echo_result(result.json)
@@ -273,43 +223,39 @@ def _list_days(path: Path) -> None:
         echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")
 
 
-@lifelog.command()
+@lifelog.command
 def export(
-    store: StorePath,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR|FILE", help="A folder for a file per day, or one file for all days.")
-    ],
-    format_: Annotated[
-        ExportFormat, typer.Option("--format", help="csv and parquet require a DIR; parquet needs the extra geo.")
-    ] = ExportFormat.gpx,
-    person: Person = None,
-    from_: Annotated[
-        str, typer.Option("--from", metavar="DATE", help="The first day; default: the first of all.")
-    ] = "",
-    to: Annotated[str, typer.Option(metavar="DATE", help="The last day; default: the last of all.")] = "",
-    cut: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PLACE",
-            help="Leave out everything near a place: LAT,LON,RADIUS in metres, a name on a plan, or a GeoJSON file of "
-            "areas. Use the same text for a place in all exports.",
-        ),
-    ] = None,
-    blur: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help="Coarsen times and positions near a place.")
-    ] = None,
+    store: Store,
+    /,
+    *,
+    out: Path,
+    format_: Literal["gpx", "geojson", "kepler", "csv", "parquet"] = "gpx",
+    person: str | None = None,
+    from_: str = "",
+    to: str = "",
+    cut: Annotated[tuple[str, ...], HYPHEN] = (),
+    blur: Annotated[tuple[str, ...], HYPHEN] = (),
     quiet: Quiet = False,
 ) -> None:
     """Export days as GPX, GeoJSON, CSV or GeoParquet.
 
     --cut leaves out private places. GeoParquet is for trackintel and movingpandas; kepler is GeoJSON for kepler.gl.
 
-    \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
+
+    Args:
+        out: A folder for a file per day, or one file for all days.
+        format_: csv and parquet require a folder; parquet needs the extra geo.
+        person: The person; default: the only one, or all.
+        from_: The first day; default: the first of all.
+        to: The last day; default: the last of all.
+        cut: Leave out everything near a place: LAT,LON,RADIUS in metres, a name on a plan, or a GeoJSON file of areas.
+            Use the same text for a place in all exports. Repeatable.
+        blur: Coarsen times and positions near a place, given as for --cut; repeatable.
     """
     from pdr_graph.apps.lifelog.export import export_days
 
-    written, notes = export_days(store, out, str(format_), person, from_, to, cut or (), blur or ())
+    written, notes = export_days(store, out, format_, person, from_, to, cut, blur)
     echo_errors(*notes)
     echo(f"{count(len(written), 'file')} -> {out}")
 
@@ -318,7 +264,7 @@ def _end(refused: Sequence[str], none: bool = False) -> None:
     """Print each refused input on a line and exit with an error code. none: True if there was no other input."""
     echo_errors(*refused)
     if refused:
-        raise typer.Exit(EXIT_REFUSED if none else EXIT_DEGRADED)
+        sys.exit(EXIT_REFUSED if none else EXIT_DEGRADED)
 
 
 @contextmanager
@@ -342,30 +288,26 @@ def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
         yield advance
 
 
-lifelog.command("serve")(serve_lifelog)
+lifelog.command(serve_lifelog, name="serve")
 
-correct = App(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Correct days; corrections can be listed and undone.",
-)
+correct = App("correct", help="Correct days; corrections can be listed and undone.")
+lifelog.command(correct)
 
-OnePerson = Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: the only one.")]
-From = Annotated[str, typer.Argument(metavar="FROM", help='Local time, as "2024-05-01 09:30".')]
-To = Annotated[str, typer.Argument(metavar="TO", help="Local time.")]
-At = Annotated[str, typer.Argument(metavar="TIME", help='Local time, as "2024-05-01 09:30", of the entry.')]
-NEGATIVE = {"ignore_unknown_options": True}  # latitudes below 0 are arguments
+Person = Annotated[str | None, Parameter(help="The person; default: the only one.")]
+Time = Annotated[str, Parameter("TIME", help='Local time, as "2024-05-01 09:30", of the entry.')]
+From = Annotated[str, Parameter("FROM", help='Local time, as "2024-05-01 09:30".')]
+To = Annotated[str, Parameter("TO", help="Local time.")]
 
 
-@correct.command("was-at", context_settings=NEGATIVE)
+@correct.command
 def was_at(
-    store: StorePath,
-    time: At,
-    place: Annotated[str, typer.Argument(metavar="PLACE", help="LAT,LON or the name of a place.")],
-    radius: Annotated[
-        float | None, typer.Option(metavar="M", help="Standard deviation of the place per axis; default: 15.")
-    ] = None,
-    person: OnePerson = None,
+    store: Store,
+    time: Time,
+    place: Annotated[str, HYPHEN],
+    /,
+    *,
+    radius: float | None = None,
+    person: Person = None,
 ) -> None:
     """State where the person was at TIME.
 
@@ -373,19 +315,21 @@ def was_at(
 
     The place enters the estimate instead of the positions recorded then.
 
-    \b
     pdr-graph lifelog correct was-at days.db "2024-05-01 13:10" 48.1372,11.5755
+
+    Args:
+        place: LAT,LON or the name of a place.
+        radius: Standard deviation of the place per axis [m]; default: 15.
     """
     from pdr_graph.apps.lifelog.revision import state_place
 
     _print(state_place(store, time, place, radius, person))
 
 
-@correct.command("merge")
-def merge(store: StorePath, start: From, end: To, person: OnePerson = None) -> None:
+@correct.command
+def merge(store: Store, start: From, end: To, /, *, person: Person = None) -> None:
     """Make one stay of all entries from FROM to TO.
 
-    \b
     pdr-graph lifelog correct merge days.db "2024-05-01 09:30" "2024-05-01 12:05"
     """
     from pdr_graph.apps.lifelog import revision
@@ -393,11 +337,10 @@ def merge(store: StorePath, start: From, end: To, person: OnePerson = None) -> N
     _print(revision.merge(store, start, end, person))
 
 
-@correct.command("split")
-def split(store: StorePath, time: At, person: OnePerson = None) -> None:
+@correct.command
+def split(store: Store, time: Time, /, *, person: Person = None) -> None:
     """Split the entry at TIME in two.
 
-    \b
     pdr-graph lifelog correct split days.db "2024-05-01 10:45"
     """
     from pdr_graph.apps.lifelog import revision
@@ -405,35 +348,28 @@ def split(store: StorePath, time: At, person: OnePerson = None) -> None:
     _print(revision.split(store, time, person))
 
 
-@correct.command("was")
-def was(
-    store: StorePath,
-    start: From,
-    end: To,
-    mode: Annotated[
-        str, typer.Argument(metavar="MODE", help="bus, car, train, tram, ferry, bicycle, plane, ride, walk or stop.")
-    ],
-    person: OnePerson = None,
-) -> None:
+@correct.command
+def was(store: Store, start: From, end: To, mode: str, /, *, person: Person = None) -> None:
     """State what the person did from FROM to TO.
 
     A ride, a walk or a stop.
 
-    \b
     pdr-graph lifelog correct was days.db "2024-05-01 08:40" "2024-05-01 09:05" bus
+
+    Args:
+        mode: bus, car, train, tram, ferry, bicycle, plane, ride, walk or stop.
     """
     from pdr_graph.apps.lifelog.revision import state_mode
 
     _print(state_mode(store, start, end, mode, person))
 
 
-@correct.command("not-me")
-def not_me(store: StorePath, start: From, end: To, person: OnePerson = None) -> None:
+@correct.command
+def not_me(store: Store, start: From, end: To, /, *, person: Person = None) -> None:
     """State that somebody else carried the phone from FROM to TO.
 
     This time is shown as no data.
 
-    \b
     pdr-graph lifelog correct not-me days.db "2024-05-01 18:00" "2024-05-01 19:30"
     """
     from pdr_graph.apps.lifelog.revision import state_not_me
@@ -441,39 +377,42 @@ def not_me(store: StorePath, start: From, end: To, person: OnePerson = None) -> 
     _print(state_not_me(store, start, end, person))
 
 
-@correct.command("name", context_settings=NEGATIVE)
+@correct.command
 def name(
-    store: StorePath,
-    place: Annotated[str, typer.Argument(metavar="PLACE", help="LAT,LON, or the local time of a stay there.")],
-    called: Annotated[str, typer.Argument(metavar="NAME", help="What to call it.")],
-    radius: Annotated[float | None, typer.Option(metavar="M", help="Radius of the place; default: 75.")] = None,
-    person: OnePerson = None,
+    store: Store,
+    place: Annotated[str, HYPHEN],
+    called: Annotated[str, Parameter("NAME")],
+    /,
+    *,
+    radius: float | None = None,
+    person: Person = None,
 ) -> None:
     """Name a place.
 
-    \b
     pdr-graph lifelog correct name days.db "2024-05-01 13:10" "the library"
+
+    Args:
+        place: LAT,LON, or the local time of a stay there.
+        called: What to call it.
+        radius: Radius of the place [m]; default: 75.
     """
     from pdr_graph.apps.lifelog.revision import name_place
 
     _print(name_place(store, place, called, radius, person))
 
 
-@correct.command("forget")
+@correct.command
 def forget(
-    store: StorePath,
-    start: Annotated[str | None, typer.Argument(metavar="FROM", help='Local time, as "2024-05-01 09:30".')] = None,
-    end: Annotated[str | None, typer.Argument(metavar="TO", help="Local time.")] = None,
-    person: OnePerson = None,
-    everything: Annotated[bool, typer.Option("--everything", help="All of the --person.")] = False,
-    recording: Annotated[
-        str | None, typer.Option(metavar="PATH|HASH", help="One recording, and what was made of it.")
-    ] = None,
-    place: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|NUMBER|LAT,LON", help="All times at a place, and its name; of all days."),
-    ] = None,
-    radius: Annotated[float | None, typer.Option(metavar="M", help="Radius of that place; default: 100.")] = None,
+    store: Store,
+    start: From | None = None,
+    end: To | None = None,
+    /,
+    *,
+    person: Person = None,
+    everything: bool = False,
+    recording: str | None = None,
+    place: Annotated[str | None, HYPHEN] = None,
+    radius: float | None = None,
 ) -> None:
     """Delete the time from FROM to TO for good, or all times at a place.
 
@@ -481,10 +420,15 @@ def forget(
 
     Recordings that are added again stay without it. Your own files are not touched: they are named.
 
-    \b
     pdr-graph lifelog correct forget days.db "2024-05-01 18:00" "2024-05-01 19:00"
     pdr-graph lifelog correct forget days.db --place "the library"
     pdr-graph lifelog correct forget days.db --person ben --everything
+
+    Args:
+        everything: All of the --person.
+        recording: One recording, by path or hash, and what was made of it.
+        place: All times at a place, by name, number or LAT,LON, and its name; of all days.
+        radius: Radius of that place [m]; default: 100.
     """
     from pdr_graph.apps.lifelog import revision
 
@@ -503,11 +447,10 @@ def forget(
         raise InputError("forget", "", "another combination of arguments", expected)
 
 
-@correct.command("list")
-def list_(store: StorePath, person: OnePerson = None) -> None:
+@correct.command(name="list")
+def list_(store: Store, /, *, person: Person = None) -> None:
     """List all corrections, numbered, with the time when each was made.
 
-    \b
     pdr-graph lifelog correct list days.db
     """
     from pdr_graph.apps.lifelog.revision import listing
@@ -515,15 +458,14 @@ def list_(store: StorePath, person: OnePerson = None) -> None:
     _print(listing(store, person))
 
 
-@correct.command("undo")
-def undo(
-    store: StorePath,
-    number: Annotated[int, typer.Argument(metavar="N", help="Number of the correction, as in list.")],
-) -> None:
+@correct.command
+def undo(store: Store, number: Annotated[Count, Parameter("N")], /) -> None:
     """Undo a correction. What was deleted does not come back.
 
-    \b
     pdr-graph lifelog correct undo days.db 3
+
+    Args:
+        number: Number of the correction, as in list.
     """
     from pdr_graph.apps.lifelog import revision
 
@@ -533,6 +475,3 @@ def undo(
 def _print(lines: Iterable[str]) -> None:
     for line in lines:
         echo(line)
-
-
-lifelog.add_typer(correct, name="correct")

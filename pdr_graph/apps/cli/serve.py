@@ -7,104 +7,61 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
-from pdr_graph.apps.cli.options import (
-    BeaconsPath,
-    FloorLabel,
-    MapPath,
-    PathsPath,
-    RadioMapPath,
-    Settings,
-    WalkerPath,
-    lag_seconds,
-)
+from pdr_graph.apps.cli.parameters import HYPHEN, Count, only
 from pdr_graph.apps.cli.terminal import echo
 from pdr_graph.errors import InputError, install
+from pdr_graph.options import Options
 
+Port = Annotated[Count, Parameter(validator=Number(gte=0, lte=65535), help="0: any free one.")]
 LOOPBACK = "127.0.0.1"
 STUDY = "study"  # folder of the uploads that wait
 
-StorePath = Annotated[
-    Path | None, typer.Option("--store", metavar="STORE", help="A lifelog, to which finished walks are added.")
-]
-Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="0: any free one.")]
-Host = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="0.0.0.0 for phones in the network; the default is this machine only.")
-]
-Token = Annotated[
-    str | None,
-    typer.Option(metavar="TEXT", help="Secret of the owner; default: created on the first start with another host."),
-]
-Users = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="Another user, with a token of their own; repeatable.")
-]
-Folder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Folder of sessions and tokens, for its owner alone.")
-]
-Workers = Annotated[int, typer.Option(metavar="N", min=0, max=64, help="Estimating processes.")]
-Tiles = Annotated[
-    str | None,
-    typer.Option(metavar="URL", help="Tile server for the page's map, https://host/{z}/{x}/{y}.png; default: none."),
-]
-Phones = Annotated[
-    list[str] | None,
-    typer.Option(metavar="URL", help="A phone with phyphox's remote access, http://192.168.0.12:8080; repeatable."),
-]
-BrokerUrl = Annotated[
-    str | None,
-    typer.Option(metavar="URL", help="Broker that phones publish to: mqtt, mqtts, ws or wss://USER@HOST:PORT."),
-]
-Topic = Annotated[str, typer.Option(metavar="TOPIC", help="Topic of --mqtt.")]
-HomeAssistant = Annotated[
-    str | None,
-    typer.Option(metavar="URL", help="Broker of Home Assistant, to which phones are announced: as --mqtt."),
-]
-HeardAs = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="PHONE=DEVICE",
-        help="A phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it; repeatable.",
-    ),
-]
-Studies = Annotated[
-    list[str] | None,
-    typer.Option(metavar="STUDY", help="Sensor Logger study whose uploads are reported; any: all; repeatable."),
-]
-Lag = Annotated[str, typer.Option(metavar="S", help="Finalise steps older than this; inf or none: never.")]
-
 
 def serve(
-    map_: MapPath = None,
-    store: StorePath = None,
+    *,
+    options: Annotated[
+        Options, only("plan", "walker", "beacons", "radio_map", "paths", "floor", "lag", "settings")
+    ] = Options(),
+    store: Path | None = None,
     port: Port = 8080,
-    host: Host = LOOPBACK,
-    token: Token = None,
-    user: Users = None,
-    out: Folder = Path("pdr-graph-serve"),
-    workers: Workers = 1,
-    tiles: Tiles = None,
-    phyphox: Phones = None,
-    mqtt: BrokerUrl = None,
-    mqtt_topic: Topic = "sensor-logger",
-    home_assistant: HomeAssistant = None,
-    heard_as: HeardAs = None,
-    study: Studies = None,
-    walker: WalkerPath = None,
-    beacons: BeaconsPath = None,
-    radio_map: RadioMapPath = None,
-    paths: PathsPath = None,
-    floor: FloorLabel = None,
-    lag: Lag = "60",
-    settings: Settings = None,
+    host: str = LOOPBACK,
+    token: Annotated[str | None, HYPHEN] = None,
+    user: tuple[str, ...] = (),
+    out: Path = Path("pdr-graph-serve"),
+    workers: Annotated[Count, Parameter(validator=Number(gte=0, lte=64))] = 1,
+    tiles: str | None = None,
+    phyphox: tuple[str, ...] = (),
+    mqtt: str | None = None,
+    mqtt_topic: str = "sensor-logger",
+    home_assistant: str | None = None,
+    heard_as: tuple[str, ...] = (),
+    study: tuple[str, ...] = (),
 ) -> None:
     """Show live phones on a map.
 
     Phones send their sensors with the app Sensor Logger, or positions with OwnTracks, Overland or Traccar Client.
 
-    \b
     pdr-graph serve                                    only from this machine
     pdr-graph serve --host 0.0.0.0 --map plan.geojson  phones in the network, with a token
+
+    Args:
+        store: A lifelog, to which finished walks are added.
+        host: 0.0.0.0 for phones in the network; the default is this machine only.
+        token: Secret of the owner; default: created on the first start with another host.
+        user: Another user, with a token of their own; repeatable.
+        out: Folder of sessions and tokens, for its owner alone.
+        workers: Estimating processes, up to 64; 0: a thread.
+        tiles: Tile server for the page's map, https://host/{z}/{x}/{y}.png; default: none.
+        phyphox: A phone with phyphox's remote access, http://192.168.0.12:8080; repeatable.
+        mqtt: Broker that phones publish to: mqtt, mqtts, ws or wss://USER@HOST:PORT.
+        mqtt_topic: Topic of --mqtt.
+        home_assistant: Broker of Home Assistant, to which phones are announced: as --mqtt.
+        heard_as: PHONE=DEVICE, a phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it;
+            repeatable.
+        study: Sensor Logger study whose uploads are reported; any: all; repeatable.
     """
     try:
         from pdr_graph.apps.serve import serving
@@ -116,20 +73,18 @@ def serve(
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
 
-    options = {"plan": map_, "walker": walker, "beacons": beacons, "radio_map": radio_map}
-    options |= {"paths": paths, "floor": floor, "lag": lag_seconds(lag), "settings": tuple(settings or ())}
     building, placed = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
     secured = host not in LOCAL_HOSTS or token is not None or bool(user) or file.exists()
-    tokens = load_tokens(file, user or (), token) if secured else {}
-    reports = StudyReports(out / STUDY, study, map_, serving.say) if study else None
-    for url in phyphox or ():
+    tokens = load_tokens(file, user, token) if secured else {}
+    reports = StudyReports(out / STUDY, study, options.plan, serving.say) if study else None
+    for url in phyphox:
         PhyphoxPhone(url)  # refuses what is no address
     home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
-    sources = Sources(tuple(phyphox or ()), pulled, reports, home, receivers)
+    sources = Sources(phyphox, pulled, reports, home, receivers)
     server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
     serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
@@ -138,17 +93,16 @@ def serve(
 LIFELOG_PORT = 8081  # not that of `serve`
 
 
-def serve_lifelog(
-    store: Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")],
-    port: Port = LIFELOG_PORT,
-    tiles: Tiles = None,
-) -> None:
+def serve_lifelog(store: Path, /, *, port: Port = LIFELOG_PORT, tiles: str | None = None) -> None:
     """Show and correct days in the browser, on this machine alone.
 
     The address that is printed has a token that is valid until Ctrl-C.
 
-    \b
     pdr-graph lifelog serve days.db
+
+    Args:
+        store: The lifelog.
+        tiles: Tile server for the page's map, https://host/{z}/{x}/{y}.png; default: none.
     """
     try:
         from pdr_graph.apps.serve import application, diary_page, serving

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from textwrap import fill, indent
+from typing import Any, get_args
 
-import typer
-from typer.core import TyperCommand
+from cyclopts.exceptions import (
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    UnusedCliTokensError,
+    ValidationError,
+)
 
-from pdr_graph.errors import EXIT_DEGRADED, SILENT, first_look, printable
+from pdr_graph.errors import EXIT_DEGRADED, SILENT, InputError, first_look, printable
+
+WIDEST = 100  # [characters] a line of help
+LONGEST_NAME = 30  # [characters] an option with its value beside its help
+VALUES = {"FLOAT": "NUMBER", "INT": "NUMBER", "STR": "TEXT", "STR...": "TEXT"}  # of types of Python, in help
+UNSAID = ("True", "False", "()", '""')  # defaults that the help of an option does not repeat
 
 
 def echo(text: str, err: bool = False) -> None:
@@ -20,13 +31,18 @@ def echo(text: str, err: bool = False) -> None:
     err: on standard error.
     """
     if err or not SILENT.get():
-        typer.echo(printable(text), err=err)
+        print(printable(text), file=sys.stderr if err else sys.stdout, flush=True)
 
 
 def echo_errors(*lines: object) -> None:
     """Print each line on standard error, after the program's name."""
     for line in lines:
         echo(f"pdr-graph: {line}", err=True)
+
+
+def echo_progress(text: str, end: str = "") -> None:
+    """Replace the line of progress on standard error by `text`."""
+    print(f"\r{printable(text)}", end=end, file=sys.stderr, flush=True)
 
 
 def echo_lines(text: str) -> None:
@@ -38,37 +54,81 @@ def echo_lines(text: str) -> None:
 def echo_result(text: str) -> None:
     """Print lines that a program reads, even if silent: what ``--json`` asks for."""
     for line in text.removesuffix("\n").split("\n"):
-        typer.echo(printable(line))
+        print(printable(line), flush=True)
 
 
-TYPE = re.compile(r" <[^<>]*>$")  # after the name of an argument
-BRACES = re.compile(r"^\{(.*?)\}(?:\.\.\.)?$")  # around the name of a required argument
+def usage_error(error: CycloptsError) -> InputError | str:
+    """What is wrong with a command line: the argument or option, its value, and what is expected."""
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        return InputError(error.unused_tokens[0], "", "an argument too many", "options, or nothing")
+    argument = error.argument
+    if isinstance(error, MissingArgumentError) and argument:
+        expected = f"one (pdr-graph {' '.join([*(error.command_chain or ()), '--help'])})"
+        return InputError(error.keyword or argument.name, "", "no value", expected)
+    if isinstance(error, CoercionError | ValidationError) and argument and argument.tokens:
+        token, kinds = argument.tokens[-1], get_args(argument.hint) or (argument.hint,)
+        choices = "one of " + (", ".join(kind for kind in kinds if isinstance(kind, str)) or "true, false")
+        expected = "a whole number" if int in kinds else "a number" if float in kinds else choices
+        if isinstance(error, ValidationError):
+            expected = error.exception_message.removeprefix("Must be ").removesuffix(".")
+        return InputError(token.keyword or argument.name, "", token.value, expected)
+    return str(error)
 
 
-class PlainCommand(TyperCommand):
-    """A command whose help names its arguments as its metavars do: RECORDING, not {RECORDING} or RECORDING <path>."""
+class PlainHelp:
+    """Help as plain text, with each option in two columns; a formatter of cyclopts."""
 
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """The arguments of the usage line."""
-        return [BRACES.sub(r"\1", piece) for piece in super().collect_usage_pieces(ctx)]
+    def render_usage(self, console: Any, options: Any, usage: Any) -> None:
+        """Print the line of the usage."""
+        print(f"Usage: {usage}", file=console.file)
 
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections of arguments and options."""
-        write = formatter.write_dl
+    def render_description(self, console: Any, options: Any, description: Any) -> None:
+        """Print the paragraphs of a docstring, examples with their lines as they are."""
+        for paragraph in _plain(description).split("\n\n"):
+            example = paragraph.startswith("pdr-graph ")
+            print(indent(paragraph, "  ") if example else _filled(paragraph, console, "  ", "  "), file=console.file)
+            print(file=console.file)
 
-        def plain(rows: Any, *args: Any, **more: Any) -> None:
-            write([(name if name.startswith("-") else TYPE.sub("", name), text) for name, text in rows], *args, **more)
+    def __call__(self, console: Any, options: Any, panel: Any) -> None:
+        """Print a section of arguments, options or commands."""
+        rows = [(_name(entry), _help(entry)) for entry in panel.entries]
+        if not rows:
+            return
+        column = 4 + max(len(name) for name, _ in rows if len(name) <= LONGEST_NAME or len(rows) == 1)
+        print(f"{str(panel.title).replace('Parameters', 'Options')}:", file=console.file)
+        for name, text in rows:
+            first = f"  {name}".ljust(column)
+            if len(first) > column:
+                print(first, file=console.file)
+                first = " " * column
+            print(_filled(text, console, first, " " * column), file=console.file)
+        print(file=console.file)
 
-        formatter.write_dl = plain
-        super().format_options(ctx, formatter)
+
+def _name(entry: Any) -> str:
+    """An argument, an option with its value, or a command, in help."""
+    if entry.positional_label:
+        return entry.positional_label
+    name = ", ".join((*entry.positive_shorts, *entry.positive_names))
+    if entry.default == "True":
+        return " / ".join((name, *entry.negative_names))
+    value = "|".join(entry.choices) if entry.choices else VALUES.get(entry.metavar, entry.metavar)
+    return f"{name} {value}" if value else name
 
 
-class App(typer.Typer):
-    """A group of commands with plain help."""
+def _help(entry: Any) -> str:
+    """The help of an argument or option, with its default if it has one."""
+    default = "" if entry.default is None or entry.default in UNSAID else f" [default: {entry.default}]"
+    return _plain(entry.description) + default + " [required]" * entry.required
 
-    def command(self, name: str | None = None, **more: Any) -> Callable[[Any], Any]:
-        """Register a command, as `typer.Typer.command` does."""
-        return super().command(name, cls=PlainCommand, **more)
+
+def _plain(text: Any) -> str:
+    return str(getattr(text, "primary_renderable", text) or "")
+
+
+def _filled(text: str, console: Any, first: str, others: str) -> str:
+    width = min(console.width, WIDEST)
+    return fill(" ".join(text.split()), width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
 
 
 def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) -> None:
@@ -85,7 +145,7 @@ def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) ->
     if missing:
         echo_errors(f"finished without {'; '.join(missing)} (see {out / 'summary.json'})")
     if missing or summary["verdict"]["state"] != "ok":
-        raise typer.Exit(EXIT_DEGRADED)
+        sys.exit(EXIT_DEGRADED)
 
 
 def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:

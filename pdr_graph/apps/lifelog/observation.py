@@ -156,8 +156,9 @@ def from_bytes(blob: bytes) -> Observation:
 
 def read_inputs(recording: Path, options: RecordingOptions) -> Evidence:
     """Read a recording and the files of its options. Raises InputError if a file cannot be used."""
+    from pdr_graph.options import Options
     from pdr_graph.plausibility import FASTEST_RIDE  # imported here: most commands use what was observed long ago
-    from pdr_graph.walk import Options, read
+    from pdr_graph.walk import read
 
     given = {name: value for name, value in options.given.items() if name != "begins"}
     return read(recording, Options(**given), FASTEST_RIDE)

@@ -29,9 +29,10 @@ from pdr_graph.floor.paths import PathNetwork
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile, Walker
+from pdr_graph.options import Options
 from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr, Recording, Trajectory
-from pdr_graph.walk import Evidence, Options, estimate, with_tables
+from pdr_graph.walk import Evidence, estimate, with_tables
 
 WITHOUT_WAYS = "", ""  # without a file of ways outdoors
 

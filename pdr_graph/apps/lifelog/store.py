@@ -68,7 +68,7 @@ Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 class RecordingOptions:
     """What is read or assumed with a recording; None: not given.
 
-    plan: floor plan; fixes, beacons, ranges, walker: files as of `walk.Options`; floor: label of the floor at the
+    plan: floor plan; fixes, beacons, ranges, walker: files as of `options.Options`; floor: label of the floor at the
     start; begins: Unix time of the start [s], for a recording without a date.
     """
 

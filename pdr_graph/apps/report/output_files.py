@@ -20,8 +20,9 @@ from pdr_graph.estimation.results import is_located, is_usual
 from pdr_graph.estimation.verdict import independent_positions, teaches_profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.io import gpx, writers
+from pdr_graph.options import Options
 from pdr_graph.types import Estimate, Trajectory
-from pdr_graph.walk import Evidence, Options, Result, estimate, observe, read
+from pdr_graph.walk import Evidence, Result, estimate, observe, read
 from pdr_graph.whole_files import output_folder
 
 LONGEST_SOURCES = 0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % on IPIN 2023

@@ -15,7 +15,7 @@ import threading
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,7 +30,8 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.live_walk import LiveWalk, read_session
 from pdr_graph.apps.serve.publishing import PATH_INTERVAL
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.walk import Options, settings_changed
+from pdr_graph.options import Options
+from pdr_graph.walk import settings_changed
 
 RESTART = 1.0  # [s] until a process that ended is started again, doubled each time up to SLOWEST_RESTART
 SLOWEST_RESTART = 60.0
@@ -58,10 +59,8 @@ class Estimators:
     started, which is when it has to hear of its sessions.
     """
 
-    def __init__(
-        self, count: int, root: Path, options: Mapping[str, Any], receive: Receive, started: Callable[[int], None]
-    ):
-        self._count, self._arguments = count, (str(root), dict(options))
+    def __init__(self, count: int, root: Path, options: Options, receive: Receive, started: Callable[[int], None]):
+        self._count, self._arguments = count, (str(root), options)
         self._receive, self._started = receive, started
         self._running = dict[int, Running]()
         self._ended_by = Counter[str]()  # walkers: number of processes that ended while they worked at it
@@ -312,13 +311,13 @@ class Estimating:
         task.finishing = True
 
 
-def run(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:
-    """Estimate until the connection closes. options: fields of `Options`; working: as of `Estimating`."""
+def run(connection: Connection, root: str, options: Options, working: Any) -> None:
+    """Estimate until the connection closes. working: as of `Estimating`."""
 
     def send(kind: str, update: dict[str, Any]) -> None:
         connection.send_bytes(msgspec.msgpack.encode((kind, update)))
 
-    estimating = Estimating(Path(root), Options(**options), send, working)
+    estimating = Estimating(Path(root), options, send, working)
     send(FIRST_UPDATE, {})
     try:
         while True:
@@ -334,9 +333,9 @@ def run(connection: Connection, root: str, options: Mapping[str, Any], working: 
         estimating.close()
 
 
-def run_process(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:
+def run_process(connection: Connection, root: str, options: Options, working: Any) -> None:
     """`run` in a process of its own, which Ctrl-C ends through its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()  # imported modules stay
-    with settings_changed(options.get("settings", ())):
+    with settings_changed(options.settings):
         run(connection, root, options, working)

@@ -13,7 +13,7 @@ import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,8 @@ from pdr_graph.apps.serve.receivers import listen
 from pdr_graph.apps.serve.reception import Limits, Reception
 from pdr_graph.errors import InputError, Interrupted
 from pdr_graph.floor.building import Building
+from pdr_graph.options import LIVE, Options
 from pdr_graph.types import Beacons
-from pdr_graph.walk import LIVE, Options
 
 SESSIONS, TOKENS = "sessions", "tokens.json"
 
@@ -44,13 +44,13 @@ SESSIONS, TOKENS = "sessions", "tokens.json"
 class Settings:
     """Options of the server.
 
-    folder: of sessions and tokens; options: of the estimates, fields of `Options`; store: lifelog of finished sessions;
+    folder: of sessions and tokens; options: of the estimates; store: lifelog of finished sessions;
     workers: estimating processes, 0 for a thread; tokens: by user, none if every request is the owner's; tiles: address
     of a tile server for the page; sources: what the server fetches by itself.
     """
 
     folder: Path
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Options = field(default_factory=Options)
     store: Path | None = None
     workers: int = 1
     tokens: Mapping[str, str] = field(default_factory=dict)
@@ -59,15 +59,15 @@ class Settings:
     sources: Sources = field(default_factory=Sources)
 
 
-def read_inputs(options: Mapping[str, Any]) -> tuple[Building | None, Beacons | None]:
+def read_inputs(options: Options) -> tuple[Building | None, Beacons | None]:
     """The plan and the beacons of live estimates. Raises InputError if a file of the options cannot be used."""
-    known = navigator_of(Options(**options, method=LIVE)).keywords
+    known = navigator_of(replace(options, method=LIVE)).keywords
     return known["floor"], known["beacons"]
 
 
 def build(settings: Settings, building: Building | None = None) -> Starlette:
     """The application, whose lifespan starts and stops everything. building: of `read_inputs`."""
-    hub, recorder = Hub(), Recorder(settings.store, settings.options.get("plan"))
+    hub, recorder = Hub(), Recorder(settings.store, settings.options.plan)
     reception = Reception(settings.folder / SESSIONS, hub, settings.limits, recorder.record, say)
     estimators = Estimators(settings.workers, reception.root, settings.options, reception.update, reception.started)
     reception.estimators = estimators
