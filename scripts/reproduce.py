@@ -59,7 +59,6 @@ TABLES = {  # in the order of docs/results/index.md
     "seeds": Made(seeds.seeds, quick=partial(seeds.seeds, quick=True)),
     "microsoft": Made(lambda *rows: recordings.microsoft(DATA, *rows), some=True),
     "recordings": Made(lambda *rows: recordings.every_recording(DATA, *rows), some=True),
-    "strangers": Made(lambda: recordings.strangers(DATA), quick=True),
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True, alone="live"),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True, alone="integrity"),
     "integrity-live": Made(integrity.integrity_live, some=True, alone="integrity live"),

@@ -59,15 +59,10 @@ IPOL_HEIGHT = (1.75, 1.67, 1.80, 1.76, 1.72, 1.69, 1.63, 1.76, 1.73, 1.65, 1.67,
 IPOL_STEPS = (33.3, 30.2, 36.5, 31.7, 35.6, 26.9, 37.8, 35.5, 26.8, 29.4, 31.5, 25.8)
 
 DISTANCE_NOTE = (
-    "Why ours is worse. (1) Simulated people at ease take steps 8 % shorter than Eq. (6), and steps on this way are"
-    " another 4 % shorter for its corners (0.3 % on a straight way); real people of other data sets are short of "
-    "Eq. (6) too (step-spread). (2) Simulated people scatter by 9 % about Eq. (6), since who steps faster also "
-    "steps longer; the paper's 3.97 m are a scatter of 5 %. People alike are simulated to scatter by 3.4 %, which "
-    "is RIDI's figure, with the mean of Eq. (6), which is assumed. (3) Two readings are mended: the band of P0 "
-    "begins at 0 Hz, so that gravity gives Eq. (7) a constant (6.9 instead of 7.8 m on walks for development); "
-    "weights are learnt from people who walk as in Secs. 4.1 and 4.2, not from browsers (10.1 m before, with a bias"
-    " of -7.4 m). Whom the paper learnt its weights from is not published. (4) Left: simulated people of the same "
-    "step differ in bounce by 22 %, noise for P0 to P3."
+    "Why ours is worse: simulated people at ease take steps 8 % shorter than Eq. (6), and 4 % shorter for the "
+    "corners of this route; they scatter by 9 % about Eq. (6), the paper's by 5 %. People alike are simulated to "
+    "scatter by 3.4 %, as RIDI's do. People of the same step differ in bounce by 22 %, which is noise for P0 to P3. "
+    "The band of P0 begins at 0 Hz, so gravity gives Eq. (7) a constant."
 )
 SPREAD_NOTE = (
     "Data sets disagree: people on the same route scatter by 1 to 4 %, with unknown heights, healthy people of a "
@@ -120,10 +115,9 @@ def twenty_steps(groups: int) -> ResultTable:
         for name, counts, paper in zip(names, methods.values(), published, strict=True)
     )
     note = (
-        "The paper compares every candidate with the templates; ours are means of simulated walks, phone in the hand. "
-        "Simulated feet close over half a step and jar like a narrow step, so that nearly every closing is a candidate "
-        "(16 of 320, in the paper 2). No threshold separates them: at 2 m/s² a third of the closings are still "
-        "candidates and 5 % of the steps are not. The product's detector counts the closing as a step."
+        "Ours are means of simulated walks, phone in the hand. Simulated feet close over half a step and jar like a "
+        "narrow step, so nearly every closing is a candidate (16 of 320; 2 in the paper). The product's detector "
+        "counts the closing as a step."
     )
     header = ("method", "steps of 320, by group of four people", "walks with exactly 20", "paper")
     return ResultTable("twenty-steps", "Steps with the feet closed at the end, Sec. 4.1", header, rows, note)
@@ -505,12 +499,10 @@ def position(walks: Sequence[Reckoned]) -> ResultTable:
         rows.append((name, f"{along:.2f}", f"{end:.2f}", published.get(name, "")))
     refused = sum(walker.profile is None for walker, _, _ in walks)
     note = (
-        f"The product refused {refused} calibration walks; it is uncalibrated there. The paper does not say whether "
-        "its error is of the end or the mean along the way. The paper's methods and the product are given start, "
-        "first direction, height and the route of the eight; truth enters the errors alone. What E_length leaves: a"
-        " simulated corner of 90° costs 1.9 step lengths (by Eq. (2) of [map-matching] 1.0), so that steps are"
-        " 12 % shorter than at ease on an eight with legs of 8 m, and 4 % on the 100 m. With legs of 16 m (the paper's"
-        " size is not published) the calibrated height's 4.8 m of 16 walks for development become 4.0."
+        f"The product refused {refused} calibration walks; it is uncalibrated there. All methods are given start, "
+        "first direction, height and the route of the eight. A simulated corner of 90° costs 1.9 step lengths (1.0 "
+        "by Eq. (2) of [map-matching]), so steps are 12 % shorter on an eight with legs of 8 m, and 4 % on the 100 "
+        "m."
     )
     header = ("method", "mean along the way [m]", "at the end [m]", "paper [m]")
     title = f"Position over 100 m with corners, {len(walks)} walks, Secs. 4.3 and 4.4"

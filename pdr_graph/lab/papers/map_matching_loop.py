@@ -230,11 +230,9 @@ def table_1(laps: Sequence[Lap], name: str, strides: str) -> ResultTable:
         f"Error at 13 points of a lap, {strides}: [map-matching] Table 1; median and range of {len(laps)} laps",
         ("", "mean [m] (paper)", "greatest [m] (paper)", "least [m] (paper)", "mean at equal times [m]"),
         tuple(rows),
-        "The paper has one lap of a loop of unknown size, ours are of 136 m. It measures where each track has gone "
-        "10 % to 100 % of its own length (Sec. 4.1); the last column compares positions at the same time. r_c is from "
-        "the walker's normal stride and cadence, as in the paper. The graph's steps are not straightened; our steps "
-        "are the product's, with its strides in both tables. Where the graph is metres off it reports that the plan "
-        "does not fit the walk: strides by cadence are too long where people zigzag, by more than they vary.",
+        "The paper has one lap of a loop of unknown size; ours are of 136 m. Errors are taken where each track has "
+        "gone 10 % to 100 % of its length (Sec. 4.1), in the last column at the same time. Where the graph is metres "
+        "off, it reports that the plan does not fit the walk: strides by cadence are too long where people zigzag.",
     )
 
 
