@@ -152,8 +152,8 @@ def test_every_script_finds_the_place_of_its_table(scripts):
     for script in SCRIPTS.glob("*.py"):
         text = script.read_text(encoding="utf-8")
         published |= set(re.findall(r'publish\(\s*"results/([\w-]+)\.md",\s*"([^"]+)"', text))
-    seeds = (SCRIPTS / "seeds.py").read_text(encoding="utf-8")
-    published |= {("seeds", name) for name in re.findall(r'^    "([\w-]+)": .*\w+\.experiment', seeds, re.MULTILINE)}
+        experiments = re.findall(r'^    "([\w-]+)": .*\w+\.experiment', text, re.MULTILINE)
+        published |= {("seeds", name) for name in experiments}
     markers = {(page, name) for page, text in RESULTS.items() for name in re.findall(r"<!-- ([^/].*?) -->", text)}
     assert published == markers
     assert set(scripts[1].LEFT_OUT) <= {name for _, name in published}
@@ -203,8 +203,8 @@ def test_a_check_names_rows_and_cells_that_differ(scripts):
 
 def test_an_excerpt_lacks_columns_rows_and_titles_with_all_below_them(scripts):
     """And a paragraph is there once."""
-    text = "**One**\n\n| a | b |\n| --- | --- |\n| x | 1 |\n| y | 2 |\n\nNote.\n\n**Two**\n\n| a |\n| --- |\n| z |\n\nLost."
-    shown = scripts[1].excerpt(f"{text}\n\n**Three**\n\nNote.", ("b",), "y|Two")
+    text = "**One**\n\n| a | b |\n| --- | --- |\n| x | 1 |\n| y | 2 |\n\nNote.\n\n**Two**\n\n| a |\n| --- |\n| z |"
+    shown = scripts[1].excerpt(f"{text}\n\nLost.\n\n**Three**\n\nNote.", ("b",), "y|Two")
     assert shown == "**One**\n\n| a |\n| --- |\n| x |\n\nNote.\n\n**Three**"
 
 
