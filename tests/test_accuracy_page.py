@@ -38,7 +38,6 @@ README = {
         (PERFORMANCE, "rivals", (steps, "filterpy: extended Kalman filter and RTS"), "ratio", 1)
         for steps in ("2000", "7000")
     ],
-    "10⁶ steps take {} s.": [(PERFORMANCE, "scaling", ("1 000 000",), "CPU [s]", 0)],
     "has {} m in the median and {} m at 95 %; a causal filter of the same steps has {} and {} m, "
     "the smoothed walk {} and {} m": [
         (*LIVE, ("Microsoft", "first only, plan"), (column, n), 2) for column in LIVE_COLUMNS for n in (0, 2)
@@ -81,7 +80,6 @@ SETTINGS = {
         "95 % region",
         "kill -9",
         "Location Competition 2.0",
-        "about 0.66 m",
         "98 phone walks on 14 floors",
         "95 % intervals",
         "Python 3.11, 3.12 or 3.13",
