@@ -69,7 +69,7 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
     "lifelog-visits": ((), r"0\.(05–0\.20|20–0\.40|60–0\.80) "),
     "pace": (("step [s]",), r"(dan|hang|hao|huayi|ma|zhicheng)_"),
     "carry and pace": (("sprint",), "breast"),
-    "floors simulated": ((), r"(20|1) Hz.* the start"),
+    "floors simulated": ((), r"20 Hz"),
     "carried": (("rms [m]",), "(?!)"),
     "routes": ((), r"(50|70|90)–"),
     "runs": ((), r"jog|walk, jog"),
