@@ -93,7 +93,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
-    """Receivers that from one fix to the next leave the way of the steps, and do not come back."""
+    """Receivers that leave the path of the steps between two fixes, and do not come back."""
     n, track = VERDICTS.beside_jump, estimate.trajectory
     used = [fix for fix in _evidence(estimate) if fix.source and track.time[0] <= fix.time <= track.time[-1]]
     for source in dict.fromkeys(fix.source for fix in used):
@@ -116,7 +116,7 @@ def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:
-    """The median of residuals ``(n,)`` [σ], if it is larger than honest ones have; else 0.
+    """The median of residuals ``(n,)`` [σ], if it is larger than honest residuals have; else 0.
 
     independent: number of them with errors of their own; median: of honest residuals; spread: its sigma × √n.
     """
@@ -271,7 +271,7 @@ def _stride_sigma(places: Array) -> float:
 
 
 def _transmitters(estimate: Estimate, *kinds: str) -> Iterator[str]:
-    """Names of the beacons and anchors that measured positions; of measurements without one, that of their kind."""
+    """Names of the beacons and anchors that measured positions; of measurements without a name, that of their kind."""
     for kind in kinds or locating_kinds():
         for report in estimate.reports.get(kind, ()):
             if not getattr(report, "misplaced", False):
