@@ -52,7 +52,7 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
     ),
     "integrity network": (
         ("walks", "mean over 3 × r95"),
-        r"start, end, network: (zero|half|constant|mirrored|turned by)",
+        r"start, end, network: (zero|half|constant|mirrored|turned by)|honest sources|one source",
     ),
     "integrity recorded": (
         ("mean over 3 × r95",),
@@ -67,7 +67,7 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
     "stride": (("spread",), r"lasso|cadence"),
     "live compass": (("with a heading",), r"simulated, (breast|trouser)"),
     "lifelog-visits": ((), r"0\.(05–0\.20|20–0\.40|60–0\.80) "),
-    "pace": (("step [s]",), r"(dan|hang|hao|huayi|ma|zhicheng)_"),
+    "quiet": ((), r"IPIN21"),
     "carry and pace": (("sprint",), "breast"),
     "floors simulated": ((), r"20 Hz"),
     "carried": (("rms [m]",), "(?!)"),
@@ -80,13 +80,13 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
     ),
     "gps-dr": (
         ("median [m]", "at the end, median [m]"),
-        r"the same, σ|\[gps-dr\] (Secs?\. 2|Sec\. 4: error within 4 outages)",
+        r"(the same, σ|\w+: dead reckoning)|\[gps-dr\] (Secs?\. 2|Sec\. 4: error within 4 outages)",
     ),
     "map-matching": (
         ("least [m] (paper)", "where", "of it along [m]", "across [m]"),
         r"loop of|Projection on links|Regions of|Error at 13 points of a lap, the same",
     ),
-    "calibration-walk": ((), r"after templates, every|the same, (learnt|T the)|Features|Scatter|Turns at"),
+    "calibration-walk": ((), r"the same, (learnt|T the)|Steps with|Features|Scatter|Turns at"),
     "reference-positions": (
         ("75 % [m]", "median at the end [m]", "references per walk"),
         r"\+ encounters with a fixed|False encounters",
