@@ -42,7 +42,8 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
         r"|outdoors \| GNSS: (frozen|3 times|jumping)|indoors \| (compass: none|stride|ranges|radio map)"
         r"|indoors \| (user fixes|start), plan: (a door|of an)|indoors \| start: 8 m off, user fixes, plan"
         r"|indoors \| compass: 40° off, user|indoors \| user fixes, start \||indoors \| start, (end|radio map) \|"
-        r"|indoors \| (profile, user|start, ranges|gyroscope: drifts by 1.9°/s, user)"
+        r"|indoors \| (profile(: of somebody else)?, user|start, ranges|gyroscope: drifts by 1.9°/s, user)"
+        r"|indoors \| (GNSS, beacons: of another floor|user fixes, plan: 5 m|user fixes, start: 8 m)"
         r"|outdoors \| GNSS and speed: courses|loops \| compass: none",
     ),
     "integrity sharpness": (
@@ -71,7 +72,9 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
     "carry and pace": (("sprint",), "breast"),
     "floors simulated": ((), r"20 Hz"),
     "carried": (("rms [m]",), "(?!)"),
-    "routes": ((), r"(50|70|90)–"),
+    "routes": (("a listed route within 5 m",), r"(50|70|90)–"),
+    "no position": (("a listed route within 5 m",), "(?!)"),
+    "lifelog-recipe": ((), r".*trackintel, silences"),
     "runs": ((), r"jog|walk, jog"),
     "heading": (
         ("– reversed at the end [%]", "– axis"),
