@@ -393,7 +393,7 @@ def isam2(graph, values):
 
 # Scaling
 
-SCALES = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)  # steps
+SCALES = (1000, 10_000, 100_000, 1_000_000)  # steps
 
 
 def scaling_rows():
