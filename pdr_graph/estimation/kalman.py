@@ -195,7 +195,7 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
 
 
 def by_direction(wide: GaussianMixture) -> GaussianMixture:
-    """Split one hypothesis of uncertain direction into SEARCH.directions narrow hypotheses around the circle.
+    """Split one hypothesis of uncertain direction into SEARCH.directions narrow ones around the circle.
 
     Together they have its Gaussian with Huber's tails: directions far from a compass heading keep a small probability.
     The first has the direction of ``wide``.

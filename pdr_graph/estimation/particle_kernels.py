@@ -1,7 +1,7 @@
 """The step of `particle_filter` compiled by numba: the same numbers to the last bit, without temporary arrays.
 
 Numba compiles these functions once for a machine and keeps them on disk. Every constant is an argument, since it
-compiles again only when this file changes. Cosines are NumPy's, whose last bits differ from those of compiled cosines.
+compiles again only when this file changes. Cosines are NumPy's, whose last bits differ from those of compiled ones.
 Loops are short, so that the compiler takes several particles at once.
 """
 # pyright: reportMissingImports=false, reportUntypedFunctionDecorator=false

@@ -93,7 +93,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
-    """Receivers that leave the path of the steps between two fixes, and do not come back."""
+    """Receivers that from one fix to the next leave the way of the steps, and do not come back."""
     n, track = VERDICTS.beside_jump, estimate.trajectory
     used = [fix for fix in _evidence(estimate) if fix.source and track.time[0] <= fix.time <= track.time[-1]]
     for source in dict.fromkeys(fix.source for fix in used):

@@ -89,7 +89,7 @@ FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of
 class LiveHeading:
     """The walking direction at a time [s], counter-clockwise from +x, and its standard deviation [rad].
 
-    stretch: its number; a heading replaces earlier headings of the same stretch. sigma is infinite to retract them.
+    stretch: its number; a heading replaces earlier ones of the same stretch. sigma is infinite to retract them.
     """
 
     stretch: int
@@ -102,7 +102,7 @@ class LiveHeading:
 class LiveDrift:
     """The gyroscope's drift b over a stretch, at a time [s], and its standard deviation [rad/s].
 
-    stretch: its number; a drift replaces earlier drifts of the same stretch. sigma is infinite to retract them.
+    stretch: its number; a drift replaces earlier ones of the same stretch. sigma is infinite to retract them.
     """
 
     stretch: int

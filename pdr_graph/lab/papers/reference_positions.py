@@ -77,7 +77,7 @@ def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     for rule, sources, without in (
         (CLOSE, (ENCOUNTER,), True),
         (CLOSE, ALL, True),
-        (DISTANT, (ENCOUNTER,), False),  # its rows without false encounters are those of `by_reference`
+        (DISTANT, (ENCOUNTER,), False),  # without false ones: in the other table
     ):
         pairs = [falsified(walkers, rule.encounters(walkers), FIRST_SEED) for walkers in crowds]
         false, wrong = [met for met, _ in pairs], [of_crowd for _, of_crowd in pairs]
