@@ -5,7 +5,6 @@
 CPU is the time of all threads of a process; quote the ratios, since machines differ.
 """
 
-import gc
 import json
 import re
 import resource
@@ -17,7 +16,6 @@ import zipfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,9 +25,9 @@ from tables import publish, table
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-from synthetic_walks import LOOP, PERIOD, held_by_walls, live_events, walk, walk_and_truth
+from synthetic_walks import LOOP, PERIOD, walk, walk_and_truth
 
-from pdr_graph import FloorPlan, WalkGraph, dead_reckon, kalman_filter, smooth
+from pdr_graph import WalkGraph, dead_reckon, kalman_filter, smooth
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.cache import content_hash
 from pdr_graph.apps.lifelog.observation import Observation
@@ -42,8 +40,6 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
-from pdr_graph.online.interface import events_of
-from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes, Headings, Steps
 
 LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
@@ -77,16 +73,12 @@ def hour_rows():
     return f"{table(['stage', 'CPU [s]', 'share'], rows)}\n\n{text}at most {middle['memory']:.0f} MB of memory."
 
 
-def hour_given(period):
-    """A scenario of an hour in laps. period: between fixes of 3 m [s]"""
-    route = [LAP[0], {"stand": 5}, *({"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS))]
-    return {"plan": str(LOOP), "route": route, "fixes": {"period": period, "sigma": 3.0}}
-
-
 def hour(folder):
     """Write an hour's walk as Sensor Logger zips it; return the arguments of ``smooth``."""
     written, recording = folder / "written", folder / "walk.zip"
-    write(simulate(Scenario.of(hour_given(20.0))), written)
+    route = [LAP[0], {"stand": 5}, *({"to": [*LAP[1:], LAP[0]]} for _ in range(LAPS))]
+    given = {"plan": str(LOOP), "route": route, "fixes": {"period": 20.0, "sigma": 3.0}}
+    write(simulate(Scenario.of(given)), written)
     with zipfile.ZipFile(recording, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(written.glob("*.csv")):
             if path.name not in NOT_EXPORTED:
@@ -401,7 +393,7 @@ def isam2(graph, values):
 
 # Scaling
 
-SCALES = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)  # steps
+SCALES = (1000, 10_000, 100_000, 1_000_000)  # steps
 
 
 def scaling_rows():
@@ -433,108 +425,6 @@ def alone():
 def peak_memory():
     """The most memory that this program has taken [MB]; ru_maxrss would count what it was forked from."""
     return int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) / 1024
-
-
-def resident():
-    """Memory of this process now [MB]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
-
-
-# Live
-
-LAG, STEP = 60.0, 0.5  # [s]
-DAY = 172_800  # steps in 24 hours
-SHARES = (0.1, 0.5, 1.0)  # of the walk, where the memory is looked at
-PERCENTILES = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9, "longest": 100.0}
-CROWD, CROWD_TIME, MINUTE = 20, 300.0, 60.0  # walkers at once; [s] how long they walk, of which the first is a row
-
-
-def live_rows():
-    """CPU time of a step, of the pushes and the pose; memory; cores that a crowd keeps busy."""
-    plan, rows, memory = FloorPlan.load(LOOP), [], []
-    for name, nav, events, steps in (
-        (
-            "24 h between walls, fix every 30 steps",
-            Navigator(plan, lag=LAG, executor=None),
-            held_by_walls(DAY, period=STEP),
-            DAY,
-        ),
-        ("no walls, fixes at 1 Hz", Navigator(lag=LAG, executor=None), walk(20_000, 2), 20_000),
-        (
-            "no walls, fix every 30 steps, without a lag",
-            Navigator(lag=None, executor=None),
-            walk(10_000, EVERY),
-            10_000,
-        ),
-        ("from samples at 100 Hz, between walls, fix every 15 s", Navigator(plan, lag=LAG, executor=None), None, 7200),
-    ):
-        events = sampled_hour(nav) if events is None else live_events(*events)
-        took, looks = pushed(nav, events, steps)
-        rows.append([name, len(took), *(f"{1e3 * v:.2f}" for v in np.percentile(took, list(PERCENTILES.values())))])
-        status = nav.status
-        counts = [status.keyframes, f"{status.restarts} / {len(status.rebuilds)}"]
-        memory.append([name, *(f"{look:.0f}" for look in looks), *counts])
-    latency = table(["walk, lag 60 s", "steps", *(f"{name} [ms]" for name in PERCENTILES)], rows)
-    header = ["walk", *(f"MB at {share:.0%}" for share in SHARES), "keyframes", "restarts / rebuilds"]
-    return f"{latency}\n\n{table(header, memory)}\n\n{crowd_rows()}"
-
-
-def pushed(nav, events, steps):
-    """Push events and ask for the pose at each step: CPU time of each step [s], and memory at SHARES [MB].
-
-    steps: about how many there are. Reviews in idle moments are not counted.
-    """
-    took, since, most, memory = [], 0.0, nav.steps, []
-    looks = [int(share * steps) for share in SHARES[:-1]]
-    gc.collect()
-    gc.freeze()  # as `replay` and `serve` do; otherwise a full garbage collection takes 30 ms of some step
-    for event in events:
-        since += _seconds(nav.push, event)[0]
-        nav.review()  # an idle moment
-        if nav.steps <= most:  # more than ever: the last ones may have been taken back
-            continue
-        most = nav.steps
-        took.append(since + _seconds(lambda: nav.pose)[0])
-        since = 0.0
-        if len(took) % 100 == 0:
-            nav.finalized()
-        if looks and len(took) >= looks[0]:
-            memory.append(resident())
-            del looks[0]
-    return took, [*memory, resident()]
-
-
-def sampled_hour(nav):
-    """Events of an hour in the loop, as the phone's samples."""
-    scenario = Scenario.of(hour_given(15.0))
-    made = simulate(scenario)
-    return events_of(replace(made.recording(), fixes=made.user_fixes, epoch=scenario.start))
-
-
-def crowd_rows():
-    """Many walkers in turn, step by step: cores that they keep busy in the first minute and after it, and memory."""
-    steps, fixes = held_by_walls(int(CROWD_TIME / STEP), period=STEP)
-    plan, before, parts = FloorPlan.load(LOOP), resident(), ("push", "pose", "review")
-    walkers = [(Navigator(plan, lag=LAG, executor=None), live_events(steps, fixes[n % 5 :])) for n in range(CROWD)]
-    took = np.zeros((2, len(parts)))  # [s] in the first minute and after it
-    for n in range(len(steps)):
-        for nav, events in walkers:
-            works = partial(push_step, nav, events), lambda nav=nav: nav.pose, nav.review
-            took[int(n * STEP >= MINUTE)] += [_seconds(work)[0] for work in works]
-    each, rows = f"{(resident() - before) / CROWD:.1f}", []
-    spans = {"the first minute": MINUTE, "after it": CROWD_TIME - MINUTE}
-    for (when, seconds), busy in zip(spans.items(), took, strict=True):
-        rows.append([CROWD, when, *(f"{v / seconds:.2f}" for v in (*busy, busy.sum())), each])
-    header = ["walkers of steps and fixes, between walls", "when", *(f"{part}, cores" for part in parts)]
-    return table([*header, "all, cores", "MB each"], rows)
-
-
-def push_step(nav, events):
-    """Push the events up to the next step of a walker, if there is one."""
-    for event in events:
-        nav.push(event)
-        if isinstance(event, Steps):
-            return
 
 
 # A lifelog, of observations that are drawn as those of a phone carried all day: steps, and fixes half of the time
@@ -627,7 +517,6 @@ if __name__ == "__main__":
         "rivals": rival_rows,
         "engines": engine_rows,
         "scaling": scaling_rows,
-        "live": live_rows,
         "lifelog": lifelog_rows,
     }
     chosen = [a for a in sys.argv[1:] if a != "--write"]

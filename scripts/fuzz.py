@@ -1,6 +1,8 @@
-"""Damage every kind of input many times: each must load or be refused in one line, soon, without a traceback.
+"""Damage inputs and stores many times.
 
-python scripts/fuzz.py [COUNT] [NAME …]
+python scripts/fuzz.py [COUNT] [NAME …]          each kind of input loads or is refused in one line, soon
+python scripts/fuzz.py stores [COUNT] [NAME …]   files of a journal, a lifelog and a live session, as power cuts do:
+                                                 counts what comes back; COUNT: of each kind of damage
 """
 
 import random
@@ -16,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
 from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
+from power_loss import DAMAGES, FAILED, OUTCOMES, TARGETS, count
 
 from pdr_graph import InputError, detect_steps, read_fixes, read_trajectory
 from pdr_graph.floor.check import problems
@@ -40,10 +43,10 @@ def late(*_):
     raise TimeoutError(f"more than {SLOWEST} s")
 
 
-def fuzz(name, file, whole, use, count, folder):
-    """Failures among ``count`` damaged copies; these are kept beside their traceback."""
+def fuzz(name, file, whole, use, number, folder):
+    """Failures among ``number`` damaged copies; these are kept beside their traceback."""
     loaded, failures, started, path = 0, 0, time.time(), folder / file
-    for n in range(count):
+    for n in range(number):
         data = mutated(whole, random.Random(f"{name}{n}"))
         path.write_bytes(data)
         signal.alarm(SLOWEST)
@@ -60,14 +63,14 @@ def fuzz(name, file, whole, use, count, folder):
             print(f"{name} {n}:", *traceback.format_exc().splitlines()[-7:], sep="\n  ")
         signal.alarm(0)
     took = time.time() - started
-    print(f"{name}: {count} damaged, {loaded} loaded, {failures} failures, {took:.0f} s", flush=True)
+    print(f"{name}: {number} damaged, {loaded} loaded, {failures} failures, {took:.0f} s", flush=True)
     return failures
 
 
-def main():
+def fuzz_inputs(number, wanted):
+    """Failures of all kinds of input."""
     warnings.simplefilter("error")  # a warning is a line of noise on a user's terminal
     signal.signal(signal.SIGALRM, late)
-    count, wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 1000, sys.argv[2:]
     recordings, tables, plans = inputs()
     cases = [(name, *given, record) for name, given in recordings.items()]
     for name, given in plans.items():
@@ -75,8 +78,34 @@ def main():
     uses = {"scenario": simulated_if_short, "fixes": fixes, "trajectory": read_trajectory}
     cases += [(name, *tables[name], use) for name, use in uses.items()]
     with tempfile.TemporaryDirectory() as folder:
-        failures = sum(fuzz(*case, count, Path(folder)) for case in cases if not wanted or case[0] in wanted)
-    sys.exit(failures > 0)
+        return sum(fuzz(*case, number, Path(folder)) for case in cases if not wanted or case[0] in wanted)
+
+
+def fuzz_stores(number, wanted):
+    """Failures of all kinds of store; a row of outcomes for each kind of damage."""
+    print(f"{'kind of file':<28}{'damage':<8}" + "".join(f"{name:>20}" for name in OUTCOMES))
+    failures = 0
+    for name, make in TARGETS.items():
+        if wanted and name not in wanted:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "made"
+            made.mkdir()
+            target = make(made)
+            for damage in DAMAGES:
+                began = time.time()
+                outcomes = count(target, damage, number, made / "store", lambda line: print("  " + line))
+                row = "".join(f"{outcomes[outcome]:>20}" for outcome in OUTCOMES)
+                print(f"{name:<28}{damage:<8}{row}   {time.time() - began:.0f} s", flush=True)
+                failures += outcomes[FAILED]
+    return failures
+
+
+def main():
+    arguments = sys.argv[1:]
+    stores = arguments[:1] == ["stores"]
+    number, *wanted = arguments[stores:] or ["250" if stores else "1000"]
+    sys.exit((fuzz_stores if stores else fuzz_inputs)(int(number), wanted) > 0)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,6 @@ def steps(data):
     counts(data)
     quiet(data)
     paces = list(true_walks(data))
-    pace(paces)
     carry_and_pace(data, paces)
     confidence(data, paces)
     runs()
@@ -120,20 +119,6 @@ def true_walks(data):
     """The walks of ``strides`` and ``ridi``."""
     yield from (Paced(name, walk, "strides") for name, walk in recordings(data, "strides").items())
     yield from (Paced(name, walk, f"RIDI, {name.split('_')[0]}") for name, walk in recordings(data, "ridi").items())
-
-
-def pace(walks):
-    """Steps and lengths of walks at 0.4 to 1.5 m/s whose steps and lengths are known."""
-    rows = []
-    for walk in walks:
-        found, length = len(walk.gait.landings), float(walk.lengths.sum())
-        usual = f"{walk.gait.landings.usual_step:.2f}"
-        off = f"{length:.1f} ({100 * (length / walk.way - 1):+.1f} %)"
-        name = walk.name if walk.walker.startswith("RIDI") else f"strides {walk.name}"
-        cells = [f"{walk.way / walk.duration:.2f}", usual, walk.steps, with_error(found, walk.steps)]
-        rows.append([name, *cells, f"{walk.way:.1f}", off])
-    header = ["walk", "mean speed [m/s]", "step [s]", "steps: true", "found", "length [m]: true", "uncalibrated model"]
-    publish("results/steps.md", "pace", table(header, rows))
 
 
 def carry_and_pace(data, walks):

@@ -3,12 +3,10 @@
 The rows are those of ``pdr-graph bench``.
 """
 
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import copytree, rmtree
-from tempfile import TemporaryDirectory, gettempdir, mkdtemp
+from shutil import rmtree
+from tempfile import gettempdir, mkdtemp
 
 import numpy as np
 from live import GNSS, HELP, THINNED
@@ -74,7 +72,7 @@ CELLS = {  # of bench stats, by their names in these tables
     "energy score [m]": "energy score [m]",
     "walks up to 60 % in 90 %": "walks up to 60 % in 90 %",
 }
-NAMED = 5  # of the worst walks
+NAMED = 3  # of the worst walks
 
 
 def microsoft(data, words=(), number=None, *_):
@@ -196,25 +194,3 @@ def means(case, *methods):
     errors = np.array([case.errors[method] for method in methods])
     known = ~np.isnan(errors).any(axis=0)
     return errors[:, known].mean(axis=1) if known.any() else np.full(len(methods), np.nan)
-
-
-def strangers(data):
-    """What the commands say of each input after a public report, beside the right value that its README states."""
-    rows = []
-    for page in sorted(data.glob("found/*/README.md")):
-        stated = dict(line.split(": ", 1) for line in page.read_text().splitlines() if ": " in line)
-        with TemporaryDirectory() as folder:
-            copytree(page.parent, folder, dirs_exist_ok=True)
-            command = stated["command"].split("     (")[0]
-            command = f'pdr-graph() {{ "{sys.executable}" -m pdr_graph "$@"; }}; {command}'
-            done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True)
-        lines = (done.stdout + done.stderr).splitlines()
-        said = [line for line in lines if line.startswith(("ok", "doubtful", "failed"))] or [
-            n for n in lines if ":" in n
-        ]
-        found = "; ".join(line.replace("|", "/") for line in said[:3])
-        found = f"{found[:160]} (exit {done.returncode})"
-        if "syntax error" in done.stderr:  # what a server gets: the tests send it
-            found = "not a command of a shell"
-        rows.append([page.parent.name, found, stated["expected"].replace("|", "/")])
-    publish("results/strangers.md", "strangers", table(["input", "found", "right"], rows))

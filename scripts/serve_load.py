@@ -1,13 +1,10 @@
 """Load of `pdr-graph serve` by simulated phones on loopback: the figures of docs/serving.md.
 
     python scripts/serve_load.py PHONES [PHONES ...] [--workers 2] [--seconds 60] [--option=--map --option=FILE]
-    python scripts/serve_load.py split PHONES [--seconds 60]
 
 Each phone posts a message of Sensor Logger every second: accelerometer, gyroscope and magnetometer at 100 Hz and GNSS
 at 1 Hz; every fourth phone has no GNSS. The delay of a pose is the time from the POST to the event `pose` that has its
 message. The load generator prepares all messages before; its processor time is stated beside that of the server.
-
-split: two servers behind a proxy that hashes the token; each walk must be on one of them, with all its messages.
 """
 
 import argparse
@@ -16,7 +13,6 @@ import contextlib
 import json
 import os
 import re
-import secrets
 import signal
 import subprocess
 import sys
@@ -121,10 +117,10 @@ class Delays:
         return np.array([ends.get(key, np.inf) - begin for key, begin in self.posted.items()])
 
 
-async def listen(port, delays, path="/events"):
+async def listen(port, delays):
     """Note each pose of the stream of events."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 24)
-    writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+    writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
     name = b""
     async for line in reader:
         if line.startswith(b"event: "):
@@ -144,14 +140,14 @@ async def post(reader, writer, path, body):
     return int(answer.split()[1])
 
 
-async def phone(port, name, bodies, begin, delays, path="/sensorlogger"):
+async def phone(port, name, bodies, begin, delays):
     """Post the messages of a phone, one a second from ``begin`` on [s]."""
     await asyncio.sleep(max(0.0, begin - 0.1 - time.monotonic()))  # an idle connection would be closed
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     for n, body in enumerate(bodies):
         await asyncio.sleep(max(0.0, begin + n - time.monotonic()))
         delays.posted[name, n] = time.monotonic()
-        status = await post(reader, writer, path, body)
+        status = await post(reader, writer, "/sensorlogger", body)
         delays.acknowledged[name, n] = time.monotonic()
         if status not in (200, 499):
             delays.refused.append(status)
@@ -232,81 +228,11 @@ def measure(counts, workers, seconds, options):
             print(f"refused: {len(delays.refused)} messages, status {sorted(set(delays.refused))}")
 
 
-async def proxied(servers, phones, tokens):
-    """Run the phones through a proxy that hashes the token; the poses of each server."""
-
-    async def forward(reader, writer):
-        head = await reader.readuntil(b"\r\n")
-        server = servers[zlib.crc32(head.split(b"token=")[1].split()[0]) % len(servers)]
-        there, back = await asyncio.open_connection("127.0.0.1", server.port)
-        back.write(head)
-        await asyncio.gather(piped(reader, back), piped(there, writer))
-
-    proxy = await asyncio.start_server(forward, "127.0.0.1", 0)
-    port, begin = proxy.sockets[0].getsockname()[1], time.monotonic() + 0.5
-    posted, seen = Delays(), [Delays() for _ in servers]
-    for each in seen:
-        each.posted = posted.posted
-    listening = [
-        asyncio.create_task(listen(server.port, each, f"/events?token={tokens['owner']}"))
-        for server, each in zip(servers, seen, strict=True)
-    ]
-    posting = [
-        phone(port, name, bodies, begin + 2.0 * n / len(phones), posted, f"/sensorlogger?token={tokens[name]}")
-        for n, (name, bodies) in enumerate(phones)
-    ]
-    await asyncio.gather(*posting)
-    end = time.monotonic() + PATIENCE
-    while sum(len(each.posed) for each in seen) < len(posted.posted) and time.monotonic() < end:
-        await asyncio.sleep(0.1)
-    for task in listening:
-        task.cancel()
-    proxy.close()
-    return posted, seen
-
-
-async def piped(reader, writer):
-    """Copy a stream to its end."""
-    with contextlib.suppress(ConnectionError):
-        while data := await reader.read(1 << 16):
-            writer.write(data)
-            await writer.drain()
-        writer.write_eof()
-
-
-def split(count, seconds):
-    """Two servers behind a proxy: print how the walks are shared; each walk must be whole and on one server."""
-    phones = list(phones_of(walks(seconds), count))
-    tokens = {name: secrets.token_hex(16) for name in ("owner", *(name for name, _ in phones))}
-    servers = []
-    with tempfile.TemporaryDirectory() as root:
-        try:
-            for number in range(2):
-                folder = Path(root) / str(number)
-                folder.mkdir()
-                (folder / "tokens.json").write_text(json.dumps(tokens))
-                (folder / "tokens.json").chmod(0o600)
-                servers.append(Server(folder, "--workers", "1"))
-            posted, seen = asyncio.run(proxied(servers, phones, tokens))
-        finally:
-            for server in servers:
-                server.kill()
-    shares = [{name for name, _ in each.posed} for each in seen]
-    whole = all(len(each.posed) == seconds * len(share) for each, share in zip(seen, shares, strict=True))
-    delays = [each.posed[key] - begin for each in seen for key, begin in posted.posted.items() if key in each.posed]
-    print(f"{count} phones: {len(shares[0])} and {len(shares[1])} walks; pose p99 {np.percentile(delays, 99):.2f} s")
-    if shares[0] & shares[1] or len(shares[0] | shares[1]) != count or not whole or posted.refused:
-        raise SystemExit("a walk is on both servers, on none, or not whole")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("phones", nargs="+")
+    parser.add_argument("phones", nargs="+", type=int)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--option", action="append", default=[], help="of pdr-graph serve")
     chosen = parser.parse_args()
-    if chosen.phones[0] == "split":
-        split(int(chosen.phones[1]), chosen.seconds)
-    else:
-        measure(list(map(int, chosen.phones)), chosen.workers, chosen.seconds, chosen.option)
+    measure(chosen.phones, chosen.workers, chosen.seconds, chosen.option)

@@ -8,13 +8,13 @@ pushed, not samples. Idle moments are used by `Navigator.review`.
 """
 
 import gc
+import resource
 import sys
 import time
 import warnings
 from pathlib import Path
 
 import numpy as np
-from benchmark import resident
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -29,6 +29,11 @@ from pdr_graph.types import Beacons, Fixes, Sightings, Steps
 HOUR, BLOCK, WALKING, SILENCE = 3600.0, 6, 600.0, 1800.0  # [s], hours of a row, [s] of walking, [s] without data
 PERIOD, LAG = 0.5, 60.0  # [s]
 BEACONS, NEAR = 60, 12.0  # number; [m] within which they are heard
+
+
+def resident():
+    """Memory of this process now [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def hour(number, beacons):

@@ -1,7 +1,7 @@
 """Power cuts: files of a journal, a lifelog and a live session, damaged as a disk that lost power leaves them.
 
 A `Target` has the files of a folder at several moments and a function that opens a damaged folder and says what came
-back. ``scripts/power_cuts.py`` counts thousands of cuts, ``test_power_cuts.py`` some.
+back. ``scripts/fuzz.py stores`` counts thousands of cuts, ``test_power_cuts.py`` some.
 """
 
 import asyncio

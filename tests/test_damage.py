@@ -1,6 +1,6 @@
 """Damaged inputs load or raise one line; after a power cut files come back to the last whole record, and say the loss.
 
-``scripts/fuzz.py`` and ``scripts/power_cuts.py`` do the same a hundred thousand and a thousand times.
+``scripts/fuzz.py`` does the same a hundred thousand times.
 """
 
 import random

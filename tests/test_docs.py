@@ -19,6 +19,14 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCED = re.compile(r"^```.*?^```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 LARGEST = 150_000  # [bytes] of a tutorial's picture
+OTHERS = {
+    "obstacleplanarsdffactor",
+    "gnclmoptimizer",
+    "t_max_diff",
+    "acc_x",
+    "gyr_x",
+    "freq1_s_err5m",
+}  # names of other programs
 
 
 def name(page):
@@ -127,3 +135,26 @@ def test_lines_of_code_that_the_reading_page_links_to_define_what_it_names():
             wrong[name] = f"{path}#L{defined[0] if defined else None}"
     assert len(links) > 30
     assert wrong == {}
+
+
+def test_names_on_pages_exist():
+    """In backticks: the parts of a name are words of code, scripts, tests or plans, and a path leads to a file."""
+    kinds = {".py", ".toml", ".js", ".html", ".geojson"}
+    paths = [
+        path.relative_to(ROOT)
+        for folder in ("pdr_graph", "scripts", "tests", "maps")
+        for path in (ROOT / folder).rglob("*")
+    ]
+    texts = ((ROOT / path).read_text(encoding="utf-8") for path in paths if path.suffix in kinds)
+    words, files = OTHERS.union(*(re.findall(r"\w+", text.lower()) for text in texts)), [f"/{path}" for path in paths]
+    missing = {}
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "pdr_graph" / "README.md"]:
+        quoted = re.findall(r"`([^`\n]+)`", pages.FENCE.sub("", page.read_text(encoding="utf-8")))
+        names = [text for text in quoted if re.fullmatch(r"[A-Za-z_][\w.]*(\(.*\))?", text) and ".py" not in text]
+        parts = {part for text in names for part in re.findall(r"\w*[a-z]_\w+|(?<!\w)[A-Z]\w*[a-z][A-Z]\w*", text)}
+        there = re.findall(
+            r"[\w./-]+\.py\b|\b(?:scripts|maps)/[\w.-]+", " ".join(text for text in quoted if "NAME" not in text)
+        )
+        missing[name(page)] = [part for part in parts if part.lower() not in words]
+        missing[name(page)] += [path for path in there if not any(file.endswith(f"/{path}") for file in files)]
+    assert {page: found for page, found in missing.items() if found} == {}

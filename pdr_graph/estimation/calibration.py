@@ -27,7 +27,7 @@ from pdr_graph.types import Array, Estimate, Fixes, Steps
 
 
 def posterior_profile(estimate: Estimate, steps: Steps, applied: Profile | None = None) -> Profile:
-    """The walker's profile for the next walk, from the calibration at the end of this one.
+    """The walker's profile for the next walk, from the calibration at the end of this walk.
 
     steps: of this walk, as in the graph; applied: the profile that has already corrected them.
     """

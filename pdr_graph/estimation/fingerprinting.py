@@ -4,7 +4,7 @@
 similar scans connect the places where they were received. The distance between such places, as a function of the
 dissimilarity of the scans, is learnt from the present estimates of the walks. Bodies shade a radio on one side, and it
 is held differently the next day: closures of the same two walks have correlated errors, and together have the
-information of one.
+information of a single scan.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ changes only at climbs, by about the climb's height, so slow changes of the weat
 so that the next climb continues from a stop half-way up the stairs. Unknown is the height of the storeys (without a
 plan, about the same for all) or the scale of the plan's heights; the most probable of several values is used.
 
-The floor is the nearest one in height: on stairs it changes half-way, and a passed floor is the present one briefly.
+The floor is the nearest in height: on stairs it changes half-way, and a passed floor is the present floor briefly.
 
 `LiveFloors` runs the same model over the last minutes of a walk under way, every few seconds; these minutes start at a
 time without climbs, on the floor estimated for it.
@@ -47,7 +47,7 @@ class Storeys:
 
 
 def unknown(start: str, reported: tuple[str, ...], reach: float) -> list[Storeys]:
-    """Storeys of several heights, numbered in the style of the start's label or else of the first reported one.
+    """Storeys of several heights, numbered in the style of the start's label or else of the first reported floor.
 
     reported: floor labels of fixes; reach: largest height difference [m] by climbs. If labels have no number, only the
     storey of the start has a label.
@@ -101,7 +101,7 @@ LANDINGS = 4  # states per storey
 class Floors:
     """Floors of a walk, a row per row of the trajectory ``(n + 2,)``.
 
-    labels: of the floors, "" for one without label; height: above the start by climbs of the barometer [m]; sigma: of
+    labels: of the floors, "" without label; height: above the start by climbs of the barometer [m]; sigma: of
     that [m]; climbs, kinds: all climbs and their kinds.
     """
 
@@ -216,7 +216,7 @@ def _where_fixes_change(fixes: Fixes) -> Climbs:
 
 
 def _nearest(heights: Array, at: Array) -> Index:
-    """Index of the floor nearest to each height; the lower one in a tie."""
+    """Index of the floor nearest to each height; the lower in a tie."""
     return np.argmin(np.abs(at[:, None] - heights), axis=1)
 
 

@@ -71,7 +71,7 @@ class GpsKnots:
 class Motion:
     """Motion model from knot to knot ``(n - 1,)``: speed per axis s [m/s], tau: correlation time τ [s].
 
-    changed: True where the transport mode changes, so that the velocity is independent of the one before.
+    changed: True where the transport mode changes, so that the velocity is independent of the velocity before.
     """
 
     speed: Array
@@ -150,7 +150,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
 
 
 def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
-    """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the one before."""
+    """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the knot before."""
     span = np.maximum(np.diff(gps.time), SHORTEST_INTERVAL)
     tau, variance, changed = motion.tau, motion.speed**2, motion.changed
     kept, along = np.exp(-span / tau), span / tau
@@ -501,7 +501,7 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
     """First and last knot of each walk within a stand, from knot `begin` to `end`, that was at two places.
 
     Coarse positions of a short walk are no evidence of movement each; those of some minutes before and after it are:
-    their means are farther apart than their errors allow, and the way between them took as long as a walk. The mean of
+    their means are farther apart than their errors allow, and the move between them took as long as a walk. The mean of
     a Gauss–Markov error over its correlation time has 2/e of its variance.
     """
     time, place = knots.time[begin : end + 1], knots.position[begin : end + 1]
@@ -542,7 +542,7 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
 
 
 def _with_stated(time: Array, kind: Index, stated: Stated) -> tuple[Index, Mask]:
-    """The modes ``(n - 1,)`` with stated ones in their place, except in gaps; True where a stated stay begins or ends.
+    """The modes ``(n - 1,)`` with stated modes in their place, except in gaps; True where a stated stay begins or ends.
 
     time: ``(n,)`` of the knots [s].
     """

@@ -92,7 +92,7 @@ Kind = TypeVar("Kind", bound=Measurement)
 class WalkGraph:
     """The factor graph of one walk.
 
-    steps: of the front end; fixes: in the frame of ``floor`` (or any metric frame without one); headings: walking
+    steps: of the front end; fixes: in the frame of ``floor`` (or any metric frame without a floor); headings: walking
     directions in that frame; floor: plan or building whose walls are factors, optional; floors: the floor's label for
     each row of the trajectory ``(n + 2,)``, expected for a building of several floors; levels: of beacons; closures:
     moments at one place; measurements: data of any other registered type (`Ranges`); paths: ways outdoors, in that
@@ -257,7 +257,7 @@ class WalkGraph:
 
     @property
     def ways(self) -> Ways | None:
-        """The ways outdoors that the walk may follow; None if there are none."""
+        """The outdoor network that the walk may follow; None if there is none."""
         return ways_among(self._measurements)
 
     @property
@@ -308,7 +308,7 @@ class WalkGraph:
         return to_gtsam(self.chain, self.measurements, self.start)
 
     def increments(self) -> Iterator[GtsamIncrement]:
-        """The factors of `to_gtsam` keyframe by keyframe, for ``update`` of an incremental smoother of one's own.
+        """The factors of `to_gtsam` keyframe by keyframe, for ``update`` of another incremental smoother.
 
         New variables begin at the start of the search: for a graph that was smoothed, at its optimum. A callback
         evaluates the whole walk, 1 ms for 300 keyframes: for longer walks, take graphs of parts.
@@ -392,7 +392,7 @@ class WalkGraph:
         return self._replaced(_measurements=tuple(kinds))
 
     def alternatives(self) -> list[WalkGraph]:
-        """Versions from whose optima the search must also start; empty if one start is enough."""
+        """Versions from whose optima the search must also start; empty if a single start is enough."""
         graphs = []
         for n, measurement in enumerate(self.measurements):
             before, after = self.measurements[:n], self.measurements[n + 1 :]

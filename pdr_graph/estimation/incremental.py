@@ -4,10 +4,10 @@
 smoothing and mapping using the Bayes tree", IJRR 31(2), 2012) with marginalisation of what leaves the window. It
 linearises each factor, again where a variable has moved beyond a threshold, and gives poses and covariances. A factor
 is a ``gtsam.CustomFactor`` with the residual and the derivatives of its block; all callbacks of an update share one
-evaluation of the walk. A factor that is another one than before (an outlier, other walls, another sigma) is replaced.
+evaluation of the walk. A factor that has changed (an outlier, other walls, another sigma) is replaced.
 
 What marginalisation leaves is linear about the variables at the edge of the window, which iSAM2 holds at their
-linearisation point from then on. Where one of them moves several thresholds all the same, iSAM2 is begun anew, with
+linearisation point from then on. Where such a variable moves several thresholds all the same, iSAM2 is rebuilt, with
 the marginal as a factor like the others (`MarginalFactor`).
 """
 
@@ -188,7 +188,7 @@ class IncrementalSmoother:
         return self.walk.start.among(State.of_values(values))
 
     def _farthest(self, held: bool) -> float:
-        """The longest way of a variable from its point, in thresholds; of those that are held, or of the others."""
+        """The largest move of a variable from its point, in thresholds; of those that are held, or of the others."""
         longest = 0.0
         for symbol, rows in self.estimate.arrays.items():
             moved = rows - self.point[symbol]

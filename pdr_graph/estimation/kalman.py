@@ -10,16 +10,16 @@ same pieces and fixes:
 
 The paper has one filter for the heading and another for the position, so its fixes correct neither heading nor stride;
 in one state they do. Its magnetometer measures the heading from the first step on; here the first magnetic heading is
-carried back to the start by the gyro. A fix beyond the gate is rejected, and where a nearer one may be wrong, the
+carried back to the start by the gyro. A fix beyond the gate is rejected, and where a nearer fix may be wrong, the
 filter goes on with it and without it, until later fixes decide; so does it with the first fix at the second. After
 several rejected in a row it is re-initialised at their position.
 
-An unknown direction, or one from a rough compass, is too uncertain for one linearisation: a mixture of filters, one per
+An unknown direction, or that of a rough compass, is too uncertain for one linearisation: a mixture of filters, one per
 direction, runs in parallel, and measurements decide between them. A measurement beyond the gate of a hypothesis does
 not correct it.
 
 The smoother is that of Rauch, Tung and Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA
-Journal 3(8), 1965. Backwards from the end, each state is corrected by the one after it:
+Journal 3(8), 1965. Backwards from the end, each state is corrected by the state after it:
 
     C_k = P_k F_kᵀ (P⁻_{k+1})⁻¹
     x̂_k = x_k + C_k (x̂_{k+1} − x⁻_{k+1}),      P̂_k = P_k + C_k (P̂_{k+1} − P⁻_{k+1}) C_kᵀ
@@ -405,7 +405,7 @@ class KalmanFilter:
             self._follow(early)
 
     def present(self, tail: Steps | None = None) -> KalmanFilter:
-        """The filter at the end of all steps so far, and of provisional ones, beside this one."""
+        """A second filter at the end of all steps so far, and of provisional steps."""
         other = copy(self)
         other._turned, other._sources, other._watch = self._turned.copy(), deepcopy(self._sources), None
         other._waiting = self._waiting.copy()

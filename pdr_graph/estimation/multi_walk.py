@@ -109,7 +109,7 @@ def _start(joint: WalkGraph, alone: Sequence[Estimate], begins: Array) -> State:
 
 
 def _within(graph: WalkGraph) -> Fixes:
-    """The fixes of a walk; one shortly outside the recording is moved to its end, away from the next walk."""
+    """The fixes of a walk; a fix shortly outside the recording is moved to its end, away from the next walk."""
     fixes, steps = graph.fixes, graph.steps
     time = np.clip(fixes.time, steps.start, steps.end)
     near = np.abs(time - fixes.time) <= FIXES.longest_overhang

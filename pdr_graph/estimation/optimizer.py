@@ -89,7 +89,7 @@ class Descent:
         self.system, self._moved = self.equations.assembled(self.at), False
 
     def step(self) -> None:
-        """Take a step that lowers the cost; one that would raise it is not taken, and the next is damped more."""
+        """Take a step if it lowers the cost; else the next step is damped more."""
         if self._moved:
             del self.system  # as large as the next
             self.system, self._moved = self.equations.assembled(self.at), False
@@ -171,9 +171,9 @@ def solve_robust(graph: WalkGraph) -> Optimum:
 
 
 def on_ways(walk: Optimum, free: bool = True) -> Optimum:
-    """The walk along the ways outdoors that it followed, as it says without them; itself if the graph has no ways.
+    """The walk along the outdoor paths that it followed, as matched without them; itself without a network.
 
-    free: no way holds it yet.
+    free: no path holds it yet.
     """
     ways = walk.graph.ways
     if ways is None:
@@ -187,7 +187,7 @@ def on_ways(walk: Optimum, free: bool = True) -> Optimum:
 
 
 def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> State:
-    """The optimum of the variables that were there before; new ones, and those of symbols ``fresh``, at ``start``."""
+    """The optimum of the earlier variables; new variables, and those of symbols ``fresh``, at ``start``."""
     old = {symbol: rows for symbol, rows in optimum.arrays.items() if symbol in start.arrays and symbol not in fresh}
     return start.replaced(**{symbol: rows for symbol, rows in old.items() if len(rows) == len(start[symbol])})
 

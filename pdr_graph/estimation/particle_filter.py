@@ -13,7 +13,7 @@ compiled (`particle_kernels`, extra ``fast``) take their place when many particl
 
 By default a kind of measurement weighs poses by its own residuals: its instances at the keyframe are evaluated once for
 each pose, as if the poses were a walk. The priors of other variables (the place of an anchor, the path loss) widen the
-sigmas. A kind that knows a shorter way has its own `pose_costs`.
+sigmas. A kind with a shorter formula overrides `pose_costs`.
 """
 
 from __future__ import annotations

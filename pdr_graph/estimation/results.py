@@ -179,7 +179,7 @@ def is_measured(estimate: Estimate) -> bool:
 def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *, fits: bool = True) -> float:
     """The probability of a route as stated: NaN without any position, near 0 if the route contradicts the plan.
 
-    It is 0 if no fix lies near the plan, whose walls were not used then. Each row through a wall beyond the usual ones
+    It is 0 if no fix lies near the plan, whose walls were not used then. Each row through a wall beyond the usual rows
     divides it by e: on real walks with the right route at most one row does. fits: the walls were used; those of a plan
     that does not fit the walk are no evidence.
     """

@@ -85,7 +85,7 @@ def _count(time: Array, spans: Array) -> Index:
 def on_way(time: Array, position: Array, sigma: Array) -> Index:
     """Indices of the fixes ``(n,)`` that lie between those before and after, roughly; outliers lie beside them.
 
-    The first and the last one are no outliers only if the ones beside them are not far either.
+    The first and the last fix are no outliers only if the fixes beside them are not far either.
     """
     kept = np.arange(len(time))
     while len(kept) > 2:
@@ -174,7 +174,7 @@ class RideWatch:
     """The rides of a walk under way: its steps pass through, but those of a ride come as a gap, some time later.
 
     found: start, end and time on steps of the rides so far [s]. Fixes of the last `RIDING.watched` seconds are compared
-    with the steps between them, as in `detect_rides`, but by the straight line from one to another.
+    with the steps between them, as in `detect_rides`, but by the straight line between fixes.
     """
 
     def __init__(self) -> None:
@@ -272,6 +272,6 @@ def _is_ride(excess: Array, longest: Array, noise: float, within: Mask) -> Mask:
     """True where the positions went farther than the steps led, not by one jump.
 
     excess: by how far ``(n,)`` [m]; longest: step from fix to fix within ``(n,)`` [m]; noise: of the receiver [m];
-    within: ``(n,)`` True if a fix before and one after say that it was no outlier at an end of the walk.
+    within: ``(n,)`` True if a fix before and a fix after say that it was no outlier at an end of the walk.
     """
     return ((excess > max(noise, RIDING.shortest)) & within) | (excess - longest > max(noise, RIDING.gradual))

@@ -116,7 +116,7 @@ def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _too_large(sigmas: Array, independent: int, median: float, spread: float) -> float:
-    """The median of residuals ``(n,)`` [σ], if it is larger than honest ones have; else 0.
+    """The median of residuals ``(n,)`` [σ], if it is larger than honest residuals have; else 0.
 
     independent: number of them with errors of their own; median: of honest residuals; spread: its sigma × √n.
     """
@@ -271,7 +271,7 @@ def _stride_sigma(places: Array) -> float:
 
 
 def _transmitters(estimate: Estimate, *kinds: str) -> Iterator[str]:
-    """Names of the beacons and anchors that measured positions; of measurements without one, that of their kind."""
+    """Names of the beacons and anchors that measured positions; of measurements without a name, that of their kind."""
     for kind in kinds or locating_kinds():
         for report in estimate.reports.get(kind, ()):
             if not getattr(report, "misplaced", False):

@@ -5,12 +5,12 @@ Sec. 3, with its two tests of the field. `LiveCompass` adds the phone's forward 
 
 All headings of a walk share most of their error (the phone's own iron, the forward axis, a plan's axis), and their
 number is not known in advance. The walk is divided into stretches; each gets a heading as soon as it is informative,
-and better ones replace it as the stretch grows. A heading carries only the information that it adds: if the earlier
+and better headings replace it as the stretch grows. A heading carries only the information that it adds: if the earlier
 stretches determine the direction with variance P (which has grown by that of the turns since), and this stretch alone
 would with variance S, then the heading gets the variance v of 1/v = 1/S − 1/P. So all headings together never determine
 the present direction better than the best of them alone.
 
-The headings of a recording are the last ones of its stretches.
+The headings of a recording are the last headings of its stretches.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ class LiveCompass:
         return samples, rows[whole:]
 
     def _start_stretch(self) -> None:
-        """Start a new stretch; the heading of the last one counts as earlier information from now on."""
+        """Start a new stretch; the heading of the last stretch counts as earlier information from now on."""
         if self.current is not None or np.isfinite(self._drift_at):
             self.previous, self.current, self.stretch = self.current or self.previous, None, self.stretch + 1
         self._drift_at = np.nan
@@ -282,7 +282,7 @@ class LiveCompass:
         return float(np.median(durations)) if len(durations) else np.inf
 
     def preview(self, gait: GaitSignals) -> None:
-        """Evaluate the first steps of the stretch with the samples after the certain ones, which may still change."""
+        """Evaluate the first steps of the stretch with the samples after the certain steps, which may still change."""
         variance = gait.direction.variance
         step = self._usual_step(np.append(self.durations, gait.landings.period))
         if self._earth is None or self.evaluated >= LIVE_COMPASS.early_steps[-1] * step or not np.isfinite(step):
@@ -305,7 +305,7 @@ class LiveCompass:
         self._evaluate(self._earth, step, samples, begin, walked)
 
     def _evaluate(self, earth: EarthField, step: float, samples: Array, begin: float, walked: float) -> None:
-        """Report the heading of the stretch with the information that it adds, or retract an earlier one.
+        """Report the heading of the stretch with the information that it adds, or retract an earlier heading.
 
         step: duration of a step [s]; samples: of the stretch, with the magnetic field, from time ``begin`` [s] on;
         walked: time of walking among them [s].
@@ -456,7 +456,7 @@ def dip_error(field: Array, dip: float) -> Array:
 
 
 def prediction_error(field: Array, period: float) -> Array:
-    """[gps-dr] Sec. 3, second test: the angle ``(n,)`` between the field and the one that the gyroscope predicts. [rad]
+    """[gps-dr] Sec. 3, second test: the angle ``(n,)`` between the field and the gyroscope's prediction of it. [rad]
 
     field: ``(n, 3)`` in the attitude's world. The paper predicts the next sample by `predicted_field`; over so
     short a time the sensor's noise exceeds any disturbance. Here the attitude predicts over a second: the prediction is
@@ -647,7 +647,7 @@ class MagnetometerStream:
         return field
 
     def without_iron(self, field: Array, magnitude: float) -> Array:
-        """The field around the phone ``(n, 3)``; the measured one if the phone was not tilted enough. [µT]"""
+        """The field around the phone ``(n, 3)``; the measured field if the phone was not tilted enough. [µT]"""
         if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= MAGNETOMETER.tilted:
             return field
         self.iron = iron = fit_iron(self.calibration, magnitude, self.iron, rounds=3)

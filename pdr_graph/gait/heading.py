@@ -1,6 +1,6 @@
 """Relative walking direction: forward axis, grip changes and the walker's heading since the first sample.
 
-A gyroscope measures how much a walker turns, not which way they walk. The gait does: every landing brakes the body and
+A gyroscope measures how much a walker turns, not where they walk. The gait does: every landing brakes the body and
 every push-off accelerates it, in phase with its rise and fall. So a straight walk determines which device axis points
 ahead. A grip change turns the phone, while the walker turns less or not at all.
 
@@ -338,7 +338,7 @@ class HeadingStream:
 
         It is taken over between two windows that show it, in proportion to the turn of the phone meanwhile, and the
         doubt of a grip change there ends. Without a clear window the last deviation goes on; where the phone turned or
-        was tilted, one is waited for.
+        was tilted, it waits for a landing.
         """
         step = max(1, round(self.step / self.period))
         size, kept, now = GRIP.steps_beside * step, self.course_final, len(self.straight)

@@ -3,7 +3,7 @@
 The contract is the shape of RoNIN's ResNet (Herath, Yan, Furukawa, *RoNIN: Robust Neural Inertial Navigation in the
 Wild*, ICRA 2020, Sec. IV): an ONNX model with one input ``[N, 6, 200]``, a second of samples at 200 Hz: angular rate
 [rad/s], then acceleration with gravity [m/s²], both turned into a level frame with z up whose x axis points anywhere,
-but always the same way (a game rotation vector). Output: mean velocity of the second ``[N, 2]`` in that frame [m/s];
+but always the same axis (a game rotation vector). Output: mean velocity of the second ``[N, 2]`` in that frame [m/s];
 optionally, second, log σ of each component ``[N, 2]``, as TLIO states it (Liu et al., RA-L 2020, Sec. IV-B).
 No network is shipped.
 """
@@ -121,7 +121,7 @@ def windows_of(attitude: Attitude) -> tuple[Array, NDArray[np.float32]]:
 
 
 def learned_velocities(attitudes: Iterable[Attitude], network: Network) -> tuple[Velocities, tuple[str, ...]]:
-    """The velocities of a walk by a network, and a line for windows without a usable one, which are left out.
+    """The velocities of a walk by a network, and a line for windows without a usable velocity, which are left out.
 
     attitudes: of its uninterrupted parts. The first and the last half second of a part have the velocity beside them.
     """

@@ -44,7 +44,7 @@ def gap(
 
 
 def gap_ends(steps: Steps) -> Array:
-    """Times at which gaps end [s]; rows of length 0 that follow one another are one."""
+    """Times at which gaps end [s]; consecutive rows of length 0 are one gap."""
     goes_on = np.append(np.abs(steps.time[:-1] - (steps.time - steps.duration)[1:]) <= INSTANT, False)
     return steps.time[steps.is_gap & ~(goes_on & np.append(steps.is_gap[1:], False))]
 
@@ -65,7 +65,7 @@ def append_steps(first: Steps, then: Steps) -> Steps:
 
 
 def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
-    """Concatenate at least one chunk of a walk; each starts where the one before ends."""
+    """Concatenate at least one chunk of a walk; each starts where the chunk before ends."""
     columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in STEP_COLUMNS}
     row, turned = 0, 0.0  # [rad] since the last step
     for chunk in chunks:

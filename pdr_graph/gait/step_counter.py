@@ -47,7 +47,7 @@ def counted_steps(counter: Signal, walker: Walker) -> Steps | None:
 
 
 def one_by_one(steps: Steps) -> list[Steps]:
-    """The steps as chunks of one each, from the end of the one before, as a live counter gives them."""
+    """The steps as chunks of a step each, from the end of the step before, as a live counter gives them."""
     ends = np.append(steps.time[:-1], steps.end).tolist()
     spans = zip([steps.start, *ends], ends, strict=False)
     return [replace(take(steps, slice(n, n + 1)), start=start, end=end) for n, (start, end) in enumerate(spans)]

@@ -1,6 +1,6 @@
 """The step detector: landings from an accelerometer in hand, pocket, bag or on a swinging arm.
 
-A stride resembles the one before. Where |a| repeats itself from stride to stride, the period of the repetition is the
+A stride resembles the last stride. Where |a| repeats itself from stride to stride, the period of the repetition is the
 duration of a step, and |a| at that frequency rises and falls once per step. This holds even if a loose phone is thrown
 about several times within a step, or if one leg hardly moves the arm that holds the phone. Motion that does not repeat
 itself, tilts the phone to and fro, or lifts it higher than a walking body bobs is not a step: shaking, gestures,
@@ -276,7 +276,7 @@ class StepDetector:
     landing that are used for its rhythm and amplitude [s]. A step is certain 4.5 s after that. A shorter look-ahead
     than the default misses or adds a step now and then.
 
-    samples: ``(n, 3)`` the last ones; first: number of the first of them; decided: time since the start up to which
+    samples: ``(n, 3)`` the last samples; first: number of the first of them; decided: time since the start up to which
     steps are certain [s]; pending: candidates after it.
     """
 
@@ -305,7 +305,7 @@ class StepDetector:
         return self._decide(np.inf)
 
     def provisional(self) -> Array:
-        """The steps ``(m, 5)`` after the certain ones, which later samples may still change."""
+        """The steps ``(m, 5)`` after the certain steps, which later samples may still change."""
         return self._since_start(replace(self.bout).steps(self.pending))
 
     @property

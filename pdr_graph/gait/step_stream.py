@@ -91,7 +91,7 @@ class StepStream:
             self._sensors[sensor].push(time, values)
 
     def advance(self) -> tuple[Steps | None, Steps | None]:
-        """The steps that became certain since the last call, and the provisional ones up to the latest sample.
+        """The steps that became certain since the last call, and the provisional steps up to the latest sample.
 
         None if there are none.
         """
@@ -270,7 +270,7 @@ class SegmentStream:
         return [first]
 
     def provisional(self) -> Steps | None:
-        """The steps after the certain ones, up to the last sample; None if there are no samples after them."""
+        """The provisional steps, up to the last sample; None if there are no samples after the certain steps."""
         if self._provisional is None and self.next_time(0) > self.end:
             self._provisional = self._steps()
         return self._provisional
@@ -288,12 +288,12 @@ class SegmentStream:
         self.landed = np.concatenate([self.landed, found[found[:, 0] > self._begun]])
 
     def _steps(self) -> Steps:
-        """All steps after the certain ones; their features use up to 3 s before them."""
+        """All provisional steps; their features use up to 3 s before them."""
         first = max(0, int((self.end - 3.0 - self.origin) / self.period) - self.direction.first)
         return steps_of(self._signals(slice(first, None), self._landings()), self.walker, self.end)
 
     def _landings(self) -> Landings:
-        """All landings after the certain ones."""
+        """All provisional landings."""
         provisional = self.detector.provisional()
         provisional = provisional[provisional[:, 0] > self._begun]
         return Landings.at(np.concatenate([self.landed, provisional]), self.origin)[self.reported :]

@@ -120,7 +120,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     steps``).
 
     Steps that are short and strong are those of a run. Their bounce hardly grows with the speed (Cavagna et al. 1988),
-    so that their length is by cadence alone, and off by a fifth either way: `pace_changes` widens the calibration.
+    so that their length is by cadence alone, and off by a fifth: `pace_changes` widens the calibration.
     """
     straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude * steps.period)
     strong = np.clip((steps.amplitude - STRIDES.run_amplitude[0]) / np.ptp(STRIDES.run_amplitude), 0, 1)
@@ -275,8 +275,8 @@ class Walker(OneLineRepr):
 
     height: stature [m].
     sigma_turn: standard deviation of the heading error that one step adds [rad]: the body sways about the phone.
-    stride: the stride model, one of `step_length.MODELS`; constants: its constants by name.
-    profile: personal calibration, None without one.
+    stride: the stride model, a key of `MODELS`; constants: its constants by name.
+    profile: personal calibration, None if unknown.
     """
 
     height: float = REFERENCE_HEIGHT

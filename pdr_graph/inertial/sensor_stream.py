@@ -66,7 +66,7 @@ class Health:
 class SensorStream:
     """The valid samples of one sensor, in increasing time.
 
-    time ``(n,)`` [s], values ``(n, 3)``: samples that were not used yet, and the last ones before them.
+    time ``(n,)`` [s], values ``(n, 3)``: samples that were not used yet, and the last samples before them.
     start: time of the first sample of all [s]; longest_packet: recently [s].
     suspect_time ``(k,)``, suspect_values ``(k, 3)``: samples after a jump in time, times by the sensor's clock.
     arrived: packets that were not validated yet, those that wait among them; wait: for samples that come late [s], as

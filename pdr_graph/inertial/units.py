@@ -80,7 +80,7 @@ class SensorUnit:
     """The unit of a sensor's samples by their values, as in files; once another than the expected is sure it is kept.
 
     sensor: its name; factor: to its unit; gravity: restores what the recorder removed, None if it did not; note: what
-    differs from the expected, "" without; before: found in the last window; time, values: of the present one, in
+    differs from the expected, "" without; before: found in the last window; time, values: of the present window, in
     packets.
     """
 

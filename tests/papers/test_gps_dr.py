@@ -136,6 +136,6 @@ def test_the_tables_have_a_row_for_each_method(monkeypatch, tmp_path):
     monkeypatch.setattr(paper, "CORNERS", [[180, 0], [180, 120], [0, 0]])
     monkeypatch.setenv("PDR_GRAPH_DATA", str(tmp_path))
     tables = paper.experiment(quick=True)
-    assert len({table.name for table in tables}) == len(tables) == 5
+    assert len({table.name for table in tables}) == len(tables) == 3
     for table in tables:
         assert {len(row) for row in table.rows} == {len(table.header)}

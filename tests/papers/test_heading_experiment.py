@@ -73,14 +73,6 @@ def test_half_turns_are_no_error_of_an_axis():
     np.testing.assert_allclose(without_half_turns(error), [1, -90, -3, 0, 4, -4, -1])
 
 
-@pytest.mark.parametrize("ratio", [0.5, 2.0])
-def test_the_movement_is_that_of_the_phone_in_axes_of_its_walker(ratio):
-    """Sines of these amplitudes have standard deviations of their 1/√2."""
-    moved = heading_experiment.movement(walked(fore_aft=ratio, lateral=1.0))
-    assert moved.fore_aft == pytest.approx(ratio, rel=0.1)
-    assert moved.acceleration == pytest.approx(np.array([ratio, 1.0, 2.0]) / np.sqrt(2), rel=0.1)
-
-
 def test_the_holds_take_turns_and_no_two_trials_are_alike():
     trials = [heading_experiment.l_walk(n) for n in (0, 1, 5)]
     assert np.array_equal(

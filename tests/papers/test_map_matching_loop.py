@@ -12,7 +12,6 @@ from pdr_graph.apps.report.plotting import plot_regions
 from pdr_graph.lab.papers.map_matching import FeasibleRegion, correct
 from pdr_graph.lab.papers.map_matching_loop import (
     SHARES,
-    Variation,
     errors_along,
     errors_at_times,
     loop_plan,
@@ -74,7 +73,7 @@ def test_without_drift_the_heading_error_has_no_trend():
 
 
 def test_a_stride_error_stays_in_the_projection_along_the_corridor_at_equal_times_alone():
-    exact, short = ([projection_of(Variation("", stride=f).of(lap)) for lap in laps()] for f in (1.0, 0.8))
+    exact, short = ([projection_of(lap.with_errors(stride=f)) for lap in laps()] for f in (1.0, 0.8))
     assert max(walk.wrong for walk in exact + short) < 0.1
 
     def grown(part):
@@ -86,7 +85,7 @@ def test_a_stride_error_stays_in_the_projection_along_the_corridor_at_equal_time
 
 
 def test_turns_measured_too_large_lead_to_wrong_links():
-    walks = [projection_of(Variation("", turns=1.4, drift=False).of(lap)) for lap in laps()]
+    walks = [projection_of(lap.without_drift().with_errors(turns=1.4)) for lap in laps()]
     assert max(walk.wrong for walk in walks) > 0.2
 
 

@@ -70,7 +70,7 @@ class HypothesisBank:
         """Add the walk near ``first`` under each joint hypothesis that remains.
 
         Kind by kind, hypotheses are added to those of the best walk so far, or made instead of them. Of a walk that is
-        solved from two starts, the better one remains.
+        solved from two starts, the better solution remains.
         """
         names = [kind.name for kind in self.first.graph.measurements]
         for name in sorted(names, key=lambda name: name != WALKER_KIND):  # a wrong profile accuses the rest
@@ -120,7 +120,7 @@ class HypothesisBank:
         """Count the evidence from before the data of this walk, and put first the member that is to be adopted.
 
         Adopted hypotheses are kept until evidence speaks against them. It supports as much what competed with them:
-        often it says only that one of two sources is wrong. decisions: about the kinds that the adopted ones change.
+        often it says only that one of two sources is wrong. decisions: about the kinds that the adopted change.
         """
         adopted = frozenset(before.adopted)
         kept = [frozenset(lasting(member.assumed)) == adopted for member in self.members]
@@ -215,7 +215,7 @@ def probabilities(optima: Sequence[Optimum], path: Index) -> Array:
 def paths(optima: Sequence[Optimum]) -> Index:
     """The path of each solution ``(n,)``: index of the first solution within SEARCH.same_path of it on average.
 
-    Without walls, a walk and the same one by another walker are one path.
+    Without walls, a walk and the same walk by another walker are the same path.
     """
     tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
     near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SEARCH.same_path

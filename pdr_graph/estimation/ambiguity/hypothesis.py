@@ -69,7 +69,7 @@ class Proposal:
 
     measurements: the kinds that it changes, under the hypothesis; start: where the search starts, by default at the
     walk so far; fresh: symbols of the variables that do not keep their values.
-    anew: the search starts as the first one did.
+    anew: the search starts as the first search did.
     another_walker: the walk has the other prior of `Prior.another`, and its measurements are classified anew.
     """
 

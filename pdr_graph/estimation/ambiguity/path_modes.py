@@ -138,7 +138,7 @@ def alternative_endings(graph: WalkGraph, state: State, solution: Solution, last
 def path_starts(graph: WalkGraph, attempt: int = 0) -> list[State]:
     """Starts for the optimiser: the middle path of each mode, the heaviest mode first.
 
-    attempt: 0, 1, …; each attempt draws other particles, twice as many as the one before.
+    attempt: 0, 1, …; each attempt draws other particles, twice as many as the attempt before.
     """
     return mode_starts(graph, particle_filter(graph, seed=attempt, times=2**attempt))
 

@@ -403,7 +403,7 @@ class Measurement(ABC):
     """A measurement kind: all its instances on one walk. Subclasses are frozen.
 
     name: in reports, decisions and blocks; determines_position: True if it measures absolute positions; overhang: time
-    [s] by which an instance may lie before or after the steps; price: cost of the association with rooms or ways, in
+    [s] by which an instance may lie before or after the steps; price: cost of the association with rooms or paths, in
     addition to the residuals [half a squared sigma].
     A kind that is made from data has ``of(data, steps, prior, number)`` too, see `register`. What else a kind may do is
     an interface below, which it inherits.
@@ -416,7 +416,7 @@ class Measurement(ABC):
 
     @property
     def determines_drift(self) -> bool:
-        """True if it determines the gyroscope's drift, so that the search finds one however large."""
+        """True if it determines the gyroscope's drift, so that the search finds any drift."""
         return False
 
     def keyframe_times(self) -> Array:

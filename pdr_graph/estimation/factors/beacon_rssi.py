@@ -17,7 +17,7 @@ of it and ε a bound for whatever else made it silent,
     P(silent) = ε + (1 − ε) Φ((weakest − e) / within),      to the power (within / level_sigma)², as it is correlated.
 
 A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels and
-silences with those expected at every possible place. One that is never received may be off.
+silences with those expected at every possible place. A beacon that is never received may be off.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         return {"beacon": self._identity, "position": self.position, "prior": self.prior}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Apply earlier decisions: positions and priors of beacons. One that is received is not off."""
+        """Apply earlier decisions: positions and priors of beacons. A received beacon is not off."""
         if not decisions:
             return self
         same, rows = np.nonzero(decisions["beacon"][:, None] == self._identity)
@@ -187,7 +187,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
     def _silent(self) -> tuple[Index, Index, Index]:
         """Keyframe, beacon and permanent number ``(n,)`` of each silence: at this keyframe, others are received.
 
-        Only the beacons nearest to the strongest one are counted.
+        Only the beacons nearest to the strongest beacon are counted.
         """
         levels, place = np.flatnonzero(self.keyframe >= 0), self.prior[:, :2]
         levels = levels[np.lexsort((-self.listed.rssi[levels], self.keyframe[levels]))]

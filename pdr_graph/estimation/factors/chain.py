@@ -579,7 +579,7 @@ class Evaluation:
 
     @property
     def surprise(self) -> float:
-        """The negative log posterior: the cost plus the price of the rooms and ways."""
+        """The negative log posterior: the cost plus the price of the rooms and paths."""
         return self.cost + sum(kind.price for kind in self.measurements)
 
     @cached_property

@@ -3,7 +3,7 @@
 A robust loss handles scattered outliers. Consecutive outliers that agree with one another (a receiver locked to a
 reflection, a wrongly listed beacon) bend the walk until the good fixes beside them look wrong, and no loss recovers
 from there. But a walk through them must jump twice. So the longest chain of fixes is used first in which each is within
-reach of the one before.
+reach of the run before.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
 
     fixes: all of them, ``f``; steps: of their walk; number: ``(f,)`` permanent numbers.
     sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, new and not frozen;
-    duplicate: ``(f,)`` epochs that repeat the one before; still: ``(f,)`` of a frozen receiver, see `frozen`.
+    duplicate: ``(f,)`` epochs that repeat the epoch before; still: ``(f,)`` of a frozen receiver, see `frozen`.
     run: ``(f,)`` number of the run of fixes within reach of each other, −1 for unused ones; consistent: ``(f,)`` in the
     longest chain that one walk can have made.
     independent_sigma: ``(f,)`` wider, so that correlated fixes of one receiver may be treated as independent [m].
@@ -132,7 +132,7 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
 
     @property
     def determines_drift(self) -> bool:
-        """True for four fixes or more: a walk of any drift fits two, and one of another direction or length three."""
+        """True for four fixes or more: two fit any drift, three another direction or length."""
         return int(self.used.sum()) > 3
 
     def keyframe_times(self) -> Array:

@@ -9,7 +9,7 @@ sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of st
 with ω = RECEIVERS.white, v the recent walking velocity. g is a Gauss–Markov process of sigma σ₀
 about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
 under a roof. Its sigma is RECEIVERS.throughout of the receiver's median σ₀. The process runs in units of `drift`, with
-correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
+correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse fixes among them is
 common to them as well.
 
 Indoors receivers smooth their positions over minutes and follow a walk only in part: of three in a museum (IPIN 2023)

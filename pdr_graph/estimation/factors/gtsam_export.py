@@ -187,7 +187,7 @@ def guarded(
 ) -> gtsam.CustomFactor:
     """A ``gtsam.CustomFactor`` whose callback cannot corrupt the solver.
 
-    linearized: values → residual ``(r,)`` and one block ``(r, 3)`` per key. The guard checks shapes and finiteness and
+    linearized: values → residual ``(r,)`` and a block ``(r, 3)`` per key. The guard checks shapes and finiteness and
     fills every block: in gtsam 4.3.0 an unset block crashes the process, a wrong shape is accepted silently, and a NaN
     ends the optimiser silently.
     """

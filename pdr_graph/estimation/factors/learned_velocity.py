@@ -124,7 +124,7 @@ class LearnedVelocityFactor(Refined, Doubted):
         return (Variables(self.symbol, np.arange(len(rows)), rows, np.full(len(rows), np.inf)),)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Factors of the intervals, and of the frame's angle from one segment to the next."""
+        """Factors of the intervals, and of the frame's angle between segments."""
         if self.angle is None:
             return []
         k, chain, nodes = self._used, at.chain, at.state[self.symbol]
@@ -152,7 +152,7 @@ class LearnedVelocityFactor(Refined, Doubted):
         return [block, *self._of_nodes(at, nodes)]
 
     def _of_nodes(self, at: Evaluation, nodes: Array) -> Iterator[FactorBlock]:
-        """Priors of the first angle in each frame, and factors from each segment to the next one in it."""
+        """Priors of the first angle in each frame, and factors between consecutive segments in it."""
         begins = np.append(True, self.frame[1:] != self.frame[:-1])
         first, later = np.flatnonzero(begins), np.flatnonzero(~begins)
         off, widths = nodes[first].copy(), np.tile([2 * np.pi, 1.0, 1.0], (len(first), 1))

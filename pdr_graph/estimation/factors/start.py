@@ -103,13 +103,13 @@ class HeavyTail(Loss):
     −log[(1 − ν) N(s; 0, 1) + ν N(s; 0, far)] + constant, ν = WALKER.drifting. Its weight is the mean information of
     the two, each with its probability at s; it has one minimum.
 
-    far: ``(n,)`` sigma of the rare one, in those of the usual one.
+    far: ``(n,)`` sigma of the rare density, in sigmas of the usual density.
     """
 
     far: Array
 
     def _logarithms(self, deviation: Array) -> tuple[Array, Array]:
-        """Logarithms ``(n,)`` of both densities at deviations ``(n,)``, less that of the usual one at 0."""
+        """Logarithms ``(n,)`` of both densities at deviations ``(n,)``, less that of the usual density at 0."""
         odds = WALKER.drifting / (1 - WALKER.drifting)
         return -0.5 * deviation**2, np.log(odds / self._far) - 0.5 * (deviation / self._far) ** 2
 

@@ -91,7 +91,7 @@ class WallFactor(OnPlan, Refined):
         return distance, gradient
 
     def residual(self, at: Evaluation) -> tuple[Array, Array]:
-        """A spring that keeps steps clear of walls, and a stiff one that keeps bodies out of them, whitened:
+        """A spring that keeps steps clear of walls, and a stiff spring that keeps bodies out of them, whitened:
 
             r = max(0, margin − d(p)) / σ + max(0, WALLS.body − d(p)) / σ_body
 

@@ -109,7 +109,7 @@ class BatchSolution:
     """The most probable walk so far.
 
     path: at its start and the ends of its pieces; decisions: about measurements, by kind; sure: no other path is
-    likely, and the direction is certain; ways: all paths that remain, at the end, in all directions unless `directed`:
+    likely, and the direction is certain; ways: all modes that remain, at the end, in all directions unless `directed`:
     each has a direction; headings: numbers of those that it used.
     """
 
@@ -122,7 +122,7 @@ class BatchSolution:
 
 
 def solve_batch(build: Callable[[], WalkGraph], numbers: dict[str, Index]) -> BatchSolution:
-    """The most probable walk, with a test whether it is certain, and the other ways that remain.
+    """The most probable walk, with a test whether it is certain, and the other modes that remain.
 
     build: makes the graph of the window; numbers: permanent numbers of its rows, by kind.
     """
@@ -210,7 +210,7 @@ class LiveAmbiguity:
     # Start and direction: the batch of the window
 
     def solve_by_batch(self) -> bool:
-        """Adopt a solution of the batch that is due, and ask for one while the direction is open.
+        """Adopt a solution of the batch that is due, and ask for another while the direction is open.
 
         Returns True if a solution was adopted.
         """
@@ -332,9 +332,9 @@ class LiveAmbiguity:
             self.restart()
 
     def doubt_new_fixes(self) -> None:
-        """Ask the batch for another path if a new fix is some sigmas from the present one, or in an area behind a wall.
+        """Ask the batch for another path if a new fix is some sigmas off the present path, or in an area behind a wall.
 
-        A fix where nobody can walk counts as the nearest place where one can: in a corridor, most fixes are beyond its
+        A fix where nobody can walk counts as the nearest walkable place: in a corridor, most fixes are beyond its
         walls, and no other path leads there.
         """
         graph, window, (fixes, numbers) = self.graph, self.graph.window, self.graph.log.rows_and_numbers(Fixes)
@@ -408,7 +408,7 @@ class LiveAmbiguity:
         self._try(alternative, SCHEDULE.batch_rounds)
 
     def _try(self, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> None:
-        """Compare an alternative with the present path on a copy, and adopt the better one later."""
+        """Compare an alternative with the present path on a copy, and adopt the better path later."""
         if not self.graph.window.intervals:
             return  # a single keyframe has no other path: the lag is shorter than the time between fixes
         question = partial(try_path, self.graph.frozen(), alternative, rounds)
@@ -488,7 +488,7 @@ class LiveAmbiguity:
         """At intervals, compare the sources over the recent past, and adopt the result ``waiting`` [s] later.
 
         That is the most probable of what they get wrong; what else remains possible widens the stated covariance.
-        before: assumptions that are kept unless others are clearly better; by default the present ones.
+        before: assumptions that are kept unless others are clearly better; by default the present assumptions.
         """
         graph, window, now = self.graph, self.graph.window, self.graph.window.times[-1]
         if self.sources.idle and now >= self.next_comparison and self.history.has_position(now):

@@ -1,9 +1,9 @@
-"""Output of a live smoother: the current pose, the ways that remain, the walk so far with covariance, reports.
+"""Output of a live smoother: the current pose, the modes that remain, the walk so far with covariance, reports.
 
 The current pose is predicted by extended Kalman filters from the last keyframe through later steps and fixes: one if
-the direction of the walk is certain, else one for each way that remains (`Modes`). These begin at the first fix, in all
+the direction of the walk is certain, else one per mode that remains (`Modes`). These begin at the first fix, in all
 directions; each fix corrects them, the headings known by now what is shown, and each solution of the batch replaces
-them. Ways whose present position is inside walls count less, as long as they are there. Before the first steps, where
+them. Modes whose present position is in walls count less, as long as they are there. Before the first steps, where
 no steps can be detected and where fixes go away from them, the position is that of the fixes alone (`FixesAlone`).
 """
 
@@ -103,7 +103,7 @@ class Belief:
 
 
 def single_mode(mean: Array, covariance: Array) -> GaussianMixture:
-    """The mixture of one Gaussian: mean ``(6,)``, covariance ``(6, 6)`` of (x, y, θ, R_s, R_d, b)."""
+    """The mixture of a single Gaussian: mean ``(6,)``, covariance ``(6, 6)`` of (x, y, θ, R_s, R_d, b)."""
     return GaussianMixture(mean[None], covariance[None], np.zeros(1), np.zeros(1, dtype=np.intp))
 
 
@@ -140,7 +140,7 @@ def predict(
 ) -> GaussianMixture:
     """Predict the mixture from ``begin`` to ``end`` [s] through the steps and fixes between, in order of time.
 
-    After an unknown turn, a single hypothesis becomes one for each direction.
+    After an unknown turn, a single mode is split into all directions.
 
     whole, start: of the steps, see `intervals`; receiver: of all fixes, if the mixture is of what it states.
     """
@@ -335,7 +335,7 @@ class LiveOutput:
         return placed or bool(self.fixes_between(-np.inf, until))
 
     def mixture(self, tail: Steps | None = None, until: float | None = None) -> GaussianMixture:
-        """The ways that remain at ``until`` [s], by default now: predicted through the steps and fixes since.
+        """The modes that remain at ``until`` [s], by default now: predicted through the steps and fixes since.
 
         tail: provisional steps.
         """
@@ -368,7 +368,7 @@ class LiveOutput:
         return replace(ways, covariance=stated)
 
     def _with_others(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
-        """The way of the graph at ``end`` [s], first, and those of particles elsewhere, until the next fix."""
+        """The mode of the graph at ``end`` [s], first, and those of particles elsewhere, until the next fix."""
         particles, start = self.particles, self.graph.window.steps.start
         if particles is None or particles.elsewhere is None:
             return ways
@@ -383,13 +383,13 @@ class LiveOutput:
         return GaussianMixture(mean, covariance, weight, every).take(every)
 
     def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
-        """Expectation over the ways that remain, see `mixture`, in the walkable area."""
+        """Expectation over the modes that remain, see `mixture`, in the walkable area."""
         return self.expected(self.mixture(tail, until))
 
     def expected(self, ways: GaussianMixture) -> Belief:
-        """Expectation over ways, or the first once the walk is certain, in the walkable area.
+        """Expectation over modes, or the first once the walk is certain, in the walkable area.
 
-        The covariance of all ways is about the position that is given.
+        The covariance of all modes is about the position that is given.
         """
         mean, covariance = ways.about(ways.mean[0]) if self.sure else ways.expectation()
         plan = self.graph.window.located_plan
@@ -400,7 +400,7 @@ class LiveOutput:
         return Belief(moved, covariance + np.outer(moved - mean, moved - mean))
 
     def keyframe_belief(self) -> GaussianMixture:
-        """State of the last keyframe and its calibration, on the most probable way."""
+        """State of the last keyframe and its calibration, of the most probable mode."""
         graph, window = self.graph, self.graph.window
         if self._last is None or self._last[0] is not graph.at:
             joint, solution = np.zeros((6, 6)), graph.isam

@@ -94,7 +94,7 @@ class ParallelParticleFilter:
 
 
 def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> GaussianMixture | None:
-    """The ways of the particles that are not where the graph is, with the logarithm of their share; None without any.
+    """The paths of particles that are not where the graph is, with the logarithm of their share; None without any.
 
     middles: the middle particle of each mode; a particle belongs to the nearest. position: of the graph ``(2,)`` [m].
     """

@@ -5,7 +5,7 @@ A review solves the last minutes of the walk in the batch's bank. The window ado
 for the whole walk, and its evidence may be older than the history: see `HypothesisBank.remember`.
 
 A walk without any position is sought on the whole plan (`localized`), again and again while it goes on. Until one place
-is certain, its solutions are the ways that remain; then that place is a fix and a heading like any others.
+is certain, its solutions are the modes that remain; then that place is a fix and a heading like any others.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Review:
 
     findings, decisions: to adopt, of the best walk; path: its keyframes; excess: for the covariance that is stated, by
     the other walks that remain, none under a plan; None if that of the review before holds; ways: those of the
-    decisions that are about ways outdoors.
+    decisions that are about paths outdoors.
     """
 
     findings: Findings
@@ -170,7 +170,7 @@ class History:
     ) -> Callable[[], Review]:
         """The review of the recent past before ``now`` [s], see `compare_sources`; older data are dropped.
 
-        paths: ways outdoors, also beyond it.
+        paths: streets and paths outdoors, also beyond it.
         """
         steps = self._forget(now - self.span)
         data = self.log.until(steps.end)

@@ -635,7 +635,7 @@ def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str,
 
 
 def merged_decisions(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
-    """The new decisions, and the old ones about instances that have no new one."""
+    """The new decisions, and the old decisions about all other instances."""
     if "number" not in new or not old or np.array_equal(old["number"], new["number"]):
         return new
     kept = ~np.isin(old["number"], new["number"])

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from pdr_graph.gait.heading import Direction, forward_axis
 from pdr_graph.gait.steps import gait_signals, uninterrupted
 from pdr_graph.geometry import as_complex, interpolate
-from pdr_graph.inertial.attitude import Attitude, attitude_of, required, runs
+from pdr_graph.inertial.attitude import Attitude, required, runs
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import workbook_columns
 from pdr_graph.lab.papers.attitude_filters import imu_filter
@@ -56,14 +55,7 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
     reheld = [reheld_walk(n) for n in range(8 * len(experiments))]
     by_hold = {hold: [t for trials in experiments for t in trials[n :: len(HOLDS)]] for n, hold in enumerate(HOLDS)}
     groups = _simulated_and_real(by_hold, real_trials(data) if data else {})
-    movements = {name: [movement(trial) for trial in trials] for name, trials in groups.items()}
-    return (
-        _table_1(experiments, reheld),
-        _readings(by_hold),
-        _real_phones(groups),
-        _movements(movements),
-        _by_ratio(groups, movements),
-    )
+    return _table_1(experiments, reheld), _real_phones(groups)
 
 
 # Sec. 5: trials
@@ -143,14 +135,6 @@ def _of_gait(recording: Recording) -> tuple[Attitude, Direction]:
     return gait.attitude, AbsoluteDirection(heading + ahead.angle, gait.direction.variance)
 
 
-def _with_smoothed_attitude(
-    method: Callable[[Attitude, float], Direction], recording: Recording
-) -> tuple[Attitude, Direction]:
-    """The same with the attitude of this package instead of the IMU filter's."""
-    attitude = attitude_of(recording)
-    return attitude, method(attitude, 0.0)
-
-
 Method = Callable[[Recording], tuple[Attitude, Direction]]
 METHODS: dict[str, Method] = {
     "acceleration PCA": partial(_of_paper, acceleration_axis),
@@ -216,46 +200,16 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         f"{len(experiments)} x {TRIALS} simulated trials",
         ("method (paper's figure)", *HOLDS, "re-held in mid-walk"),
         tuple(rows),
-        "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
-        "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
-        "Evaluated while walking. The trials of a hold have different walkers. A half turn in a few trials decides a "
-        "mean: by acceleration, the paper's figures of trouser pocket and bag are within the range of ten experiments; "
-        "those of hand and breast pocket are not, and the next tables say why.",
+        "As in the paper: IMU filter, 25 Hz, windows of 65 samples, initial direction from the truth (the last "
+        "method gets none). Principal components are of the level plane, as in Figs. 6 and 7. A half turn in a few "
+        "trials decides a mean: the axis is undetermined where the fore-aft acceleration is less than 1.25 times the "
+        "lateral one, as in many simulated hands and breast pockets.",
     )
 
 
 def _mean_rms(trials: Sequence[Array]) -> str:
     """The mean of the trials' root mean square errors [deg] as a cell."""
     return f"{np.mean([rms(error) for error in trials]):.1f}"
-
-
-# What the paper leaves open
-
-
-def _readings(by_hold: dict[str, list[Trial]]) -> ResultTable:
-    """Mean errors with each reading of what the paper leaves open."""
-    rows = list[tuple[str, ...]]()
-
-    def row(label: str, method: Method, view: Callable[[Array], Array] = lambda error: error) -> None:
-        means = (_mean_rms([view(errors(trial, method)) for trial in trials]) for trials in by_hold.values())
-        rows.append((label, *means))
-
-    for name, axis in (("acceleration PCA", acceleration_axis), ("angular-rate PCA", angular_rate_axis)):
-        row(f"{name}: level components, errors not wrapped", METHODS[name])
-        row("– three components", partial(_of_paper, partial(axis, axes=3)))
-        row("– errors wrapped to ±180°", METHODS[name], lambda error: (error + 180) % 360 - 180)
-        row("– error of the axis: half turns removed", METHODS[name], without_half_turns)
-        row("– error of the axis, attitude by pdr_graph", partial(_with_smoothed_attitude, axis), without_half_turns)
-        rows.append(("– published", *map(str, PUBLISHED[name])))
-    return ResultTable(
-        "heading-readings",
-        "The same simulated trials by each reading of [heading] Secs. 4.1, 4.2 and Eq. 2: mean RMS [deg]",
-        ("reading", *HOLDS),
-        tuple(rows),
-        "The text applies PCA to three components, whose first is mostly the bounce; the figures show the level plane. "
-        "Published greatest errors above 180° exclude wrapped errors. In the hand even the axis without its half turns "
-        "is less accurate than the published direction, also with another attitude: the cause is the movement.",
-    )
 
 
 # Real phones
@@ -332,61 +286,6 @@ def _evaluated(recording: Recording, time: Array, heading: Array, walking: Mask,
             return
 
 
-@dataclass(frozen=True)
-class Movement:
-    """How a phone moves on straight parts of a walk.
-
-    acceleration: ``(3,)`` fore-aft, lateral and vertical [m/s²]; rate: ``(3,)`` of roll (about the fore-aft axis),
-    pitch and yaw [rad/s]; standard deviations without what is slower than a stride. step, stride: of the fore-aft
-    acceleration near the frequency of the steps, and of the lateral one near that of the strides [m/s²].
-    """
-
-    acceleration: Array
-    rate: Array
-    step: float
-    stride: float
-
-    @property
-    def fore_aft(self) -> float:
-        """Fore-aft by lateral acceleration: acceleration PCA needs more than 1."""
-        return float(self.acceleration[0] / self.acceleration[1])
-
-    @property
-    def pitch(self) -> float:
-        """Rate of pitch by that of roll: angular-rate PCA needs more than 1."""
-        return float(self.rate[1] / self.rate[0])
-
-
-def movement(trial: Trial) -> Movement:
-    """The movement of the phone in a trial, in axes of the walker by the direction of this package."""
-    gait = gait_signals(trial.recording)[0]
-    attitude, heading = gait.attitude, gait.direction.heading
-    evaluated = np.interp(attitude.time, trial.time, trial.walking) > 0.5
-    first = int(np.argmax(evaluated))
-    x, y, _ = attitude.R_world_device[first].apply(trial.ahead)
-    turning = np.abs(gaussian_filter1d(np.gradient(heading, attitude.period), 0.5 * RATE))
-    straight = turning[evaluated] < np.radians(15)
-
-    def in_axes_of_walker(vectors: Array) -> Array:
-        world = attitude.R_world_device.apply(vectors)
-        level = as_complex(world) * np.exp(-1j * (heading - heading[first] + np.arctan2(y, x)))
-        axes = np.stack([level.real, level.imag, world[:, 2]], axis=1)
-        return (axes - gaussian_filter1d(axes, 1.3 * RATE, axis=0))[evaluated]
-
-    acceleration, rate = in_axes_of_walker(attitude.acceleration), in_axes_of_walker(attitude.angular_rate)
-    step = gait.landings.usual_step / attitude.period
-    spread = acceleration[straight].std(axis=0), rate[straight].std(axis=0)
-    return Movement(*spread, _near(acceleration[:, 0], 1 / step), _near(acceleration[:, 1], 0.5 / step))
-
-
-def _near(signal: Array, frequency: float) -> float:
-    """Root mean square of a signal within 20 % of a frequency [1/sample]."""
-    window = np.hanning(len(signal))
-    near = np.abs(np.fft.rfftfreq(len(signal)) / frequency - 1) < 0.2
-    power = np.abs(np.fft.rfft(signal * window)[near]) ** 2
-    return float(np.sqrt(2 * power.sum() / (len(signal) * np.sum(window**2))))
-
-
 BESIDE = {  # a simulated hold and the real phones carried like it
     "hand": ("Microsoft, hand", "RIDI, hand"),
     "trouser pocket": ("RIDI, trouser pocket",),
@@ -426,67 +325,7 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
         "The same methods with real phones: mean RMS [deg], not wrapped; axis: half turns removed",
         ("phones", "walks", "acceleration PCA", *columns, "angular-rate PCA", *columns, "accumulation", "pdr_graph"),
         tuple(rows),
-        "Of each real walk the first 45 s (at least 20 s) without a stop and without turning back, at 25 Hz, initial "
-        "direction given. Truth of RIDI: a camera; loops of several corners; without the two walks that its page calls "
-        "sideways. Reference of Microsoft's walks: direction of pdr_graph, y axis ahead, as waypoints are too close to "
-        "each other for a direction at each moment; by the same gyroscope, so it does not judge accumulation.",
-    )
-
-
-def _movements(groups: dict[str, list[Movement]]) -> ResultTable:
-    """How simulated and real phones move."""
-    rows = list[tuple[str, ...]]()
-    for name, movements in groups.items():
-        cells = [f"{v:.2f}" for v in np.mean([[*m.acceleration, *m.rate] for m in movements], axis=0)]
-        for amplitudes in ([m.step for m in movements], [m.stride for m in movements]):
-            cells.append(f"{np.mean(amplitudes):.2f} ({100 * np.std(np.log(amplitudes)):.0f} %)")
-        for ratios in ([m.fore_aft for m in movements], [m.pitch for m in movements]):
-            low, median, high = np.percentile(ratios, [5, 50, 95])
-            cells.append(f"{median:.2f} ({low:.2f} to {high:.2f})")
-        rows.append((name, *cells))
-    header = ("fore-aft [m/s²]", "lateral [m/s²]", "vertical [m/s²]", "roll [rad/s]", "pitch [rad/s]", "yaw [rad/s]")
-    bands = "fore-aft at the steps [m/s²]", "lateral at the strides [m/s²]"
-    return ResultTable(
-        "heading-movement",
-        "How the phones move where their walkers go straight: mean standard deviations, in brackets their spread "
-        "between walks; ratios: median (5 to 95 % of the walks)",
-        ("phones", *header, *bands, "fore-aft / lateral", "pitch / roll"),
-        tuple(rows),
-        "The simulated hand differs from real hands in three ways. It sways more at the strides. This sway and the "
-        "push at the steps vary more than three times as much between walks, so that in many the lateral acceleration "
-        "is the larger one. And it rolls as much as it pitches, as RIDI's do, while Microsoft's pitch more than twice "
-        "as much. How many people walked for Microsoft is not known.",
-    )
-
-
-RATIOS = (0.0, 1.0, 1.25, 1.5, 1.75, 2.0, np.inf)
-STEADY = ("hand", "breast pocket", "at the body")  # neither swung nor hanging
-
-
-def _by_ratio(groups: dict[str, list[Trial]], movements: dict[str, list[Movement]]) -> ResultTable:
-    """Errors of the principal components by the ratio of the movements that they compare."""
-    columns = list[list[str]]()
-    for real in (False, True):
-        names = [n for n in groups if n.endswith(STEADY) and n.startswith("simulated") != real]
-        trials = [trial for name in names for trial in groups[name]]
-        moves = [each for name in names for each in movements[name]]
-        for method, ratios in (
-            ("acceleration PCA", [m.fore_aft for m in moves]),
-            ("angular-rate PCA", [m.pitch for m in moves]),
-        ):
-            by_trial, interval = [errors(trial, METHODS[method]) for trial in trials], np.digitize(ratios, RATIOS[1:])
-            within = ([by_trial[k] for k in np.flatnonzero(interval == n)] for n in range(len(RATIOS) - 1))
-            columns.append([f"{_mean_rms(some)} ({len(some)})" if some else "" for some in within])
-    labels = [f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}" for low, high in pairwise(RATIOS)]
-    methods = "acceleration PCA by fore-aft / lateral", "angular-rate PCA by pitch / roll"
-    header = (f"{kind}: {method}" for kind in ("simulated", "real") for method in methods)
-    return ResultTable(
-        "heading-by-ratio",
-        "Hand, breast pocket, at the body: mean RMS [deg] (walks) by the ratio of the movements that a method compares",
-        ("ratio", *header),
-        tuple(zip(labels, *columns, strict=True)),
-        "Simulated and real phones agree: the error depends on the ratio. Acceleration PCA comes near the 20.3° that "
-        "the paper has in the hand where the fore-aft acceleration is over 1.75 times the lateral one, as in 3 of 19 "
-        "real hands. Below 1.25 the axis is not determined; it wanders, and the rule of the nearer side keeps each "
-        "half turn. The paper does not state the ratio of its walkers.",
+        "The first 45 s (at least 20 s) of each real walk without a stop and without turning back, at 25 Hz. Truth "
+        "of RIDI: a camera. Microsoft's waypoints give no direction at each moment: their reference is pdr_graph's "
+        "direction by the same gyroscope, so it does not judge accumulation.",
     )

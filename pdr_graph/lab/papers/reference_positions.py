@@ -98,20 +98,14 @@ def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     return ResultTable("false-encounter", title, header, tuple(rows), NOTE_FALSE)
 
 
-NOTE_REFERENCES = """The paper publishes no figure for this. Known to all methods are place and direction of the
-start, with errors of 0.75 m and 0.2 rad as stated. Of two who meet, here who has walked less since a known place
-takes the other's position, at the level of a metre or more; a beacon's, within 2 m by its level. Halls differ from the
-typical path loss by 8 dB, which the paper's method cannot know, and it keeps the wrong direction of the start; the
-graph estimates both, and uses later references too, but for the end of a walk. Extent: spread of the estimated
-positions of a walk by that of the true ones.
+NOTE_REFERENCES = """The paper publishes no figure for this. Place and direction of the start are known, with errors of
+0.75 m and 0.2 rad. Of two people who meet, the paper's method lets the person who has walked less since a known place
+take the other's position. Halls differ from the typical path loss by 8 dB, which only the graph estimates. Extent:
+spread of the estimated positions of a walk by that of the true positions.
 
-Encounters at ten metres (from −85 dBm on; sigma by the level) are wrong and sure in this hall: the walks contract, and
-nothing says so; the lifelog uses close ones. Two causes, on seeds 0 and 1: pairs that met at 5 m by their level were 10
-and 14 m apart (medians), since far pairs are many; and "at one place, give or take" contracts walks even with the true
-distances as sigma (15 and 27 % in the region; only those below 3 m: 100 and 100 %). The same holds for fixes at a
-terminal; as a beacon, by levels, it needs no such rule. Beacons by themselves leave the region too small, since the
-search ends in one of several optima: in two of three walks a search from the truth ends at costs lower by 3.1 and
-7.0."""
+Encounters at ten metres (from −85 dBm on) contract the walks, and nothing says so; the lifelog uses close ones. Far
+pairs are many, so pairs that met at 5 m by their level were 10 and 14 m apart (medians). Beacons by themselves leave
+the region too small, since the search ends in one of several optima."""
 NOTE_FALSE = """Of 142 close encounters between walkers (67, 4, 6 and 65 in the four halls) 15 are false, of 2457 at ten
 metres 251. The robust loss rejects half of the close ones (weight below a tenth), and all if there are other
 references; of those at ten metres 4 %, since 20 to 40 m are 3 to 5 of their largest sigmas."""

@@ -188,13 +188,10 @@ def _cells(outcomes: list[Outcome]) -> tuple[str, ...]:
 
 
 NOTE = (
-    "The paper prints a figure of one run and no errors. It does not mention gravity: here the mean vertical "
-    "acceleration at rest is subtracted. x is the axis of the phone, which the paper assumes to face magnetic north. "
-    "The simulated castors vibrate with 0.05 rad/s and 0.6 m/s² at 0.5 m/s (chosen by hand); the switch depends on "
-    "them. By the paper's method the cart is far off for three reasons, which the rows remove one by one. (1) A sample "
-    "of the movement at or below λ sets the velocity to 0 and takes the attitude from a vibrating accelerometer. "
-    "(2) The gyroscope's bias, of which λ is mostly made, tilts the attitude while the cart moves. (3) One sample of "
-    "the accelerometer sets the tilt of a whole movement. The gyroscope with 0.4 of the errors gives the paper's λ; "
-    "nothing else is fitted. The product requires a small spread for 1.5 s, so that it misses the ends of rests; it "
-    "integrates no acceleration itself."
+    "The paper prints one run and no errors. The mean vertical acceleration at rest is subtracted. Simulated castors "
+    "vibrate with 0.05 rad/s and 0.6 m/s² at 0.5 m/s (chosen by hand). The rows remove three errors of the paper's "
+    "method one by one. (1) A sample of the movement at or below λ sets the velocity to 0 and takes the attitude "
+    "from a vibrating accelerometer. (2) The gyroscope's bias, of which λ is mostly made, tilts the attitude while "
+    "the cart moves. (3) One sample of the accelerometer sets the tilt of a whole movement. The product requires a "
+    "small spread for 1.5 s, so it misses the ends of rests."
 )
