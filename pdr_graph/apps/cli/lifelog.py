@@ -208,7 +208,7 @@ Tiles = Annotated[
     ),
 ]
 Folder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder of page, picture and tables; default: beside STORE.")
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder of page and tables; default: beside STORE.")
 ]
 
 
@@ -231,9 +231,9 @@ def show(
 ) -> None:
     """Show a day, week, month, year, place or person.
 
-    Prints a list or a table of at most 100 columns, and writes overview.html, overview.png and tables to a folder that
-    only its owner can read; of one person's day also report.html, to play with. Several persons share one calendar.
-    --person alone shows all days of that person. With --json files are written only with --out.
+    Prints a list or a table of at most 100 columns, and writes overview.html and tables to a folder that only its owner
+    can read. The page has a calendar, maps and tables; that of one person's day moves. Several persons share one
+    calendar. --person alone shows all days of that person. With --json files are written only with --out.
 
     \b
     pdr-graph lifelog show days.db
@@ -251,7 +251,7 @@ def show(
     from pdr_graph.apps.lifelog.show import show as shown
 
     if tiles:
-        from pdr_graph.apps.lifelog.maps import check_template  # imports matplotlib, which is slow
+        from pdr_graph.apps.lifelog.maps import check_template  # imports scipy, which is slow
 
         check_template(tiles)
     choice = Choice(tuple(person or ()), period_of(date, week, month, year), place, guess_home)
