@@ -126,6 +126,13 @@ def test_walks_far_apart_have_enlarged_maps_and_walks_near_each_other_share_one(
         assert any((place.corners[0] < way[0].position[0]).all() for way in place.ways)
 
 
+def test_a_time_without_data_is_drawn_on_every_map_that_it_leaves():
+    later = outing(STROLL, epoch=MIDNIGHT + 15 * HOUR, start=(30_000.0, 0.0))
+    parts, _ = drawn(overview_of(day(outing(STROLL), later)))
+    dotted = [[path for path in one.iter("path") if "unseen" in path.get("class", "")] for one in maps_of(parts)]
+    assert [len(paths) for paths in dotted] == [1, 1, 1]
+
+
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=20, deadline=None)
 def test_every_walk_is_on_some_map(seed):

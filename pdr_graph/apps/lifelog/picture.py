@@ -22,7 +22,7 @@ from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDIN
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, YEAR
 from pdr_graph.apps.lifelog.maps import Dot, DrawnPart, MercatorFrame, Panel, TileServer, panels, short_name
-from pdr_graph.apps.lifelog.overview import Overview, distance_text, entry_text
+from pdr_graph.apps.lifelog.overview import Overview, distance_text, entry_text, fitted
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
 from pdr_graph.apps.lifelog.reconstruct import building_of
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
@@ -179,22 +179,19 @@ def _rows(shown: Overview, links: Links) -> Picture:
     drawn, offsets = [], dict[str, float]()
     for n, (on, who, day) in enumerate(rows):
         top, middle = HOURS + n * high, HOURS + n * high + high / 2 + 4
-        name = f"{on:%a} {on}" if len(shown.persons) == 1 else f"{on:%a} {on:%m-%d}  {short_name(who)}"
+        name = f"{on:%a} {on}" if len(shown.persons) == 1 else f"{on:%a} {on:%m-%d}  {fitted(one_line(who), 9)}"
         label = text_tag(LEFT - 10, middle, name, class_="end")
         drawn.append(linked(links.day(who, day.date) if day else "", label))
-        drawn.append(tag("rect", x=LEFT, y=top + 3, width=24 * HOUR, height=high - 6, class_="empty"))
+        box = {"y": top + 3, "height": high - 6}
+        drawn.append(tag("rect", x=LEFT, width=24 * HOUR, class_="empty", **box))
         if day is None:
             continue
         for group, start, end, number in blocks(shown, on, day):
             title = tag("title", escape(entry_text(day.entries[number])))
-            place = {
-                "x": LEFT + start * HOUR,
-                "y": top + 3,
-                "width": max((end - start) * HOUR, 0.5),
-                "height": high - 6,
-            }
-            block = tag("rect", title, fill=BLOCK_COLOURS[group], **place)
-            drawn.append(linked(links.entry(day, number), block, class_="entry", data_n=number))
+            left, wide = LEFT + start * HOUR, max((end - start) * HOUR, 0.5)
+            block = tag("rect", title, x=left, width=wide, fill=BLOCK_COLOURS[group], **box)
+            address = links.entry(day, number) if len(rows) == 1 else links.day(who, day.date)
+            drawn.append(linked(address, block, class_="entry", data_n=number))
         drawn += [_names(day, on, middle)] if len(rows) == 1 else []
         x = LEFT + 24 * HOUR + 8
         if day.entries and offsets.get(who) != day.entries[-1].end_offset:
@@ -372,10 +369,15 @@ class MapArea:
         return bool(np.all((position >= self.low) & (position <= self.high)))
 
     def line(self, position: Array) -> str:
-        """Positions ``(n, 2)`` [m] as a path of SVG: the parts in the area and one size of it around, simplified."""
+        """Positions ``(n, 2)`` [m] as a path of SVG: the parts in the area and one size of it around, simplified.
+
+        A part goes on to the rows before and after it; a line of two rows, as that of a gap, is whole.
+        """
         margin, commands = self.high - self.low, ""
-        inside = np.flatnonzero(np.all((position > self.low - margin) & (position < self.high + margin), axis=1))
-        for own in np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1):
+        inside = np.all((position > self.low - margin) & (position < self.high + margin), axis=1)
+        near = inside | np.append(inside[1:], False) | np.append(False, inside[:-1]) | (len(position) == 2)
+        rows = np.flatnonzero(near)
+        for own in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if len(own) > 1:
                 simple = shapely.simplify(shapely.linestrings(self.pixels(position[own])), TOLERANCE)
                 commands += _commands(shapely.get_coordinates(simple))
