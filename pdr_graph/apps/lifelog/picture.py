@@ -34,7 +34,7 @@ from pdr_graph.notebook_html import BLUE, GREY, RED
 from pdr_graph.types import Array
 
 COLOURS = {WALKING: BLUE, VEHICLE: RED, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
-PAPER, LINE, WHITE = "#f7f6f2", "#c8c4ba", "#ffffff"
+PAPER = "#f7f6f2"
 WALK, RIDE, STAYED, NO_DATA_GROUP, UNSEEN = "walking", "riding", "staying", "no data", "no data within a stay"
 GROUPS = {
     WALKING: WALK,
@@ -104,7 +104,7 @@ class Picture:
 
 # [px]
 WIDTH, SPACE, LEFT, RIGHT = 1180.0, 10.0, 140.0, 250.0  # of the picture; between maps; beside the rows of days
-ROW, ONLY_ROW, TILE, HOURS = 24.0, 46.0, 18.0, 22.0  # a day, the only day, a day's tile, the line of hours
+DAY_ROW, ONLY_ROW, DAY_TILE, HOURS = 24.0, 46.0, 18.0, 22.0  # a day, the only day, a day's tile, the line of hours
 LETTER = 7.2  # width of a letter, on average
 MAP_HEIGHTS = (360.0, 470.0, 680.0)  # of a map: least; most beside others; most of the only one
 LONGEST_CALENDAR = 62  # of a calendar of many persons
@@ -174,7 +174,7 @@ def _rows(shown: Overview, links: Links) -> Picture:
     """
     known = {(day.date, day.person): day for day in shown.days}
     rows = [(on, who, known.get((on.isoformat(), who))) for on in shown.period.dates for who in shown.persons]
-    high = ONLY_ROW if len(rows) == 1 else ROW
+    high = ONLY_ROW if len(rows) == 1 else DAY_ROW
     longest = max([day.totals.walked for day in shown.days], default=0.0) or 1.0
     drawn, offsets = [], dict[str, float]()
     for n, (on, who, day) in enumerate(rows):
@@ -231,19 +231,21 @@ def _busy(shown: Overview, dates: Sequence[date]) -> Picture:
         present[row_of[day.date]] += quarters
     drawn, most = [], max(float(present.max(initial=0.0)), 1.0)
     for n, row in enumerate(present):
-        top, middle = HOURS + n * ROW, HOURS + n * ROW + ROW / 2 + 4
+        top, middle = HOURS + n * DAY_ROW, HOURS + n * DAY_ROW + DAY_ROW / 2 + 4
         name = WEEKDAYS[n] if weekly else f"{dates[n]:%a} {dates[n]:%m-%d}"
         drawn.append(text_tag(LEFT - 10, middle, name, class_="end"))
         quarter = 0
         for number, same in groupby(row.tolist()):
             x, lasts = LEFT + quarter * HOUR / 4, len(list(same))
             style = {"fill": RADIO, "fill_opacity": number / most}
-            drawn.append(tag("rect", x=x, y=top + 1, width=lasts * HOUR / 4, height=ROW - 2, **style) if number else "")
+            drawn.append(
+                tag("rect", x=x, y=top + 1, width=lasts * HOUR / 4, height=DAY_ROW - 2, **style) if number else ""
+            )
             quarter += lasts
         at = f", {int(row.argmax()) // 4:02d}:00" if row.any() else ""
         busiest = f"at most {count(int(row.max()), 'person')}{at}"
         drawn.append(text_tag(LEFT + 24 * HOUR + 8, middle, busiest, class_="soft"))
-    height = ROW * len(present)
+    height = DAY_ROW * len(present)
     return Picture("calendar", WIDTH, HOURS + height + 6, _hours_grid(height) + "".join(drawn))
 
 
@@ -283,14 +285,16 @@ def _year(shown: Overview, year: int, days: Mapping[str, DiaryDay], title: str, 
     walk is seen.
     """
     first = date(year, 1, 1)
-    drawn = [text_tag(0, HOURS + TILE, title, class_="bold")]
-    drawn += [text_tag(LEFT - 10, HOURS + (n + 0.75) * TILE, WEEKDAYS[n][:3], class_="end soft") for n in (0, 2, 4, 6)]
+    drawn = [text_tag(0, HOURS + DAY_TILE, title, class_="bold")]
+    drawn += [
+        text_tag(LEFT - 10, HOURS + (n + 0.75) * DAY_TILE, WEEKDAYS[n][:3], class_="end soft") for n in (0, 2, 4, 6)
+    ]
     for n in range((date(year + 1, 1, 1) - first).days):
         on = first + timedelta(days=n)
         column, row = (n + first.weekday()) // 7, on.weekday()
-        x, y, side = LEFT + column * TILE + 1, HOURS + row * TILE + 1, TILE - 2
+        x, y, side = LEFT + column * DAY_TILE + 1, HOURS + row * DAY_TILE + 1, DAY_TILE - 2
         if on.day == 1:
-            drawn.append(text_tag(x + (TILE if row else 0), HOURS - 8, f"{on:%b}", class_="soft"))
+            drawn.append(text_tag(x + (DAY_TILE if row else 0), HOURS - 8, f"{on:%b}", class_="soft"))
         tile = [tag("rect", x=x, y=y, width=side, height=side, class_="empty")]
         day, level = days.get(on.isoformat()), y + side
         hours = dict.fromkeys(BLOCK_COLOURS, 0.0)
@@ -304,7 +308,7 @@ def _year(shown: Overview, year: int, days: Mapping[str, DiaryDay], title: str, 
             tile += [tag("rect", x=x, y=level, width=side, height=high, fill=BLOCK_COLOURS[group])] if high else []
         text = tag("title", escape(f"{on:%a} {on}"))
         drawn.append(linked(links.day(day.person, day.date) if day else "", tag("g", text, *tile)))
-    return Picture("calendar", WIDTH, HOURS + 7 * TILE + 6, "".join(drawn))
+    return Picture("calendar", WIDTH, HOURS + 7 * DAY_TILE + 6, "".join(drawn))
 
 
 def _usual(person: str, place: Place, several: bool) -> Picture:
@@ -334,7 +338,7 @@ def _usual(person: str, place: Place, several: bool) -> Picture:
 
 # Maps
 
-TOLERANCE = 0.3  # [px] to which lines are simplified
+LINE_TOLERANCE = 0.3  # [px] to which lines are simplified
 MOST_TRACK_ROWS = 3000  # of the walker that moves on a map
 LEAST_HEAT, HEAT_STEP, HEAT_LEVELS = 1.0, 4.0, 6  # [s/m²] of all persons that a heat map shows; factor between levels
 HEAT = "#c03a1e"
@@ -379,13 +383,13 @@ class MapArea:
         rows = np.flatnonzero(near)
         for own in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if len(own) > 1:
-                simple = shapely.simplify(shapely.linestrings(self.pixels(position[own])), TOLERANCE)
+                simple = shapely.simplify(shapely.linestrings(self.pixels(position[own])), LINE_TOLERANCE)
                 commands += _commands(shapely.get_coordinates(simple))
         return commands
 
     def polygons(self, shapes: Array | shapely.Geometry) -> str:
         """Polygons [m] as a path of SVG, simplified."""
-        drawn = shapely.simplify(shapely.transform(shapely.union_all(shapes), self.pixels), TOLERANCE)
+        drawn = shapely.simplify(shapely.transform(shapely.union_all(shapes), self.pixels), LINE_TOLERANCE)
         return "".join(_commands(shapely.get_coordinates(r)) + "Z" for r in shapely.get_rings(shapely.get_parts(drawn)))
 
 
@@ -415,7 +419,7 @@ def draw_map(
         drawn.append(tag("rect", x=x0, y=y0, width=x1 - x0, height=y1 - y0, class_="outline"))
     hidden = [MapArea(low, high, size) for _, (low, high) in larger]
     dots = [dot for dot in panel.dots if ground.holds(dot.position) and not any(h.holds(dot.position) for h in hidden)]
-    start = tag("circle", r=4, fill=WHITE, stroke=BLUE)
+    start = tag("circle", r=4, fill="white", stroke=BLUE)
     pins = [
         *((corners[1], letter, "") for letter, corners in larger),
         *((dot.position, dot.label, mark) for dot, mark in _marks(dots, days, links)),
