@@ -109,7 +109,7 @@ def percent(probability: float) -> str:
 
 
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
-PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
+PAGES = ("report.html", "figure.png")  # results for a person to open, the most complete first
 
 
 def first_look(folder: Path) -> Path:

@@ -67,6 +67,13 @@ class ShownPage:
     def errors(self):
         return [entry["message"] for entry in self.browser.get_log("browser")]
 
+    @property
+    def asked_for(self):
+        """What was requested since, but for files and what the page itself contains; and how much in all."""
+        said = [json.loads(entry["message"])["message"] for entry in self.browser.get_log("performance")]
+        urls = [m["params"]["request"]["url"] for m in said if m["method"] == "Network.requestWillBeSent"]
+        return [url for url in urls if not url.startswith(("file:", "data:", "blob:"))], len(urls)
+
 
 class Page(ShownPage):
     """A report that is shown."""
@@ -87,13 +94,6 @@ class Page(ShownPage):
             when,
         )
         self.until("return window.shown")
-
-    @property
-    def asked_for(self):
-        """What was requested since, but for files and what the page itself contains; and how much in all."""
-        said = [json.loads(entry["message"])["message"] for entry in self.browser.get_log("performance")]
-        urls = [m["params"]["request"]["url"] for m in said if m["method"] == "Network.requestWillBeSent"]
-        return [url for url in urls if not url.startswith(("file:", "data:", "blob:"))], len(urls)
 
     @property
     def picture(self):

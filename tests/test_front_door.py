@@ -117,7 +117,7 @@ def test_a_walk_whose_accelerometer_ends_early_says_what_is_missing(tmp_path, fe
 
 
 def test_a_lifelog_is_shown_without_options(tmp_path, felt):
-    """The timeline on the terminal, and a folder named after the store with the report."""
+    """The timeline on the terminal, and a folder named after the store with the page."""
     walk = exported("phyphox", tmp_path, felt)
     assert run("lifelog", "add", "days.db", walk, "--begins", "2024-05-01T09:00", cwd=tmp_path).code == 0
     assert run("lifelog", "build", "days.db", cwd=tmp_path).code == 0
@@ -126,7 +126,7 @@ def test_a_lifelog_is_shown_without_options(tmp_path, felt):
     assert "walking" in printed
     assert printed.endswith("-> days-shown/overview.html\n")
     files = {file.name for file in (tmp_path / "days-shown").iterdir()}
-    assert {"overview.html", "overview.png", "report.html", "day.png", "timeline.csv"} <= files
+    assert {"overview.html", "days.csv", "timeline.csv"} <= files
 
 
 # Plans

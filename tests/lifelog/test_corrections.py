@@ -433,4 +433,4 @@ def test_the_list_and_the_page_of_a_day_show_what_was_corrected(tmp_path):
     assert done.code == 0
     assert " bus " in done.output
     assert "office; corrected" in done.output
-    assert "office; corrected" in (tmp_path / "out" / "report.html").read_text()
+    assert "office; corrected" in (tmp_path / "out" / "overview.html").read_text()

@@ -172,8 +172,7 @@ def test_show_prints_a_day_and_writes_it_for_its_owner_alone(store, tmp_path):
     output = run("show", store, "--person", "Anna", "--date", "2024-05-02", "--out", tmp_path / "out")
     assert output.startswith("Anna  Thursday 2024-05-02")
     assert "note: home: a note" in output  # what its outings say, to its owner
-    assert {"day.geojson", "day.png", "report.html", "timeline.csv"} <= names_in(tmp_path / "out")
-    assert (tmp_path / "out" / "day.png").read_bytes()[:4] == b"\x89PNG"
+    assert {"day.geojson", "overview.html", "timeline.csv"} <= names_in(tmp_path / "out")
 
 
 def test_show_lists_persons_and_dates_and_refuses_a_person_without_days(store):

@@ -19,10 +19,11 @@ from rich.cells import cell_len
 
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.local_time import period_of
+from pdr_graph.apps.lifelog.maps import TileServer
 from pdr_graph.apps.lifelog.overview import LIST_ROWS, as_text, day_list, distance_text, overview, row_texts, tables
-from pdr_graph.apps.lifelog.picture import picture
+from pdr_graph.apps.lifelog.overview_page import page
+from pdr_graph.apps.lifelog.picture import pictures
 from pdr_graph.apps.lifelog.places import EVERY_DAY, Place, clock_quartiles, joined_visits
-from pdr_graph.apps.lifelog.report import page
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.timeline import (
     PASSING,
@@ -476,10 +477,10 @@ def test_flows_and_hours_of_places_are_those_of_draws_of_where_each_stay_was():
 
 
 def test_the_page_of_fifty_persons_is_bounded_and_names_places_and_persons():
-    few, many = (page(fleet(number), b"<svg></svg>", ()).decode() for number in (20, 50))
-    assert many.count("<table>") == few.count("<table>") == 2
+    few, many = (page(fleet(number), "", ())[0].decode() for number in (20, 50))
+    assert many.count("<table") == few.count("<table") == 2
     assert all(f"walker {n}" in many for n in range(50))
     assert "Kiosk" in many
     assert len(as_text(fleet(50)).splitlines()) < 60
-    figures = [picture(fleet(number))[0].get_figheight() for number in (20, 50, 100)]
-    assert figures[2] < figures[1] < 23
+    heights = [sum(part.height for part in pictures(fleet(number), TileServer())) for number in (20, 50, 100)]
+    assert heights[2] < heights[1] < 2300

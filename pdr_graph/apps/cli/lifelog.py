@@ -169,9 +169,9 @@ def show(
 ) -> None:
     """Show a day, week, month, year, place or person.
 
-    Prints a list or a table of at most 100 columns, and writes overview.html, overview.png and tables to a folder that
-    only its owner can read; of one person's day also report.html, to play with. Several persons share one calendar.
-    --person alone shows all days of that person. With --json files are written only with --out.
+    Prints a list or a table of at most 100 columns, and writes overview.html and tables to a folder that only its owner
+    can read. The page has a calendar, maps and tables; that of one person's day moves. Several persons share one
+    calendar. --person alone shows all days of that person. With --json files are written only with --out.
 
     pdr-graph lifelog show days.db
     pdr-graph lifelog show days.db --date 2024-05-01 --out monday
@@ -189,7 +189,7 @@ def show(
         all_: List all persons and days instead.
         tiles: Map tiles behind the map, as https://tile.openstreetmap.org/{z}/{x}/{y}.png. Nothing is fetched without
             it; the server learns which area is drawn.
-        out: Folder of page, picture and tables; default: beside STORE.
+        out: Folder of page and tables; default: beside STORE.
     """
     if all_:
         _list_days(store)
@@ -201,7 +201,7 @@ def show(
     from pdr_graph.apps.lifelog.show import show as shown
 
     if tiles:
-        from pdr_graph.apps.lifelog.maps import check_template  # imports matplotlib, which is slow
+        from pdr_graph.apps.lifelog.maps import check_template  # imports scipy, which is slow
 
         check_template(tiles)
     choice = Choice(person, period_of(date, week, month, year), place, guess_home)

@@ -7,7 +7,7 @@ person abroad and through daylight saving time. A lifelog whose zone was chosen 
 from __future__ import annotations
 
 import calendar
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, tzinfo
 from functools import lru_cache
@@ -15,7 +15,6 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import Outing
 from pdr_graph.errors import InputError
 from pdr_graph.types import Array
 
@@ -53,13 +52,6 @@ def checked_zone(name: str) -> str:
         return name
     except (OSError, ValueError, LookupError):
         raise InputError("--zone", "", repr(name), "a time zone, as Europe/Berlin, or local") from None
-
-
-def zone_of_outings(setting: str, outings: Sequence[Outing]) -> tzinfo:
-    """The time zone of a setting; for "", of the first known position; UTC without any."""
-    located = (o for o in outings if o.frame.georeferenced and len(o.trajectory))
-    names = (zone_at(*o.frame.to_lonlat(o.trajectory.position[:1])[0, ::-1].tolist()) for o in located)
-    return zone_named(setting or next(names, ""))
 
 
 class LocalClock:

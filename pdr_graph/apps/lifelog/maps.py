@@ -9,7 +9,7 @@ Tiles come from the address that the user gives; without one nothing is ever fet
 
 from __future__ import annotations
 
-import io
+import base64
 import struct
 import time
 from collections import defaultdict
@@ -19,7 +19,6 @@ from itertools import pairwise
 from urllib.parse import urlsplit
 
 import numpy as np
-from matplotlib.image import imread
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -43,7 +42,7 @@ MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 MAX_TILES = 64  # of a map
 TIMEOUT, TILES_TIME = 10.0, 60.0  # [s] of a request; of all tiles of a map
 MAX_FAILURES = 3  # requests that may fail before no other is made
-PNG_HEAD = struct.Struct(">8s8xII")  # signature, width and height
+PNG_HEAD, PNG_SIGNATURE = struct.Struct(">8s8xII"), b"\x89PNG\r\n\x1a\n"  # signature, width and height
 
 
 @dataclass(frozen=True)
@@ -94,9 +93,9 @@ def _mercator(latitude: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tile:
-    """A picture ``(height, width, 3 or 4)`` with its corners ``(2, 2)`` on the map [m]."""
+    """A tile with its corners ``(2, 2)`` on the map [m]. address: of a server, or of the picture itself."""
 
-    picture: Array
+    address: str
     corners: Array
 
 
@@ -110,48 +109,64 @@ def check_template(template: str) -> None:
 
 
 def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) -> Iterator[Tile]:
-    """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide.
-
-    Stops after MAX_FAILURES failures, or TILES_TIME; raises OSError if not a single tile was fetched.
-    """
+    """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide, with their addresses on the server."""
     low, high = corners
     (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))
     # The zoom at which a tile of 256 pixels is drawn about as large as it is, with at most MAX_TILES tiles
     zoom = int(np.clip(np.round(np.log2(max(pixels, 1) / 256 / max(east - west, 1e-9))), 0, 19))  # highest zoom
     while zoom > 0 and ((east - west) * 2**zoom + 1) * ((south - north) * 2**zoom + 1) > MAX_TILES:
         zoom -= 1
-    number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + TILES_TIME
+    number = 2**zoom
     for y in range(max(int(north * number), 0), min(int(south * number), number - 1) + 1):
         for x in range(int(np.floor(west * number)), int(np.floor(east * number)) + 1):
             address = template.replace("{z}", str(zoom)).replace("{x}", str(x % number)).replace("{y}", str(y))
+            yield Tile(address, np.sort(frame.position(np.array([[x, y + 1], [x + 1, y]]) / number), axis=0))
+
+
+@dataclass
+class TileServer:
+    """Where the maps of a page get their tiles.
+
+    template: of addresses, "" for none; embeds: True if the tiles become part of the page, False if the browser that
+    shows it asks for them; failure: a line once there was no tile for a map, after which no other is asked for.
+    """
+
+    template: str = ""
+    embeds: bool = True
+    failure: str = ""
+
+    def of(self, frame: MercatorFrame, corners: Array, pixels: float) -> Iterator[Tile]:
+        """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide.
+
+        Stops after MAX_FAILURES failures, or TILES_TIME.
+        """
+        found = tiles(self.template, frame, corners, pixels) if self.template and not self.failure else ()
+        failures, made, end = 0, 0, time.monotonic() + TILES_TIME
+        for tile in found:
             try:
-                picture = _fetched(address)
-            except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
+                yield replace(tile, address=_fetched(tile.address)) if self.embeds else tile
+                made += 1
+            except (OSError, ValueError) as error:  # of the network, or not a picture
                 failures += 1
-                if failures >= MAX_FAILURES or time.monotonic() > end:
-                    if not made:
-                        raise OSError(f"{address}: {error}") from None
-                    return
-                continue
-            made += 1
-            yield Tile(picture, np.sort(frame.position(np.array([[x, y + 1], [x + 1, y]]) / number), axis=0))
-            if time.monotonic() > end:
-                return
+                if not made:
+                    self.failure = one_line(f"no tiles: {tile.address}: {error}")
+            if failures >= MAX_FAILURES or time.monotonic() > end:
+                break
+        self.failure = "" if made else self.failure
 
 
-def _fetched(address: str) -> Array:
-    """The picture at an address, a PNG. Raises OSError, ValueError or SyntaxError if there is none."""
+def _fetched(address: str) -> str:
+    """The picture at an address, a PNG, as an address with its content. Raises OSError or ValueError without one."""
     most = 2_000_000  # bytes of a tile
     answer = ask(address, TIMEOUT, TIMEOUT, most, "same host", headers={"User-Agent": f"pdr_graph/{__version__}"})
     if answer.status != 200:
         raise OSError(f"status {answer.status}")
     if len(answer.body) < PNG_HEAD.size:
         raise ValueError("no picture")
-    _, width, height = PNG_HEAD.unpack_from(answer.body)  # before it is unpacked: a thousandth may be a gigabyte
-    if max(width, height) > 1024:  # most side [pixels] of a tile
+    signature, width, height = PNG_HEAD.unpack_from(answer.body)
+    if signature != PNG_SIGNATURE or max(width, height) > 1024:  # most side [pixels] of a tile
         raise ValueError(f"no PNG, or one of {width} × {height} pixels")
-    picture = imread(io.BytesIO(answer.body))
-    return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
+    return f"data:image/png;base64,{base64.b64encode(answer.body).decode()}"
 
 
 # Chosen by hand
@@ -185,7 +200,7 @@ class DrawnPart(OneLineRepr):
 @dataclass(frozen=True)
 class Dot:
     """A place, a stay or a slow pass on a map. position: ``(2,)`` [m]; kind: STAY or PASSING; time: there [s]; label:
-    beside it; text: the whole, lines.
+    beside it; text: the whole, lines; starts: Unix times of its visits [s].
     """
 
     position: Array
@@ -193,6 +208,7 @@ class Dot:
     time: float
     label: str
     text: str
+    starts: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -289,8 +305,13 @@ def _ways_of(outing: Outing, day: DiaryDay) -> Iterator[_Way]:
 def _places(shown: Overview) -> list[Dot]:
     """The places, and stays that belong to no place, most time first; their positions are longitude and latitude."""
     several = len(shown.persons) > 1
-    named = [(who, place, f"{short_name(place.label)}, {time_text(place.duration)}") for who, place in shown.places]
-    named += [(who, visit, _faced(visit.facing, visit.duration)) for who, visit in shown.visits if not visit.label]
+    named = [
+        (who, place, f"{short_name(place.label)}, {time_text(place.duration)}", place.visits)
+        for who, place in shown.places
+    ]
+    named += [
+        (who, visit, _faced(visit.facing, visit.duration), (visit,)) for who, visit in shown.visits if not visit.label
+    ]
     dots = [
         Dot(
             np.array([own.longitude, own.latitude]),
@@ -298,8 +319,9 @@ def _places(shown: Overview) -> list[Dot]:
             own.duration,
             label := f"{short_name(who)}: {text}" if several else text,
             f"{label}, ± {own.sigma:.0f} m",
+            tuple(visit.start for visit in visits),
         )
-        for who, own, text in named
+        for who, own, text, visits in named
         if np.isfinite(own.latitude)
     ]
     return sorted(dots, key=lambda dot: -dot.time)
@@ -354,13 +376,13 @@ def _indoors(ways: Sequence[_Way], together: bool) -> Iterator[Panel]:
     nowhere = [way for way in ways if not (way.outing.frame.georeferenced or way.outing.plan)]
     for outing in () if together else _outings(nowhere):
         own = [way for way in ways if way.outing is outing]
-        yield _panel(outing.frame, own, [_dot_of(stay, stay.position) for stay in outing.stays])
+        yield _panel(outing.frame, own, [_dot_of(outing, stay, stay.position) for stay in outing.stays])
     for plan in dict.fromkeys(way.outing.plan for way in ways if way.outing.plan):
         own = [way for way in ways if way.outing.plan == plan]
         frame, outings = own[0].outing.frame, _outings(own)
         for floor in dict.fromkeys(part.floor for way in own for part in way.drawn):
             stays = [(o, stay) for o in outings for stay in o.stays if floor in ("", stay.floor)]
-            dots = [_dot_of(stay, frame.from_frame(o.frame, stay.position[None])[0]) for o, stay in stays]
+            dots = [_dot_of(o, stay, frame.from_frame(o.frame, stay.position[None])[0]) for o, stay in stays]
             if together:
                 dots = _dots_together([stay for _, stay in stays], dots)
             panel = _panel(frame, own, dots, plan, floor)
@@ -389,12 +411,13 @@ def _outings(ways: Iterable[_Way]) -> list[Outing]:
     return list({id(way.outing): way.outing for way in ways}.values())
 
 
-def _dot_of(stay: Stay, position: Array) -> Dot:
+def _dot_of(outing: Outing, stay: Stay, position: Array) -> Dot:
     """The dot of a stay on a floor plan: with the most probable place that it faces, and as text with all of them."""
     lasted = stay.end - stay.start
     named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
     text = "\n".join([f"{duration_text(lasted)}, ± {float(horizontal_sigma(stay.covariance)):.1f} m", *named])
-    return Dot(position, PASSING if stay.passing else STAY, lasted, _faced(stay.facing, lasted), text)
+    kind, start = PASSING if stay.passing else STAY, outing.epoch + stay.start
+    return Dot(position, kind, lasted, _faced(stay.facing, lasted), text, (start,))
 
 
 def _faced(facing: Facing, lasted: float) -> str:

@@ -340,6 +340,12 @@ def row_texts(
     )
 
 
+def entry_text(entry: TimelineEntry) -> str:
+    """An entry in one line: local times, what, and where."""
+    start, end, lasts, what, far, where = row_texts(entry)
+    return f"{start}–{end}  {', '.join(filter(None, (what, lasts, far, where)))}"
+
+
 def _place(entry: TimelineEntry) -> str:
     """Floors and place: the name that the person gave, else places on a plan with probabilities, else its number.
 
@@ -426,27 +432,34 @@ HOURS_TITLES = ("place", "weekday", "arrivals", "comes (quartiles)", "departures
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table of an overview for people. rows: texts, a cell per name of the head; note: below it, "" for none."""
+    """A table of an overview for people.
+
+    rows: texts, a cell per name of the head; note: below it, "" for none; subjects: what each row is about: a day, a
+    place, a visit, a day with the number of its entry, or None; () for no table of these.
+    """
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    subjects: Sequence[DiaryDay | Place | TimelineEntry | tuple[DiaryDay, int] | None] = ()
 
 
 def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTable]:
-    """The tables of one person. short: for a screen: fewer rows, and usual hours of a single place alone."""
+    """The tables of one person. short: for a terminal: fewer rows, and usual hours of a single place alone."""
     places, visits = own.places[: 12 if short else 200], own.visits[-(20 if short else 500) :]
     is_list = shown.period.kind == DAY and not shown.place
     if is_list:
-        # least rows of a day's list when several persons share the screen
-        most = max(LIST_ROWS // len(shown.diaries), 10) if short else LIST_ROWS
-        yield ShownTable("the day", ROW_TITLES, [texts for day in own.days for texts in list_texts(day.entries, most)])
+        # least rows of a day's list when several persons share the screen; all rows on a page
+        most = max(LIST_ROWS // len(shown.diaries), 10)
+        rows = [texts for day in own.days for texts in list_texts(day.entries, most if short else len(day.entries))]
+        subjects = [(day, n) for day in own.days for n in range(len(day.entries))]
+        yield ShownTable("the day", ROW_TITLES, rows, "", () if short else subjects)
     elif not (short and shown.place):
         again = repeated(own.days)
         note = f"clocks repeated {time_text(again)} on the way: the total counts these hours once" if again else ""
-        rows = list(_period_rows(own.days, shown.period, 31 if short else 400))
-        yield ShownTable("days", PERIOD_TITLES, rows, note)
+        rows, subjects = zip(*_period_rows(own.days, shown.period, 31 if short else 400), strict=True)
+        yield ShownTable("days", PERIOD_TITLES, rows, note, subjects)
     if not is_list and (shown.place or not short):
         rows = [
             [v.label, *visit_times(v), duration_text(v.duration), f"{v.observed:.0%}" if v.duration > 0 else ""]
@@ -456,11 +469,11 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
         note = f"{count(hidden, 'earlier visit')} in visits.csv. " if hidden else ""
         if not all(visit.arrived and visit.left for visit in visits):
             note += "?: no data before or after, so it may have begun earlier or ended later"
-        yield ShownTable("visits", VISIT_TITLES, rows, note)
+        yield ShownTable("visits", VISIT_TITLES, rows, note, visits)
     if not (is_list and short):
         rest = own.places[len(places) :]
         note = f"and {count(len(rest), 'other place')}, {time_text(sum(p.duration for p in rest))}" if rest else ""
-        yield ShownTable("places", PLACE_TITLES[: 5 if short else None], [place_texts(p, short) for p in places], note)
+        yield replace(places_table(places, short), note=note)
     if shown.place or not short:
         rows = [
             [place.label, usual.weekday, *usual_texts(usual)]
@@ -469,6 +482,12 @@ def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTabl
             if max(usual.arrivals, usual.departures) >= FEWEST_HOURS
         ]
         yield ShownTable("usual hours", HOURS_TITLES, rows)
+
+
+def places_table(places: Sequence[Place], short: bool) -> ShownTable:
+    """The table of places. short: its first columns, for a terminal."""
+    rows = [place_texts(place, short) for place in places]
+    return ShownTable("places", PLACE_TITLES[: 5 if short else None], rows, "", places)
 
 
 FLOW_TITLES = ("from", "to", "persons went")
@@ -523,7 +542,9 @@ def fleet_text(shown: Overview) -> str:
     return totals_text(replace(totals_of(shown.days, len(shown.days)), unknown=0.0))
 
 
-def _period_rows(days: Sequence[DiaryDay], period: Period, most: int) -> Iterator[Sequence[str]]:
+def _period_rows(
+    days: Sequence[DiaryDay], period: Period, most: int
+) -> Iterator[tuple[Sequence[str], DiaryDay | None]]:
     """Totals of each day, of each month or year if there are more than `most` days; days without data are counted."""
     by_date = {day.date: day for day in days}
     letters = next(n for n in (10, 7, 4) if n == 4 or len({on[:n] for on in by_date}) <= most)
@@ -531,15 +552,16 @@ def _period_rows(days: Sequence[DiaryDay], period: Period, most: int) -> Iterato
         for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
             on_dates = list(dates)
             if not present:
-                yield [f"{count(len(on_dates), 'day')} without data", *[""] * (len(PERIOD_TITLES) - 1)]
+                yield [f"{count(len(on_dates), 'day')} without data", *[""] * (len(PERIOD_TITLES) - 1)], None
             for on in on_dates if present else ():
-                yield _totals_texts(f"{on:%a} {on}", by_date[on.isoformat()].totals)
+                day = by_date[on.isoformat()]
+                yield _totals_texts(f"{on:%a} {on}", day.totals), day
     else:
         for name, same in groupby(days, key=lambda day: day.date[:letters]):
             own = list(same)
             title = name if letters == 10 else f"{name}  {count(len(own), 'day')}"
-            yield _totals_texts(title, totals_of(own, len(own)))
-    yield _totals_texts("total", totals_of(days, len(period)))
+            yield _totals_texts(title, totals_of(own, len(own))), own[0] if letters == 10 else None
+    yield _totals_texts("total", totals_of(days, len(period))), None
 
 
 def _totals_texts(title: str, totals: Totals) -> list[str]:

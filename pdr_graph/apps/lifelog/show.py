@@ -9,19 +9,22 @@ from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
+from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
-from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, diary
-from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period, zone_of_outings
-from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, overview
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, detailed, diary
+from pdr_graph.apps.lifelog.export import DiaryRows, as_geojson, not_exported
+from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period
+from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, overview, tables
 from pdr_graph.apps.lifelog.places import Place, likely_home
-from pdr_graph.apps.lifelog.store import ZONE, Store
-from pdr_graph.apps.lifelog.timeline import duration_text
+from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import duration_text, timeline_csv
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.whole_files import output_folder
 
 TRACK_TOLERANCE = 10.0  # [m] to which the tracks of more than a day are simplified
 LIKELY_HOME = "home?"  # name of the place where somebody spends the nights, for those who ask for the guess
 MOST_NAMES = 12  # places that a message names
+FORMER_FILES = ("overview.png", "report.html", "day.png")  # of earlier versions: stale beside a new page
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,8 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
     """The overview of a choice; its files are written to the folder `out`, by default one named after the lifelog.
 
     template: address of map tiles, "" for none, which are fetched then. write: False writes no files. Files:
-    ``overview.html``, ``overview.png``, ``days.csv``, ``places.csv``, ``visits.csv``, ``hours.csv``; of one day of one
-    person also those of `report.write_day`. Raises InputError if there is no such person, place or day.
+    ``overview.html``, ``days.csv``, ``places.csv``, ``visits.csv``, ``hours.csv``; of one day of one person also
+    ``timeline.csv`` and ``day.geojson``. Raises InputError if there is no such person, place or day.
     """
     with Store(path, reads=True) as log:
         persons = _persons(log, choice.persons)
@@ -77,7 +80,7 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
         if choice.place and not chosen.visits:
             raise _no_place(choice.place, diaries, period)
         folder = out or path.with_name(_folder_name(path, period))
-        with output_folder(folder, private=True) if write else nullcontext() as staged:
+        with output_folder(folder, private=True, without=FORMER_FILES) if write else nullcontext() as staged:
             remarks = _written(log, chosen, staged, template)
     return Shown(chosen, tuple(remarks), folder)
 
@@ -150,20 +153,28 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     notes += [f"{duration_text(lasts)} are what {source} guessed, without data" for source, lasts in guessed.items()]
     remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
     if folder is not None:
-        from pdr_graph.apps.lifelog.report import write_day, write_overview  # imports matplotlib, which is slow
-
-        failures, drawn = write_overview(chosen, folder, template, remarks)
-        if stored is not None:
-            zone = zone_of_outings(log.setting(ZONE), stored.outings)
-            remarks += write_day(chosen, stored, zone, folder, drawn, missing, notes)
-        remarks += failures
+        remarks += _files(chosen, stored, folder, template, remarks)
     return remarks
+
+
+def _files(shown: Overview, stored: Day | None, folder: Path, template: str, remarks: Sequence[str]) -> list[str]:
+    """Write the files of an overview; returns a line if there are no tiles. stored: the day with its outings."""
+    from pdr_graph.apps.lifelog.overview_page import page  # scipy and plans, which are slow to import
+
+    html, failures = page(shown, template, remarks)
+    cache.write(folder / "overview.html", html)
+    for name, content in tables(shown).items():
+        cache.write(folder / name, content)
+    if stored is not None:
+        rows = DiaryRows({own.date: own.entries for own in shown.days})
+        entries = detailed(rows.by_date.get(stored.date, ()))
+        cache.write(folder / "timeline.csv", timeline_csv(entries).encode())
+        cache.write(folder / "day.geojson", as_geojson([stored], {stored.person: rows}))
+    return failures
 
 
 def _remarks(day: Day) -> tuple[list[str], list[str]]:
     """The notes of the outings of a day, and what is missing, a line each."""
-    from pdr_graph.apps.lifelog.export import not_exported
-
     notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
     missing = [line for outing in day.outings for line in outing.missing]
     return [one_line(line) for line in dict.fromkeys(notes)], [one_line(line) for line in dict.fromkeys(missing)]

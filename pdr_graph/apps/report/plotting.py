@@ -181,13 +181,12 @@ def _on(track: Trajectory, label: str | None) -> Array:
     return np.where(elsewhere[:, None], np.nan, track.position)
 
 
-def picture_bytes(figure: Figure, dpi: float = 120, file_format: str = "png") -> bytes:
-    """A figure as PNG or SVG; letters that no font has are drawn as boxes in a PNG."""
+def picture_bytes(figure: Figure, dpi: float = 120) -> bytes:
+    """A figure as PNG; letters that no font has are drawn as boxes."""
     content = io.BytesIO()
-    with warnings.catch_warnings(), rc_context({"svg.fonttype": "none", "svg.hashsalt": "pdr_graph"}):
+    with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")
-        about = {"Date": None, "Creator": None} if file_format == "svg" else None
-        figure.savefig(content, format=file_format, dpi=dpi, metadata=about)
+        figure.savefig(content, format="png", dpi=dpi)
     return content.getvalue()
 
 

@@ -1,71 +1,79 @@
-// The map of a day in the diary: its legs, and a button for each place; both open the forms that correct a row.
+// The forms of a day in the diary: a place or a leg of its picture opens the forms that correct its row.
 
-import { boxOf, collection } from "./geo.js";
-import { newMap } from "./map.js";
-
-const CLOSEST = 17; // zoom level of a day at one place
-const MARGIN = { top: 48, bottom: 48, left: 32, right: 84 }; // [px] around the day, for names on the right
 const here = (id) => document.getElementById(id);
-const element = here("map");
+const rows = [...document.querySelectorAll("tr[data-start]")];
 
-// Show the forms of a row under the map. marker: of a stay, which can be dragged to where the person was; stays: all
-// at its place, each of which a button opens.
-const open = async (shown, row, marker, stays = []) => {
-  const answer = await fetch(`entry?${shown.query}&n=${row.n}`);
+// A point of the screen in the pixels of a map, however it is enlarged.
+const pointAt = (ground, x, y) => new DOMPoint(x, y).matrixTransform(ground.querySelector(".pins").getScreenCTM().inverse());
+
+// Longitude and latitude [deg] of a point of the screen on a map: three corners of the map have shares of Mercator's.
+const lonlatAt = (ground, x, y) => {
+  const at = pointAt(ground, x, y);
+  const [width, height] = [ground.width.baseVal.value, ground.height.baseVal.value];
+  const corners = ground.dataset.shares.split(" ").map(Number);
+  const [east, south] = [0, 1].map(
+    (n) =>
+      corners[n] + (at.x / width) * (corners[n + 2] - corners[n]) + (at.y / height) * (corners[n + 4] - corners[n]),
+  );
+  return [(east - 0.5) * 360, (Math.atan(Math.sinh((0.5 - south) * 2 * Math.PI)) * 180) / Math.PI];
+};
+
+// Show the forms of a row. link: of the picture; number: of the row.
+const open = async (link, number) => {
+  const address = new URL(link.getAttribute("href"), location.href);
+  address.searchParams.set("n", number);
+  const answer = await fetch(address);
   const page = new DOMParser().parseFromString(await answer.text(), "text/html");
   const title = Object.assign(document.createElement("h2"), { textContent: page.querySelector("h1").textContent, tabIndex: -1 });
-  const forms = [...page.querySelectorAll("form, .fault")];
-  const others = stays.filter((stay) => stays.length > 1 && stay !== row).map((stay) => {
-    const button = Object.assign(document.createElement("button"), { type: "button", textContent: stay.time });
-    button.addEventListener("click", () => open(shown, stay, marker, stays));
+  const others = link.dataset.n.split(" ").filter((other) => other !== String(number)).map((other) => {
+    const times = [...rows[other].cells].slice(0, 2).map((cell) => cell.innerText);
+    const button = Object.assign(document.createElement("button"), { type: "button", textContent: times.join("–") });
+    button.addEventListener("click", () => open(link, other));
     return button;
   });
+  const forms = [...page.querySelectorAll("form, .fault")];
   here("forms").replaceChildren(title, ...others, ...forms);
   here("forms").hidden = false;
+  document.querySelectorAll(".moving").forEach((other) => other.classList.remove("moving"));
   title.focus();
-  const moved = forms.find((form) => form.elements.do?.value === "at");
-  if (!marker || !moved) return;
+  const moved = forms.find((form) => form.elements?.do?.value === "at");
+  if (!moved || !link.matches(".dot") || !link.closest("[data-shares]")) return;
   moved.append(Object.assign(document.createElement("small"), { textContent: " or drag the stay on the map" }));
-  marker.setDraggable(true).on("dragend", () => {
-    const { lng, lat } = marker.getLngLat();
-    moved.elements.value.value = `${lat.toFixed(6)},${lng.toFixed(6)}`;
+  link.classList.add("moving");
+};
+
+// Drag the place whose forms are open.
+const drag = (link) => {
+  const ground = link.closest(".ground"), mark = link.closest("g[transform]");
+  let held = false, dragged = false;
+  link.addEventListener("pointerdown", (event) => {
+    dragged = false;
+    held = link.matches(".moving");
+    if (held) link.setPointerCapture(event.pointerId);
+  });
+  link.addEventListener("pointermove", (event) => {
+    if (!held || !event.buttons) return;
+    dragged = true;
+    const at = pointAt(ground, event.clientX, event.clientY);
+    mark.setAttribute("transform", `translate(${at.x} ${at.y})`);
+  });
+  link.addEventListener("pointerup", (event) => {
+    held = false;
+    if (!dragged) return;
+    const [lon, lat] = lonlatAt(ground, event.clientX, event.clientY);
+    const moved = [...here("forms").querySelectorAll("form")].find((form) => form.elements.do.value === "at");
+    moved.elements.value.value = `${lat.toFixed(6)},${lon.toFixed(6)}`;
     moved.querySelector("button").focus();
   });
+  return () => dragged;
 };
 
-const placeButton = (map, shown, stays) => {
-  const button = Object.assign(document.createElement("button"), { className: "stay", type: "button" });
-  const times = stays.map((stay) => stay.time).join(", ");
-  button.append(Object.assign(document.createElement("span"), { textContent: stays[0].label || times }));
-  const marker = new maplibregl.Marker({ element: button }).setLngLat(stays[0].at).addTo(map);
-  button.title = `${stays[0].label} ${times}`.trim();
-  button.setAttribute("aria-label", button.title);
-  button.addEventListener("click", (event) => {
-    event.stopPropagation(); // a leg below it stays closed
-    document.querySelector(".stay[aria-pressed]")?.removeAttribute("aria-pressed");
-    button.setAttribute("aria-pressed", "true");
-    open(shown, stays[0], marker, stays);
+document.querySelectorAll("svg a.entry").forEach((link) => {
+  const wasDragged = link.matches(".dot") ? drag(link) : () => false;
+  link.addEventListener("click", (event) => {
+    if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    if (!wasDragged()) open(link, link.dataset.n.split(" ")[0]);
   });
-};
-
-const start = async () => {
-  const answer = await fetch(element.dataset.from);
-  if (!answer.ok) return element.remove();
-  const shown = await answer.json();
-  const box = boxOf([...shown.stays.map((row) => row.at), ...shown.legs.flatMap((leg) => leg.geometry.coordinates)]);
-  const map = box && newMap(element, shown.tiles);
-  if (!map) return element.remove(); // no WebGL, or nothing on earth: the picture shows the day
-  const fit = () => map.fitBounds(box, { padding: MARGIN, maxZoom: CLOSEST, animate: false });
-  map.addControl(new maplibregl.NavigationControl({ showCompass: false }), "top-right");
-  await new Promise((loaded) => map.once("load", loaded));
-  map.getSource("plan").setData(shown.plan);
-  map.getSource("finalised").setData(collection(shown.legs));
-  fit();
-  new ResizeObserver(fit).observe(element);
-  Object.values(Object.groupBy(shown.stays, (stay) => stay.place)).forEach((stays) => placeButton(map, shown, stays));
-  map.on("click", "finalised", ({ features }) => open(shown, features[0].properties, null));
-  map.on("mouseenter", "finalised", () => (map.getCanvas().style.cursor = "pointer"));
-  map.on("mouseleave", "finalised", () => (map.getCanvas().style.cursor = ""));
-  element.dataset.drawn = "yes";
-};
-if (element) start();
+});
+document.documentElement.dataset.ready = "yes";
