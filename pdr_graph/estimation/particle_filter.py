@@ -136,7 +136,7 @@ def stepped(
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
     A particle that would cross a wall draws its errors again, up to PARTICLES.tries times, at the cost of the log-odds.
-    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` along, across [m] and of the turn [rad].
     """
     looks = float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     after, way = _moved(state, _errors(state.shape[1], sigma, random), length, turn, time)
@@ -164,7 +164,10 @@ def stood(state: Array, turn: float, time: float, sigma: Array, random: np.rando
 
 
 def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
-    """Random errors ``(3, count)`` of length, sway [m] and turn [rad]; of some any turn, if it may be the phone's."""
+    """Random errors ``(3, count)`` along, across [m] and of the turn [rad].
+
+    Where the turn may be the phone's, one in PARTICLES.rare gets any turn.
+    """
     errors = random.standard_normal((3, count))
     errors *= sigma[:, None]
     if sigma[2] > PARTICLES.doubted:
@@ -301,8 +304,8 @@ class ParticleFilter:
             self.weight = self.weight - np.minimum(cost, REGIONS.wall_cost)
 
     def step(self, length: float, turn: float, time: float, variance: Array, floor: DistanceField) -> None:
-        """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
-        sigma = np.array(PARTICLES.calm) * np.sqrt(variance)
+        """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(2,)`` as of ``Pieces``."""
+        sigma = np.array(PARTICLES.calm) * np.sqrt(variance[[0, 0, 1]])
         if length > 0:
             # Of the tiles, those that this filter has asked for: others may compute some at any time, in a thread
             asked = None if self.at_once is None else self._tiles.setdefault(id(floor), floor.no_tiles())
@@ -449,7 +452,7 @@ def _pieces(graph: WalkGraph, interval: int) -> Pieces:
     stood = min(limits, default=np.inf)
     if not np.isfinite(stood):
         return pieces
-    return replace(pieces, variance=np.minimum(pieces.variance, [stood, stood, np.inf]))
+    return replace(pieces, variance=np.minimum(pieces.variance, [stood, np.inf]))
 
 
 def _begin(particles: ParticleFilter, graph: WalkGraph) -> None:

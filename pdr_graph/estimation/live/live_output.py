@@ -211,7 +211,7 @@ def after_headings(
         turned, variance = np.zeros(3), sigma**2  # since then, as a function of (R_s, R_d, b)
         if time <= now - INSTANT:
             pieces = intervals(whole, start, max(time, start), np.array([now]))
-            turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 2].sum()
+            turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 1].sum()
         H[0, 2], H[0, 3:] = 1.0, -turned
         mixture = thinned(heading_corrected(mixture, H, heading, variance))
     return mixture

@@ -52,7 +52,7 @@ Rows = TypeVar("Rows", Fixes, Headings)
 RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
-END, LENGTH, VARIANCE, SWAY, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 4, 5, 6, 7  # columns of whole pieces
+END, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 4, 5, 6  # columns of whole pieces
 
 
 @dataclass
@@ -88,12 +88,12 @@ class Interval:
 class StepBuffer:
     """The steps since the first keyframe of the window.
 
-    whole: pieces ``(m, 8)``: columns of `whole_pieces`, then 1 if a trajectory row ends with the piece, 1 if it is a
+    whole: pieces ``(m, 7)``: columns of `whole_pieces`, then 1 if a trajectory row ends with the piece, 1 if it is a
     gap; start: of the first piece [s]; walked: distance before it [m]; chunks: the steps.
     """
 
     def __init__(self) -> None:
-        self.whole, self.start, self.walked = np.empty((0, 8)), np.nan, 0.0
+        self.whole, self.start, self.walked = np.empty((0, 7)), np.nan, 0.0
         self.chunks: list[Steps] = []
         self._distance: tuple[Array, Array, Array] | None = None  # pieces, their ends [s], distance by then [m]
 
@@ -129,8 +129,7 @@ class StepBuffer:
         row = np.flatnonzero(self.whole[:, IS_ROW])  # of the last steps: those before them have no piece any more
         changed = (self.steps.length != before.length)[len(before) - len(row) :]
         self.whole[row, LENGTH] = self.steps.length[len(before) - len(row) :]
-        for column in (VARIANCE, SWAY):
-            self.whole[row, column] = self.steps.sigma_length[len(before) - len(row) :] ** 2
+        self.whole[row, VARIANCE] = self.steps.sigma_length[len(before) - len(row) :] ** 2
         return float(self.whole[row[changed], END].min(initial=np.inf))
 
     def with_tail(self, tail: Steps | None) -> Array:
