@@ -418,10 +418,10 @@ class Navigator:
             return  # samples that wait for more: the pose is as before
         self._pose, self._provisional, self._tail = None, provisional, provisional
         for heading in headings:
-            self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
-            self._filter.add_heading(heading.time, heading.heading, heading.sigma, heading.stretch)
+            self._graph.set_heading(-1 - heading.stretch, heading.time, heading.value, heading.sigma)
+            self._filter.add_heading(heading.time, heading.value, heading.sigma, heading.stretch)
         for drift in drifts:
-            self._graph.set_drift(-1 - drift.stretch, drift.time, drift.drift, drift.sigma)
+            self._graph.set_drift(-1 - drift.stretch, drift.time, drift.value, drift.sigma)
         if certain is not None:
             self._extend(certain)
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)

@@ -18,12 +18,11 @@ import numpy as np
 from pdr_graph.errors import InputError, count, expect, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
+from pdr_graph.geometry import REGION_90, interpolate, nearest, rotation, squared_distance, wrap_angle
 from pdr_graph.io.tables import clock_hint, read_trajectory
 from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
-REGION_90 = 4.605  # 90 % quantile of χ² with two degrees of freedom
 DIRECTIONS = 360  # of the energy score; the integrand is smooth and periodic, so that twice as many change nothing
 
 
@@ -231,11 +230,6 @@ def stated_covariance(estimate: Trajectory, time: Array) -> Array:
 def in_region(pairs: Pairs, covariance: Array) -> Mask:
     """``(n,)`` True where the truth is in the 90 % region of ``covariance (n, 2, 2)`` about the estimate."""
     return squared_distance(pairs.estimate - pairs.truth, covariance) < REGION_90
-
-
-def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared Mahalanobis distance ``(n,)`` of errors ``(n, 2)`` [m] with covariances ``(n, 2, 2)`` [m²]."""
-    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
 
 
 def log_score(error: Array, covariance: Array) -> Array:

@@ -35,7 +35,14 @@ from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, TURN_VARIANCE
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, distance_to_box, horizontal_sigma, pose_rotation
+from pdr_graph.geometry import (
+    ANY_HEADING,
+    REGION_95,
+    distance_to_box,
+    horizontal_sigma,
+    pose_rotation,
+    squared_distance,
+)
 from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
@@ -303,7 +310,7 @@ class Away:
             return self  # it agrees with none before
         apart = alone.mean - belief.mean[:2]
         spread = belief.covariance[:2, :2] + alone.covariance_at(alone.time)[:2, :2]
-        if apart @ np.linalg.solve(spread, apart) < CHI_SQUARE:
+        if squared_distance(apart, spread) < REGION_95:
             return Away()
         return replace(self, count=self.count + 1) if self.count else Away(1, alone.mean, walked)
 

@@ -15,7 +15,7 @@ from pdr_graph.estimation.factors.base import geman_mcclure_weight
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.smoother import smooth
-from pdr_graph.geometry import dead_reckon, distance_walked, interpolate
+from pdr_graph.geometry import REGION_90, dead_reckon, distance_walked, interpolate, squared_distance
 from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.crowd import DURATION, SURVEYED, TERMINAL, TERMINAL_PLACE, Crowd, CrowdWalk, crowd
 from pdr_graph.priors import BEACONS, LOSSES, REPORTS, changed
@@ -24,7 +24,6 @@ from pdr_graph.types import Array, Closures, Fixes, Index, Levels, Mask, Traject
 CROWDS = 4
 FEW, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk [s]
 FALSE_SHARE, NEAREST, FARTHEST = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
-IN_REGION = -2 * np.log(1 - 0.9)  # squared Mahalanobis distance in the plane
 UNBOUNDED = 1e3  # [σ] within which the loss of closures is Gaussian
 
 START, SWITCH, BEACON = "known start", "switch", "BLE beacons"
@@ -383,5 +382,4 @@ def in_region(truth: Trajectory, track: Trajectory) -> Mask:
     """Rows ``(n,)`` whose true position is in the 90 % region that the track states; none if it states no region."""
     if track.covariance is None:
         return np.zeros(0, dtype=bool)
-    gap = (truth.position - track.position)[:, :, None]
-    return (gap.transpose(0, 2, 1) @ np.linalg.solve(track.covariance[:, :2, :2], gap))[:, 0, 0] <= IN_REGION
+    return squared_distance(truth.position - track.position, track.covariance[:, :2, :2]) <= REGION_90
