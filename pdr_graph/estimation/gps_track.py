@@ -49,7 +49,7 @@ from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, M
 SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
 FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
-ROW, COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
+BLOCK_ROW, BLOCK_COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
 LOWER_ROW, LOWER_COLUMN = np.tril_indices(3)
 
 
@@ -101,7 +101,7 @@ class SmoothTrack:
         knots = self.root.shape[1] // 3
         root, diagonal, next_ = self.root.reshape(6, knots, 3), np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
         diagonal[:, LOWER_ROW, LOWER_COLUMN] = root[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN].T
-        next_[:, ROW, COLUMN] = root[3 + ROW - COLUMN, :-1, COLUMN].T
+        next_[:, BLOCK_ROW, BLOCK_COLUMN] = root[3 + BLOCK_ROW - BLOCK_COLUMN, :-1, BLOCK_COLUMN].T
         inverse = np.linalg.inv(diagonal)
         alone = inverse.transpose(0, 2, 1) @ inverse
         gain = next_ @ inverse[:-1]
@@ -143,7 +143,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
     right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
     band = np.zeros((6, knots, 3))
     band[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN] = information[:, LOWER_ROW, LOWER_COLUMN].T
-    band[3 + ROW - COLUMN, :-1, COLUMN] = to_next[:, ROW, COLUMN].T
+    band[3 + BLOCK_ROW - BLOCK_COLUMN, :-1, BLOCK_COLUMN] = to_next[:, BLOCK_ROW, BLOCK_COLUMN].T
     root = cholesky_banded(band.reshape(6, -1), lower=True)
     state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
     return SmoothTrack(origin + state[:, P], state[:, V], weight, root), state[:, G]

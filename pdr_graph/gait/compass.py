@@ -80,7 +80,7 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
 
 EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
-HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
+HEADING, IS_WALKING, VARIANCE_OF_TURNS = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
 DRIFT_PARTS = 5  # of the time of the observations of a drift
 FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
@@ -324,7 +324,7 @@ class LiveCompass:
         ahead_sigma = LIVE_COMPASS.unconfirmed if ahead.sigma == FORWARD.unconfirmed else ahead.sigma
 
         # The information that it adds to the earlier stretches
-        offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, TURN_VARIANCE])
+        offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, VARIANCE_OF_TURNS])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous.variance + turn_variance - self.previous.turn_variance)

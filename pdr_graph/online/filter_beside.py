@@ -26,7 +26,7 @@ COMPARE_EVERY = 5.0  # [s] between comparisons
 SUSTAINED = 10.0  # [s] of disagreement from which it is said
 MORE_INFORMATION = 0.25  # share by which the same heading must know more, to be used again
 SAID = "the Kalman filter beside the smoother is {:.0f} m away since {:.0f} s, outside both 99 % regions"
-MOST_WAITING = 1000  # measurements that wait for the steps of their time: without steps, none may come
+MOST_WAITING_MEASUREMENTS = 1000  # measurements that wait for the steps of their time: without steps, none may come
 PAST = "the Kalman filter beside the smoother was {:.0f} m away from {:.0f} to {:.0f} s, outside both 99 % regions"
 CHECK = "the sources since then: one of both estimates follows a wrong one"
 
@@ -52,7 +52,7 @@ class FilterBeside:
     """
 
     def __init__(self, prior: Prior):
-        self.filter, self.apart = KalmanFilter(prior, most_waiting=MOST_WAITING), 0.0
+        self.filter, self.apart = KalmanFilter(prior, most_waiting=MOST_WAITING_MEASUREMENTS), 0.0
         self._since, self._compared = np.nan, -np.inf  # [s] begin of the disagreement; of the last comparison
         self._heading = np.nan, 0.0  # number of the last, and its information [1/rad²]
         self._ended: tuple[float, float, float] | None = None  # the last disagreement that was said: [m], from, to [s]

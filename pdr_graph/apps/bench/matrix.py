@@ -251,11 +251,11 @@ def _number(value: float) -> float | None:
 SCORED_AT = (50, 75, 95)  # percentiles
 LEVELS = (50, 90, 99)  # [%] of the regions whose coverage is counted
 GROUP = "data set", "given", "method"
-COVERAGE = tuple(f"in {level} %" for level in LEVELS)
+COVERAGE_COLUMNS = tuple(f"in {level} %" for level in LEVELS)
 LOW = 0.6  # share of a walk's places in the 90 % region, up to which the walk is counted
 STATISTICS = (
     *(*GROUP, "walks", "failed", "places"),
-    *("CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE, "log score [nats]", "energy score [m]"),
+    *("CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE_COLUMNS, "log score [nats]", "energy score [m]"),
     *(f"walks up to {100 * LOW:.0f} % in 90 %", "across walls", "length", "steps", "seconds"),
 )
 WORST = (*GROUP, "walk", "places", "CE50 [m]", "CE95 [m]", "in 90 %", "log score [nats]", "verdict")

@@ -23,7 +23,7 @@ from pdr_graph.io.tables import clock_hint, read_trajectory
 from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
-DIRECTIONS = 360  # of the energy score; the integrand is smooth and periodic, so that twice as many change nothing
+SCORED_DIRECTIONS = 360  # of the energy score; the integrand is smooth and periodic: twice as many change nothing
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def energy_score(error: Array, covariance: Array) -> Array:
     """
     from scipy.special import ndtr
 
-    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    angle = np.arange(SCORED_DIRECTIONS) * np.pi / SCORED_DIRECTIONS
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     sigma = np.sqrt(np.einsum("ki,nij,kj->nk", along, covariance, along))
     z = error @ along.T / sigma

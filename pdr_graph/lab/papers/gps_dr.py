@@ -38,21 +38,21 @@ from pdr_graph.priors import NORTH
 from pdr_graph.types import GNSS, Array, Fixes, Mask, Recording, Trajectory
 from pdr_graph.walk import Options, read
 
-WALKS, QUICK = 40, 6
+SIMULATED_WALKS, QUICK_WALKS = 40, 6
 RECORDING = "nju_phyphox_outdoor"  # of a phone in the hand
 IN_HAND = (  # name, files, and the time from which they are walked with [s]
     ("recorded, malls", "ms_indoor20/site*/*/*.txt", -np.inf),
     ("recorded, museum", "ipin2023_*/*Trial*.txt", 65.0),
     ("recorded, campus", RECORDING, -np.inf),
 )
-CORNERS = [[260, 0], [260, 150], [120, 150], [120, 250], [290, 290]]  # 1650 m with the way back
-CORNERS += [[290, 420], [60, 420], [-40, 330], [-40, 110], [0, 0]]
-ACCURACY, HDOP = 5.0, 0.9  # [m] 68 % and median, of a receiver at 1 Hz
+ROUTE_CORNERS = [[260, 0], [260, 150], [120, 150], [120, 250], [290, 290]]  # 1650 m with the way back
+ROUTE_CORNERS += [[290, 420], [60, 420], [-40, 330], [-40, 110], [0, 0]]
+GPS_ACCURACY, GPS_HDOP = 5.0, 0.9  # [m] 68 % and median, of a receiver at 1 Hz
 FIRST_OUTAGE, LAST_FIXES = 120.0, 30.0  # [s] from the start to the first outage, from the last to the end
 OUTAGES = {"20 s": 20.0, "2 min": 120.0}
-OVER = 5  # rows of the truth, of a second each, over which courses are compared
+COURSE_ROWS = 5  # rows of the truth, of a second each, over which courses are compared
 STRAIGHT = 30.0  # [s] of the first straight walk, which calibrates the forward axis
-CALIBRATED = 120.0  # [s] of the recorded walk with GPS speeds as strides, for the person's constants
+CALIBRATION_TIME = 120.0  # [s] of the recorded walk with GPS speeds as strides, for the person's constants
 
 NORTH_DRIFT = 0.03  # [rad/√s] of a phone's gyroscope, whose bias is not estimated: least north errors on seeds 0 to 11
 
@@ -63,7 +63,7 @@ OTHER_AXIS, TRUE_COURSE = (
     "paper's filters, true headings (from the truth)",
 )
 PRODUCT_ALONE, EKF = "product: dead reckoning from the last fix", "product: Kalman filter, causal"
-RTS, GRAPH = "product: RTS smoother", "**product: graph**"
+RTS, BY_GRAPH = "product: RTS smoother", "**product: graph**"
 STEPS_OF = {FILTER: "paper", OTHER_AXIS: "paper, forward axis by the product", PRODUCT_ALONE: "product"}
 Axis = Callable[[Attitude, Array, Mask, float], Forward]
 Rows = list[tuple[str, ...]]
@@ -207,8 +207,8 @@ def simulated(seed: int, manner: str = "fast") -> Walk:
 
     Nine tenths of a fix's error stay for 50 s. The person's strides of the calibration walk are known, as in the paper.
     """
-    route = [[0, 0], {"stand": 5}, {"to": CORNERS, "manner": manner}, {"stand": 5}]
-    gnss = {"accuracy": ACCURACY, "hdop": HDOP}
+    route = [[0, 0], {"stand": 5}, {"to": ROUTE_CORNERS, "manner": manner}, {"stand": 5}]
+    gnss = {"accuracy": GPS_ACCURACY, "hdop": GPS_HDOP}
     walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}, "gnss": gnss}))
     assert walk.gnss is not None
     fixes = replace(walk.gnss.fixes, source=(GNSS,) * len(walk.gnss.fixes))
@@ -235,7 +235,7 @@ def recorded(path: Path) -> Walk:
     evidence = read(path, Options())
     gait, _ = paper_gait(evidence.walk)
     landings, fixes = gait.landings, evidence.fixes
-    first = landings.time < fixes.time[0] + CALIBRATED
+    first = landings.time < fixes.time[0] + CALIBRATION_TIME
     known = np.interp(landings.time, fixes.time, fixes.speed) * landings.period
     stride = regression(StepFeatures(gait).vertical[first], known[first])
     truth = _trajectory(fixes.time, fixes.position)
@@ -286,7 +286,7 @@ class Observed:
             PRODUCT_ALONE: continued(self.alone, fixes, time),
             EKF: kalman_filter(graph).trajectory,
             RTS: kalman_smoother(graph).trajectory,
-            GRAPH: smooth(graph).trajectory,
+            BY_GRAPH: smooth(graph).trajectory,
         }
 
 
@@ -296,7 +296,7 @@ def _of_paper(walk: Walk) -> Iterator[tuple[str, tuple[PaperSteps, Fixes]]]:
     if not len(walk.hdop):
         yield from {FILTER: (steps, fixes), OTHER_AXIS: (other, fixes)}.items()
         return
-    by_hdop = replace(fixes, sigma=ACCURACY / RADIUS_68 * walk.hdop / HDOP)
+    by_hdop = replace(fixes, sigma=GPS_ACCURACY / RADIUS_68 * walk.hdop / GPS_HDOP)
     yield FILTER, (steps, by_hdop)
     yield IN_METRES, (steps, replace(fixes, sigma=walk.hdop))
     yield OTHER_AXIS, (other, by_hdop)
@@ -347,7 +347,7 @@ def in_outages(walks: list[Observed], seconds: float) -> tuple[int, Rows]:
 
 
 def of_steps(walks: list[Observed]) -> Rows:
-    """Rows of dead reckoning without fixes: distance as a share of the true one, and courses over `OVER` seconds."""
+    """Rows of dead reckoning without fixes: share of the true distance, and courses over `COURSE_ROWS` seconds."""
     rows = []
     for name in STEPS_OF:
         ratios, medians, off = [], [], []
@@ -355,8 +355,8 @@ def of_steps(walks: list[Observed]) -> Rows:
             truth, time = each.walk.truth, each.walk.truth.time
             track = each.alone if name == PRODUCT_ALONE else each.paper[name][0].track
             places = interpolate(time, track.time, track.position) @ [1, 1j], truth.position @ [1, 1j]
-            ours, true = (place[OVER:] - place[:-OVER] for place in places)
-            moved = np.abs(true) > 0.5 * OVER
+            ours, true = (place[COURSE_ROWS:] - place[:-COURSE_ROWS] for place in places)
+            moved = np.abs(true) > 0.5 * COURSE_ROWS
             ratios.append(np.abs(ours[moved]).sum() / np.abs(true[moved]).sum())
             off.append(np.degrees(np.abs(np.angle(ours[moved] / true[moved]))))
             medians.append(np.median(off[-1]))
@@ -371,11 +371,11 @@ def _cells(error: Array) -> tuple[str, ...]:
 
 def in_hands(quick: bool, data: Path | None) -> Iterator[tuple[str, list[Recording], float]]:
     """Name, recordings of phones in the hand, and the time after which they are walked with [s]."""
-    seeds = range(FIRST_SEED, FIRST_SEED + (QUICK if quick else WALKS))
+    seeds = range(FIRST_SEED, FIRST_SEED + (QUICK_WALKS if quick else SIMULATED_WALKS))
     route = [[0, 0], {"stand": 5}, {"to": [[60, 0]]}, {"stand": 2}]
     scenarios = [Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}) for seed in seeds]
     yield "simulated", [simulate(each).recording() for each in scenarios], -np.inf
-    few = QUICK if quick else None
+    few = QUICK_WALKS if quick else None
     for name, pattern, start in IN_HAND:
         if data is not None and (files := sorted(data.glob(pattern))[:few]):
             yield name, [uninterrupted(load(file))[0] for file in files], start
@@ -402,13 +402,13 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
 
     data: folder with the real recordings; those that are not there have no rows.
     """
-    walks = [Observed.of(simulated(FIRST_SEED + n)) for n in range(QUICK if quick else WALKS)]
+    walks = [Observed.of(simulated(FIRST_SEED + n)) for n in range(QUICK_WALKS if quick else SIMULATED_WALKS)]
     minutes = np.mean([np.ptp(each.walk.truth.time) for each in walks]) / 60
     title = f"[gps-dr] Sec. 4: 1650 m in {minutes:.0f} min [paper: 12 min], {len(walks)} simulated walkers"
     header = ("method", "mean [m]", "median [m]", "95 % [m]", "at the end, median [m]")
-    tables = [ResultTable("gps-dr", title, header, tuple(without_outage(walks)), NOTE)]
+    tables = [ResultTable("gps-dr", title, header, tuple(without_outage(walks)), OUTAGE_NOTE)]
     columns = "distance / true", "course error, mean [deg]", "median [deg]", "95 % [deg]", "walks over 45°, median"
-    about = f"[gps-dr] Secs. 2, 3: steps without GPS, courses over {OVER} s, {len(walks)} simulated walks"
+    about = f"[gps-dr] Secs. 2, 3: steps without GPS, courses over {COURSE_ROWS} s, {len(walks)} simulated walks"
     tables.append(ResultTable("gps-dr-steps", about, ("steps of", *columns), tuple(of_steps(walks))))
     columns = (
         "from the product's axis, median [deg]",
@@ -431,7 +431,7 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
     return tuple(tables)
 
 
-NOTE = (
+OUTAGE_NOTE = (
     "The paper prints tracks and no errors; its walk has one outage, ours as many as fit. 1650 m in 12 min are 2.3 "
     "m/s, a jog; our walkers go fast and need half as long again. The paper's sensor was worn, ours is a phone in "
     "the hand whose magnetometer and gyroscope have a bias. Nine tenths of a fix's error stay for 50 s. Strides of "

@@ -35,15 +35,15 @@ from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
-HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
-PUBLISHED = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
+PAPER_HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+PUBLISHED_RMS = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
     "acceleration PCA": (20.3, 21.3, 29.0, 44.6, 26.4),
     "angular-rate PCA": (55.7, 21.7, 27.3, 73.3, 50.0),
     "angular-rate accumulation": (11.8, 18.2, 24.9, 15.0, 15.4),
 }
-TRIALS, RATE = 62, 25.0  # of the experiment; [Hz] of the sensors
+TRIALS, SENSOR_RATE = 62, 25.0  # of the experiment; [Hz] of the sensors
 EXPERIMENTS = 10  # repetitions of the 62 trials, with other walkers
-PART = 45.0  # [s] of a real walk that are evaluated: about the duration of a trial
+PART_DURATION = 45.0  # [s] of a real walk that are evaluated: about the duration of a trial
 
 
 def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTable, ...]:
@@ -54,7 +54,9 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
     """
     experiments = [[l_walk(n, repetition) for n in range(TRIALS)] for repetition in range(1 if quick else EXPERIMENTS)]
     reheld = [reheld_walk(n) for n in range(8 * len(experiments))]
-    by_hold = {hold: [t for trials in experiments for t in trials[n :: len(HOLDS)]] for n, hold in enumerate(HOLDS)}
+    by_hold = {
+        hold: [t for trials in experiments for t in trials[n :: len(PAPER_HOLDS)]] for n, hold in enumerate(PAPER_HOLDS)
+    }
     groups = _simulated_and_real(by_hold, real_trials(data) if data else {})
     movements = {name: [movement(trial) for trial in trials] for name, trials in groups.items()}
     return (
@@ -88,12 +90,12 @@ class Trial:
 
 def l_walk(number: int, experiment: int = 0) -> Trial:
     """Trial ``number`` of 62 in an L-shaped corridor, west and then north; the holds take turns."""
-    return walk(HOLDS[number % len(HOLDS)], seed=FIRST_SEED + 100 * experiment + number // len(HOLDS))
+    return walk(PAPER_HOLDS[number % len(PAPER_HOLDS)], seed=FIRST_SEED + 100 * experiment + number // len(PAPER_HOLDS))
 
 
 def reheld_walk(number: int) -> Trial:
     """The same walk with the phone taken from the hand to another place half-way along the first leg, or back."""
-    others = HOLDS[1:]
+    others = PAPER_HOLDS[1:]
     holds = ("hand", others[number % 4])
     return walk(*(holds if number % 8 < 4 else holds[::-1]), seed=FIRST_SEED + number)
 
@@ -102,7 +104,7 @@ def walk(hold: str, new_hold: str = "", seed: int = 0) -> Trial:
     """A simulated walk along the L of 36 m and 26 m. new_hold: of the phone after 17 m, "" for no change."""
     first = [{"to": [[20.0, 1.2]], "hold": new_hold}] if new_hold else []
     route = [[37.0, 1.2], {"stand": 3}, *first, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
-    made = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": RATE}}))
+    made = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": SENSOR_RATE}}))
     body, walking = made.body, made.body.step_length > 0.3
     recording = made.recording("accelerometer", "gyroscope")
     return _with_pose(recording, body.time, body.heading, walking, made.motion.R_world_device)
@@ -152,7 +154,7 @@ def _with_smoothed_attitude(
 
 
 Method = Callable[[Recording], tuple[Attitude, Direction]]
-METHODS: dict[str, Method] = {
+HEADING_METHODS: dict[str, Method] = {
     "acceleration PCA": partial(_of_paper, acceleration_axis),
     "angular-rate PCA": partial(_of_paper, angular_rate_axis),
     "angular-rate accumulation": partial(_of_paper, accumulate_turn),
@@ -196,14 +198,16 @@ def without_half_turns(error: Array) -> Array:
 def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) -> ResultTable:
     """Mean of the trials' root mean square errors by method and hold, and their spread."""
     rows = list[tuple[str, ...]]()
-    for name, method in METHODS.items():
+    for name, method in HEADING_METHODS.items():
         by_trial = [[errors(trial, method) for trial in trials] for trials in experiments]
-        by_hold = [[e for trials in by_trial for e in trials[n :: len(HOLDS)]] for n in range(len(HOLDS))]
-        published = [f" ({figure})" for figure in PUBLISHED.get(name, ())] or [""] * len(HOLDS)
+        by_hold = [[e for trials in by_trial for e in trials[n :: len(PAPER_HOLDS)]] for n in range(len(PAPER_HOLDS))]
+        published = [f" ({figure})" for figure in PUBLISHED_RMS.get(name, ())] or [""] * len(PAPER_HOLDS)
         means = (f"{_mean_rms(hold)}{figure}" for hold, figure in zip(by_hold, published, strict=True))
         rows.append((name, *means, _mean_rms([errors(trial, method) for trial in reheld])))
         if len(experiments) > 1:
-            means = np.array([[_mean_rms(trials[n :: len(HOLDS)]) for n in range(len(HOLDS))] for trials in by_trial])
+            means = np.array(
+                [[_mean_rms(trials[n :: len(PAPER_HOLDS)]) for n in range(len(PAPER_HOLDS))] for trials in by_trial]
+            )
             ranges = zip(means.astype(float).min(axis=0), means.astype(float).max(axis=0), strict=True)
             rows.append(("– range of the experiments", *(f"{low:.0f} to {high:.0f}" for low, high in ranges), ""))
         rows.append(("– median of the trials", *(f"{np.median([rms(e) for e in hold]):.1f}" for hold in by_hold), ""))
@@ -214,7 +218,7 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         "heading",
         f"Walking direction by hold: mean of the trials' RMS error [deg] ([heading] Table 1, Eq. 2, Figs. 12 and 13); "
         f"{len(experiments)} x {TRIALS} simulated trials",
-        ("method (paper's figure)", *HOLDS, "re-held in mid-walk"),
+        ("method (paper's figure)", *PAPER_HOLDS, "re-held in mid-walk"),
         tuple(rows),
         "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
         "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
@@ -241,16 +245,16 @@ def _readings(by_hold: dict[str, list[Trial]]) -> ResultTable:
         rows.append((label, *means))
 
     for name, axis in (("acceleration PCA", acceleration_axis), ("angular-rate PCA", angular_rate_axis)):
-        row(f"{name}: level components, errors not wrapped", METHODS[name])
+        row(f"{name}: level components, errors not wrapped", HEADING_METHODS[name])
         row("– three components", partial(_of_paper, partial(axis, axes=3)))
-        row("– errors wrapped to ±180°", METHODS[name], lambda error: (error + 180) % 360 - 180)
-        row("– error of the axis: half turns removed", METHODS[name], without_half_turns)
+        row("– errors wrapped to ±180°", HEADING_METHODS[name], lambda error: (error + 180) % 360 - 180)
+        row("– error of the axis: half turns removed", HEADING_METHODS[name], without_half_turns)
         row("– error of the axis, attitude by pdr_graph", partial(_with_smoothed_attitude, axis), without_half_turns)
-        rows.append(("– published", *map(str, PUBLISHED[name])))
+        rows.append(("– published", *map(str, PUBLISHED_RMS[name])))
     return ResultTable(
         "heading-readings",
         "The same simulated trials by each reading of [heading] Secs. 4.1, 4.2 and Eq. 2: mean RMS [deg]",
-        ("reading", *HOLDS),
+        ("reading", *PAPER_HOLDS),
         tuple(rows),
         "The text applies PCA to three components, whose first is mostly the bounce; the figures show the level plane. "
         "Published greatest errors above 180° exclude wrapped errors. In the hand even the axis without its half turns "
@@ -276,7 +280,8 @@ def real_trials(data: Path) -> dict[str, list[Trial]]:
 
 
 SIDEWAYS = ("hang_handheld_side_test2", "hang_body_test1")  # whose walkers go sideways, or turn for seconds: data page
-SLOWEST, TURNS_BACK = 0.5, np.radians(135.0)  # [m/s] of walking; [rad] within a window, more than the corner of an L
+SLOWEST_WALK = 0.5  # [m/s]
+TURNS_BACK = np.radians(135.0)  # [rad] within a window: more than the corner of an L
 
 
 def _ridi(path: Path) -> Iterator[Trial]:
@@ -288,10 +293,10 @@ def _ridi(path: Path) -> Iterator[Trial]:
 
     time = columns["time"]
     grid, recording = _at_25_hz(path, Signal(time, columns_of("acce")), Signal(time, columns_of("gyro")))
-    position = gaussian_filter1d(interpolate(grid, time, columns_of("pos", "xy")), 0.5 * RATE, axis=0)
-    velocity = as_complex(np.gradient(position, 1 / RATE, axis=0))
+    position = gaussian_filter1d(interpolate(grid, time, columns_of("pos", "xy")), 0.5 * SENSOR_RATE, axis=0)
+    velocity = as_complex(np.gradient(position, 1 / SENSOR_RATE, axis=0))
     pose = Slerp(time, Rotation.from_quat(columns_of("ori", "xyzw")))(grid)
-    yield from _evaluated(recording, grid, np.unwrap(np.angle(velocity)), np.abs(velocity) > SLOWEST, pose)
+    yield from _evaluated(recording, grid, np.unwrap(np.angle(velocity)), np.abs(velocity) > SLOWEST_WALK, pose)
 
 
 def _microsoft(path: Path) -> Iterator[Trial]:
@@ -312,7 +317,7 @@ def _microsoft(path: Path) -> Iterator[Trial]:
 def _at_25_hz(path: Path, accelerometer: Signal, gyroscope: Signal) -> tuple[Array, Recording]:
     """Times ``(n,)`` [s] of the paper's rate, and a recording of both sensors sampled at them."""
     begin, end = max(accelerometer.time[0], gyroscope.time[0]), min(accelerometer.time[-1], gyroscope.time[-1])
-    grid = np.arange(begin, end, 1 / RATE)
+    grid = np.arange(begin, end, 1 / SENSOR_RATE)
     force, rate = (Signal(grid, interpolate(grid, s.time, s.values)) for s in (accelerometer, gyroscope))
     return grid, Recording(str(path), clock_origin=0.0, epoch=None, accelerometer=force, gyroscope=rate)
 
@@ -322,12 +327,12 @@ def _evaluated(recording: Recording, time: Array, heading: Array, walking: Mask,
 
     pose: attitude ``(n,)`` in the world of ``heading (n,)`` [rad].
     """
-    half_window = round(PRINCIPAL_WINDOW / 2 * RATE)
+    half_window = round(PRINCIPAL_WINDOW / 2 * SENSOR_RATE)
     padded = np.pad(heading, half_window, mode="edge")
     turn = np.abs(padded[2 * half_window :] - padded[: -2 * half_window])  # within a window of the components
     for first, after in zip(*runs(walking & (turn < TURNS_BACK)), strict=True):
-        if after - first >= 20 * RATE:
-            part = (time >= time[first]) & (time < min(time[first] + PART, time[after - 1]))
+        if after - first >= 20 * SENSOR_RATE:
+            part = (time >= time[first]) & (time < min(time[first] + PART_DURATION, time[after - 1]))
             yield _with_pose(recording, time, heading, part, pose)
             return
 
@@ -364,14 +369,14 @@ def movement(trial: Trial) -> Movement:
     evaluated = np.interp(attitude.time, trial.time, trial.walking) > 0.5
     first = int(np.argmax(evaluated))
     x, y, _ = attitude.R_world_device[first].apply(trial.ahead)
-    turning = np.abs(gaussian_filter1d(np.gradient(heading, attitude.period), 0.5 * RATE))
+    turning = np.abs(gaussian_filter1d(np.gradient(heading, attitude.period), 0.5 * SENSOR_RATE))
     straight = turning[evaluated] < np.radians(15)
 
     def in_axes_of_walker(vectors: Array) -> Array:
         world = attitude.R_world_device.apply(vectors)
         level = as_complex(world) * np.exp(-1j * (heading - heading[first] + np.arctan2(y, x)))
         axes = np.stack([level.real, level.imag, world[:, 2]], axis=1)
-        return (axes - gaussian_filter1d(axes, 1.3 * RATE, axis=0))[evaluated]
+        return (axes - gaussian_filter1d(axes, 1.3 * SENSOR_RATE, axis=0))[evaluated]
 
     acceleration, rate = in_axes_of_walker(attitude.acceleration), in_axes_of_walker(attitude.angular_rate)
     step = gait.landings.usual_step / attitude.period
@@ -387,7 +392,7 @@ def _near(signal: Array, frequency: float) -> float:
     return float(np.sqrt(2 * power.sum() / (len(signal) * np.sum(window**2))))
 
 
-BESIDE = {  # a simulated hold and the real phones carried like it
+REAL_PHONES = {  # a simulated hold and the real phones carried like it
     "hand": ("Microsoft, hand", "RIDI, hand"),
     "trouser pocket": ("RIDI, trouser pocket",),
     "breast pocket": ("RIDI, at the body",),
@@ -398,7 +403,7 @@ BESIDE = {  # a simulated hold and the real phones carried like it
 def _simulated_and_real(by_hold: dict[str, list[Trial]], real: dict[str, list[Trial]]) -> dict[str, list[Trial]]:
     """Trials by how the phone is carried, simulated ones before real ones."""
     groups = dict[str, list[Trial]]()
-    for hold, others in BESIDE.items():
+    for hold, others in REAL_PHONES.items():
         groups[f"simulated, {hold}"] = by_hold[hold]
         groups |= {name: real[name] for name in others if name in real}
     return groups
@@ -409,16 +414,18 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
     rows = list[tuple[str, ...]]()
     for name, trials in groups.items():
         cells = [name, str(len(trials))]
-        for method in PUBLISHED:
-            by_trial = [errors(trial, METHODS[method]) for trial in trials]
+        for method in PUBLISHED_RMS:
+            by_trial = [errors(trial, HEADING_METHODS[method]) for trial in trials]
             cells.append(_mean_rms(by_trial))
             if "PCA" in method:
                 reversed_axis = np.mean([np.abs(error[-1]) > 90 for error in by_trial])
                 cells += [_mean_rms([without_half_turns(e) for e in by_trial]), f"{100 * reversed_axis:.0f}"]
         package = "reference" if name.startswith("Microsoft") else _mean_rms([errors(t, _of_package) for t in trials])
         rows.append((*cells, package))
-        if (hold := name.removeprefix("simulated, ")) in HOLDS:
-            acceleration, rate, accumulation = (str(figures[HOLDS.index(hold)]) for figures in PUBLISHED.values())
+        if (hold := name.removeprefix("simulated, ")) in PAPER_HOLDS:
+            acceleration, rate, accumulation = (
+                str(figures[PAPER_HOLDS.index(hold)]) for figures in PUBLISHED_RMS.values()
+            )
             rows.append((f"paper, {hold}", "", acceleration, "", "", rate, "", "", accumulation, ""))
     columns = ("– axis", "– reversed at the end [%]")
     return ResultTable(
@@ -474,7 +481,10 @@ def _by_ratio(groups: dict[str, list[Trial]], movements: dict[str, list[Movement
             ("acceleration PCA", [m.fore_aft for m in moves]),
             ("angular-rate PCA", [m.pitch for m in moves]),
         ):
-            by_trial, interval = [errors(trial, METHODS[method]) for trial in trials], np.digitize(ratios, RATIOS[1:])
+            by_trial, interval = (
+                [errors(trial, HEADING_METHODS[method]) for trial in trials],
+                np.digitize(ratios, RATIOS[1:]),
+            )
             within = ([by_trial[k] for k in np.flatnonzero(interval == n)] for n in range(len(RATIOS) - 1))
             columns.append([f"{_mean_rms(some)} ({len(some)})" if some else "" for some in within])
     labels = [f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}" for low, high in pairwise(RATIOS)]

@@ -29,20 +29,21 @@ from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Fixes, Headings, Steps, Trajectory
 
 SHARES = np.sort([*np.arange(1, 11) / 10, 0.35, 0.53, 0.56])  # of the route, where the paper measures
-PAPER = {  # mean, greatest, least error of the 13 points [m], Table 1
+PUBLISHED_ERRORS = {  # mean, greatest, least error of the 13 points [m], Table 1
     "dead reckoning": (6.76, 10.78, 2.01),
     "projection on links": (1.01, 1.94, 0.19),
     "method 1": (0.57, 1.08, 0.24),
     "method 2": (1.54, 2.68, 0.44),
 }
-SIDES, WIDTH = np.array([42.5, 25.5]), 2.5  # [m] between the middles of corridors; their width, 2 to 3 m in the paper
-START, LATER = 3.0, 13.6  # [m] from the corner to the start: "the lower part of a corridor"; 10 % of the lap
+LOOP_SIDES = np.array([42.5, 25.5])  # [m] between the middles of corridors
+CORRIDOR_WIDTH = 2.5  # [m]; 2 to 3 m in the paper
+START_FROM_CORNER, LATER = 3.0, 13.6  # [m] to the start: "the lower part of a corridor"; 10 % of the lap
 ZIGZAG = (0.4, 0.8)  # [m] amplitude on two legs: as much as the corridors leave
 # Factor of the strides with which our dead reckoning has about the paper's errors of 2.01 to 10.78 m: the paper's track
 # is "smaller than the true one" (Sec. 4.2). Chosen for that, and used only for rows that say so
 SHORTER = 0.8
 SIGMA_START, SIGMA_HEADING = 0.2, 0.1  # [m], [rad] of the start that the graph is given
-LOST = 0.1  # share of steps on a wrong link above which a lap has lost its way: others have at most 6 %
+LOST_SHARE = 0.1  # share of steps on a wrong link above which a lap has lost its way: others have at most 6 %
 
 
 def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
@@ -102,9 +103,9 @@ class Lap:
         return Fixes(np.array([self.bent.start]), self.start[None], np.array([SIGMA_START]), ("",))
 
 
-def loop_plan(sides: Array = SIDES) -> FloorPlan:
+def loop_plan(sides: Array = LOOP_SIDES) -> FloorPlan:
     """Four corridors around a block, with an intersection at each corner. sides: ``(2,)`` between their middles [m]."""
-    half, (x, y) = WIDTH / 2, sides.tolist()
+    half, (x, y) = CORRIDOR_WIDTH / 2, sides.tolist()
     corners = [(0.0, 0.0), (x, 0.0), (x, y), (0.0, y)]
     crossings = [shapely.box(a - half, b - half, a + half, b + half) for a, b in corners]
     corridors = [
@@ -115,18 +116,18 @@ def loop_plan(sides: Array = SIDES) -> FloorPlan:
     return FloorPlan("1", (*areas, *(Area("corridor", "", shape) for shape in corridors)), enu(35.0, 135.0))
 
 
-def simulate_lap(seed: int, size: float = 1.0, start_at: float = START, zigzag: bool = True) -> Lap:
+def simulate_lap(seed: int, size: float = 1.0, start_at: float = START_FROM_CORNER, zigzag: bool = True) -> Lap:
     """A lap counter-clockwise by the walker of a seed.
 
     size: of the loop, 1 for 136 m; start_at: from the corner before the start [m]; zigzag: on the second and third leg.
     """
-    (x, y), random = (SIDES * size).tolist(), np.random.default_rng(seed)
+    (x, y), random = (LOOP_SIDES * size).tolist(), np.random.default_rng(seed)
     start = [start_at, 0.0]
     legs = [{"to": to, "zigzag": 0.0} for to in ([x, 0.0], [x, y], [0.0, y], [0.0, 0.0], start)]
     if zigzag:
         legs[1]["zigzag"], legs[2]["zigzag"] = random.uniform(*ZIGZAG, 2).tolist()
     route = [start, {"stand": 3}, *legs, {"stand": 3}]
-    plan = loop_plan(SIDES * size)
+    plan = loop_plan(LOOP_SIDES * size)
     scenario = replace(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}), plans={"": plan})
     simulation = simulate(scenario)
     return Lap(simulation, plan, np.array(start), paper_steps(simulation))
@@ -180,7 +181,7 @@ def by_product(lap: Lap) -> Trajectory:
     return by_graph(lap, detect_steps(lap.simulation.recording("accelerometer", "gyroscope")))
 
 
-METHODS: dict[str, Callable[[Lap], Trajectory]] = {
+MATCHING_METHODS: dict[str, Callable[[Lap], Trajectory]] = {
     "dead reckoning": reckoned,
     "projection on links": projected,
     "method 1": by_method_1,
@@ -213,13 +214,13 @@ def _at_shares(line: Array) -> Array:
 def table_1(laps: Sequence[Lap], name: str, strides: str) -> ResultTable:
     """Errors of all methods over the laps. name: of the table; strides: what they are, for the title."""
     rows = []
-    for label, method in METHODS.items():
+    for label, method in MATCHING_METHODS.items():
         tracks = [method(lap) for lap in laps]
         along, timed = (
             np.array([np.hypot(*rule(track, lap.truth).T) for track, lap in zip(tracks, laps, strict=True)])
             for rule in (errors_along, errors_at_times)
         )
-        published = PAPER.get(label, (None,) * 3)
+        published = PUBLISHED_ERRORS.get(label, (None,) * 3)
         cells = [
             median_and_range(score(along, axis=1), paper)
             for score, paper in zip((np.mean, np.max, np.min), published, strict=True)
@@ -289,7 +290,7 @@ class Variation:
 
     name: str
     size: float = 1.0
-    start_at: float = START
+    start_at: float = START_FROM_CORNER
     zigzag: bool = True
     stride: float = 1.0
     turns: float = 1.0
@@ -354,7 +355,7 @@ def projection_table(seeds: Sequence[int]) -> ResultTable:
 def projection_row(variation: Variation, laps: Sequence[Lap]) -> tuple[str, ...]:
     """Errors of dead reckoning and of the projection over laps, as cells."""
     walks = [projection_of(lap) for lap in laps]
-    kept, lost = ([walk for walk in walks if (walk.wrong > LOST) is wrong] for wrong in (False, True))
+    kept, lost = ([walk for walk in walks if (walk.wrong > LOST_SHARE) is wrong] for wrong in (False, True))
     where = SHARES[np.argmax(np.median([walk.reckoned for walk in walks], axis=0))]
     return (
         variation.name,
