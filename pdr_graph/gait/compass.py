@@ -311,12 +311,15 @@ class LiveCompass:
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
         late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(COMPASS.straight / spacing)]
         if not len(north) or not len(late):
-            self._retract_drift()
+            if np.isfinite(self._drift_at):
+                self._drifts.append(StretchValue(self.stretch, self._drift_at, 0.0, np.inf))
+                self._drift_at = np.nan
             return self._retract()
         sample = straightest(heading, late, round(COMPASS.straight / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
         moment = float(time[sample])
-        self._report_drift(moment, north)
+        self._drift_at = min(moment, self.end)  # within certain steps
+        self._drifts.append(StretchValue(self.stretch, self._drift_at, north.drift, north.drift_sigma))
         north_sigma = float(np.interp(moment, north.time, north.sigma))
         if not max(ahead.sigma, north_sigma) < COMPASS.least_certain:
             return self._retract()
@@ -343,16 +346,6 @@ class LiveCompass:
         if self.current is not None:
             self._found.append(StretchValue(self.stretch, self.current.time, 0.0, np.inf))
             self.current = None
-
-    def _report_drift(self, moment: float, north: North) -> None:
-        """Report the drift of the gyroscope over the stretch, at a time within certain steps [s]."""
-        self._drift_at = min(moment, self.end)
-        self._drifts.append(StretchValue(self.stretch, self._drift_at, north.drift, north.drift_sigma))
-
-    def _retract_drift(self) -> None:
-        if np.isfinite(self._drift_at):
-            self._drifts.append(StretchValue(self.stretch, self._drift_at, 0.0, np.inf))
-            self._drift_at = np.nan
 
     def _fill_field(self) -> None:
         """Fill in the magnetic field of the new samples."""

@@ -32,7 +32,7 @@ from pdr_graph.whole_files import lock
 WALK_MAGIC, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
 RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
-JOURNAL_REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
+ADVICE = "finish the walk with the pdr_graph that began it, or start a new --journal"
 SECONDS = {"process": float("inf"), "minute": 60.0, "power": 0.0}  # [s] between two waits for the disk
 Navigator = TypeVar("Navigator", bound=LiveEstimator)
 
@@ -103,9 +103,7 @@ def read_entries(path: Path, offset: int = 0, kind: bytes = MESSAGES) -> Iterato
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if file.read(len(kind)) != kind and _found_after(file, 0, size) is None:
-            expected = (
-                f"a journal of this version: {JOURNAL_REMEDY}" if kind == WALK_MAGIC else "a log of pdr-graph serve"
-            )
+            expected = f"a journal of this version: {ADVICE}" if kind == WALK_MAGIC else "a log of pdr-graph serve"
             raise InputError(path, "", "another kind of file", expected)
         offset = max(offset, len(kind))
         while (entry := _entry_at(file, offset, size) or _found_after(file, offset, size)) is not None:

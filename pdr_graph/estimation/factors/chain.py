@@ -305,8 +305,7 @@ def increment(whole: Array, start: float, begin: float, end: float, c: Array) ->
     first, last = np.searchsorted(whole[:, 0], (begin, end), side="right").tolist()
     rows = whole[first : last + (last == first or whole[last - 1, 0] < end) * (last < len(whole))].tolist()
     before = float(whole[first - 1, 0]) if first else start
-    x = y = by_turn_x = by_turn_y = by_time_x = by_time_y = turned = elapsed = 0.0
-    xx = xy = 0.0
+    x = y = by_turn_x = by_turn_y = by_time_x = by_time_y = turned = elapsed = xx = xy = 0.0
     swings = list[tuple[float, float, float]]()  # position half-way through each piece, and the variance of its turn
     for until, length, turn, of_displacement, of_turn, *_ in rows:
         if until <= before:  # ends with the piece before it

@@ -136,8 +136,7 @@ class BlockRows:
     def __init__(self, block: FactorBlock):
         self.rows = np.column_stack([block.residual, *block.jacobian()])
         self._bounds: list[int] = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
-        counts = np.diff(self._bounds) if block.most_rows is None else block.most_rows
-        self.most: list[int] = counts.tolist()
+        self.most: list[int] = (np.diff(self._bounds) if block.most_rows is None else block.most_rows).tolist()
 
     def of(self, n: int) -> Array:
         """The rows ``(r, 1 + 3 v)`` of a factor."""
@@ -146,11 +145,7 @@ class BlockRows:
     def filled(self, n: int | None, rows: int) -> Array:
         """The rows of a factor, and zeros for those that it does not have here ``(rows, 1 + 3 v)``; None for none."""
         part = self.rows[:0] if n is None else self.of(n)
-        if len(part) == rows:
-            return part
-        filled = np.zeros((rows, part.shape[1]))
-        filled[: len(part)] = part
-        return filled
+        return part if len(part) == rows else np.pad(part, ((0, rows - len(part)), (0, 0)))
 
 
 class _LossRows(BlockRows):
@@ -189,8 +184,7 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
 
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.block(values, position, variables)
-        n = now.place.get(number)
-        part = now.filled(n, rows) if noise else now.with_loss(n, rows + 1)
+        part = now.filled(now.place.get(number), rows) if noise else now.with_loss(now.place.get(number), rows + 1)
         return part[:, 0], np.split(part[:, 1:], len(variables), axis=1)
 
     return guarded(block.name, noise or unit_noise(rows + 1), [variable.key for variable in variables], linearized)

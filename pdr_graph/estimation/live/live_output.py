@@ -32,7 +32,7 @@ from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, IS_ROW, PIECE_END, TURN_VARIANCE
+from pdr_graph.estimation.live.window import CLOSE, IS_ROW, TURN_VARIANCE, UNTIL
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.geometry import (
@@ -179,7 +179,7 @@ def predict(
 
 def unknown_turns(whole: Array) -> Array:
     """Ends [s] of the pieces in which the walker may have turned by any angle; whole: see `intervals`."""
-    return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, PIECE_END]
+    return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, UNTIL]
 
 
 @dataclass
@@ -348,7 +348,7 @@ class LiveOutput:
         whole = window.steps.with_tail(tail)
         if modes.mixture is None:
             modes = Modes(self.keyframe_belief(), window.times[-1])
-        end = float(whole[-1, PIECE_END]) if len(whole) else modes.time
+        end = float(whole[-1, UNTIL]) if len(whole) else modes.time
         end = end if until is None else min(end, until)
         fixes = self.fixes_between(modes.time, end)
         if fixes and self.modes.mixture is None and not self.graph.has_position:
@@ -461,8 +461,8 @@ class LiveOutput:
         """Predicted rows of the steps since the last keyframe; the last row is the current pose."""
         window = self.graph.window
         whole = window.steps.with_tail(tail)
-        ends = whole[(whole[:, PIECE_END] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), PIECE_END]
-        moments = np.unique(np.append(ends, whole[-1:, PIECE_END]))
+        ends = whole[(whole[:, UNTIL] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), UNTIL]
+        moments = np.unique(np.append(ends, whole[-1:, UNTIL]))
         moments = moments[moments > window.times[-1] + CLOSE]
         beliefs = [self.belief(tail, until) for until in moments.tolist()]
         pose = np.array([belief.mean[:3] for belief in beliefs]).reshape(-1, 3)

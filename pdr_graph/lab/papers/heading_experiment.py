@@ -35,8 +35,8 @@ from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
-PAPER_HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
-PUBLISHED_RMS = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
+CARRIED = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+TABLE_1 = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
     "acceleration PCA": (20.3, 21.3, 29.0, 44.6, 26.4),
     "angular-rate PCA": (55.7, 21.7, 27.3, 73.3, 50.0),
     "angular-rate accumulation": (11.8, 18.2, 24.9, 15.0, 15.4),
@@ -54,9 +54,7 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
     """
     experiments = [[l_walk(n, repetition) for n in range(TRIALS)] for repetition in range(1 if quick else EXPERIMENTS)]
     reheld = [reheld_walk(n) for n in range(8 * len(experiments))]
-    by_hold = {
-        hold: [t for trials in experiments for t in trials[n :: len(PAPER_HOLDS)]] for n, hold in enumerate(PAPER_HOLDS)
-    }
+    by_hold = {hold: [t for trials in experiments for t in trials[n :: len(CARRIED)]] for n, hold in enumerate(CARRIED)}
     groups = _simulated_and_real(by_hold, real_trials(data) if data else {})
     movements = {name: [movement(trial) for trial in trials] for name, trials in groups.items()}
     return (
@@ -90,12 +88,12 @@ class Trial:
 
 def l_walk(number: int, experiment: int = 0) -> Trial:
     """Trial ``number`` of 62 in an L-shaped corridor, west and then north; the holds take turns."""
-    return walk(PAPER_HOLDS[number % len(PAPER_HOLDS)], seed=FIRST_SEED + 100 * experiment + number // len(PAPER_HOLDS))
+    return walk(CARRIED[number % len(CARRIED)], seed=FIRST_SEED + 100 * experiment + number // len(CARRIED))
 
 
 def reheld_walk(number: int) -> Trial:
     """The same walk with the phone taken from the hand to another place half-way along the first leg, or back."""
-    others = PAPER_HOLDS[1:]
+    others = CARRIED[1:]
     holds = ("hand", others[number % 4])
     return walk(*(holds if number % 8 < 4 else holds[::-1]), seed=FIRST_SEED + number)
 
@@ -154,7 +152,7 @@ def _with_smoothed_attitude(
 
 
 Method = Callable[[Recording], tuple[Attitude, Direction]]
-HEADING_METHODS: dict[str, Method] = {
+READINGS: dict[str, Method] = {
     "acceleration PCA": partial(_of_paper, acceleration_axis),
     "angular-rate PCA": partial(_of_paper, angular_rate_axis),
     "angular-rate accumulation": partial(_of_paper, accumulate_turn),
@@ -198,16 +196,15 @@ def without_half_turns(error: Array) -> Array:
 def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) -> ResultTable:
     """Mean of the trials' root mean square errors by method and hold, and their spread."""
     rows = list[tuple[str, ...]]()
-    for name, method in HEADING_METHODS.items():
+    for name, method in READINGS.items():
         by_trial = [[errors(trial, method) for trial in trials] for trials in experiments]
-        by_hold = [[e for trials in by_trial for e in trials[n :: len(PAPER_HOLDS)]] for n in range(len(PAPER_HOLDS))]
-        published = [f" ({figure})" for figure in PUBLISHED_RMS.get(name, ())] or [""] * len(PAPER_HOLDS)
+        by_hold = [[e for trials in by_trial for e in trials[n :: len(CARRIED)]] for n in range(len(CARRIED))]
+        published = [f" ({figure})" for figure in TABLE_1.get(name, ())] or [""] * len(CARRIED)
         means = (f"{_mean_rms(hold)}{figure}" for hold, figure in zip(by_hold, published, strict=True))
         rows.append((name, *means, _mean_rms([errors(trial, method) for trial in reheld])))
         if len(experiments) > 1:
-            means = np.array(
-                [[_mean_rms(trials[n :: len(PAPER_HOLDS)]) for n in range(len(PAPER_HOLDS))] for trials in by_trial]
-            )
+            holds = range(len(CARRIED))
+            means = np.array([[_mean_rms(trials[n :: len(CARRIED)]) for n in holds] for trials in by_trial])
             ranges = zip(means.astype(float).min(axis=0), means.astype(float).max(axis=0), strict=True)
             rows.append(("– range of the experiments", *(f"{low:.0f} to {high:.0f}" for low, high in ranges), ""))
         rows.append(("– median of the trials", *(f"{np.median([rms(e) for e in hold]):.1f}" for hold in by_hold), ""))
@@ -218,7 +215,7 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         "heading",
         f"Walking direction by hold: mean of the trials' RMS error [deg] ([heading] Table 1, Eq. 2, Figs. 12 and 13); "
         f"{len(experiments)} x {TRIALS} simulated trials",
-        ("method (paper's figure)", *PAPER_HOLDS, "re-held in mid-walk"),
+        ("method (paper's figure)", *CARRIED, "re-held in mid-walk"),
         tuple(rows),
         "As in the paper: IMU filter, 25 Hz, windows of 65 samples, errors not wrapped, initial direction from the "
         "truth (the last method gets none). Principal components are of the level plane, as in Figs. 6 and 7. "
@@ -245,16 +242,16 @@ def _readings(by_hold: dict[str, list[Trial]]) -> ResultTable:
         rows.append((label, *means))
 
     for name, axis in (("acceleration PCA", acceleration_axis), ("angular-rate PCA", angular_rate_axis)):
-        row(f"{name}: level components, errors not wrapped", HEADING_METHODS[name])
+        row(f"{name}: level components, errors not wrapped", READINGS[name])
         row("– three components", partial(_of_paper, partial(axis, axes=3)))
-        row("– errors wrapped to ±180°", HEADING_METHODS[name], lambda error: (error + 180) % 360 - 180)
-        row("– error of the axis: half turns removed", HEADING_METHODS[name], without_half_turns)
+        row("– errors wrapped to ±180°", READINGS[name], lambda error: (error + 180) % 360 - 180)
+        row("– error of the axis: half turns removed", READINGS[name], without_half_turns)
         row("– error of the axis, attitude by pdr_graph", partial(_with_smoothed_attitude, axis), without_half_turns)
-        rows.append(("– published", *map(str, PUBLISHED_RMS[name])))
+        rows.append(("– published", *map(str, TABLE_1[name])))
     return ResultTable(
         "heading-readings",
         "The same simulated trials by each reading of [heading] Secs. 4.1, 4.2 and Eq. 2: mean RMS [deg]",
-        ("reading", *PAPER_HOLDS),
+        ("reading", *CARRIED),
         tuple(rows),
         "The text applies PCA to three components, whose first is mostly the bounce; the figures show the level plane. "
         "Published greatest errors above 180° exclude wrapped errors. In the hand even the axis without its half turns "
@@ -414,18 +411,16 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
     rows = list[tuple[str, ...]]()
     for name, trials in groups.items():
         cells = [name, str(len(trials))]
-        for method in PUBLISHED_RMS:
-            by_trial = [errors(trial, HEADING_METHODS[method]) for trial in trials]
+        for method in TABLE_1:
+            by_trial = [errors(trial, READINGS[method]) for trial in trials]
             cells.append(_mean_rms(by_trial))
             if "PCA" in method:
                 reversed_axis = np.mean([np.abs(error[-1]) > 90 for error in by_trial])
                 cells += [_mean_rms([without_half_turns(e) for e in by_trial]), f"{100 * reversed_axis:.0f}"]
         package = "reference" if name.startswith("Microsoft") else _mean_rms([errors(t, _of_package) for t in trials])
         rows.append((*cells, package))
-        if (hold := name.removeprefix("simulated, ")) in PAPER_HOLDS:
-            acceleration, rate, accumulation = (
-                str(figures[PAPER_HOLDS.index(hold)]) for figures in PUBLISHED_RMS.values()
-            )
+        if (hold := name.removeprefix("simulated, ")) in CARRIED:
+            acceleration, rate, accumulation = (str(figures[CARRIED.index(hold)]) for figures in TABLE_1.values())
             rows.append((f"paper, {hold}", "", acceleration, "", "", rate, "", "", accumulation, ""))
     columns = ("– axis", "– reversed at the end [%]")
     return ResultTable(
@@ -481,10 +476,7 @@ def _by_ratio(groups: dict[str, list[Trial]], movements: dict[str, list[Movement
             ("acceleration PCA", [m.fore_aft for m in moves]),
             ("angular-rate PCA", [m.pitch for m in moves]),
         ):
-            by_trial, interval = (
-                [errors(trial, HEADING_METHODS[method]) for trial in trials],
-                np.digitize(ratios, RATIOS[1:]),
-            )
+            by_trial, interval = [errors(trial, READINGS[method]) for trial in trials], np.digitize(ratios, RATIOS[1:])
             within = ([by_trial[k] for k in np.flatnonzero(interval == n)] for n in range(len(RATIOS) - 1))
             columns.append([f"{_mean_rms(some)} ({len(some)})" if some else "" for some in within])
     labels = [f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}" for low, high in pairwise(RATIOS)]

@@ -26,9 +26,9 @@ QUICK_CROWDS, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk 
 FALSE_SHARE, NEAREST_FALSE, FARTHEST_FALSE = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
 UNBOUNDED = 1e3  # [σ] within which the loss of closures is Gaussian
 
-KNOWN_START, SWITCH, BLE_BEACONS = "known start", "switch", "BLE beacons"
+KNOWN_START, SWITCH, BY_BLE = "known start", "switch", "BLE beacons"
 ENCOUNTER, DESK = "encounters with a walker", "encounters with a fixed terminal"
-ALL_REFERENCES = (SWITCH, BLE_BEACONS, ENCOUNTER, DESK)
+REFERENCES = (SWITCH, BY_BLE, ENCOUNTER, DESK)
 
 NEAR_BEACON = BEACONS.nearest  # [m] by its level, within which the paper's reference is the beacon's place
 
@@ -40,7 +40,7 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     return by_reference(crowds), with_false_encounters(crowds)
 
 
-REFERENCE_COLUMNS = (
+COLUMN_NAMES = (
     "reference positions",
     "method",
     "references per walk",
@@ -56,15 +56,10 @@ OF_PAPER, GRAPH, ONE_IN_TEN, LEFT_OUT = "paper", "graph", "1 in 10 false", "thes
 
 def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
     """Errors of dead reckoning by each kind of reference position, and by all."""
-    close, strong, whole = (
-        [rule.encounters(walkers) for walkers in crowds] for rule in (CLOSE_ENCOUNTERS, DISTANT, RECEIVED)
-    )
+    close, strong, whole = ([rule.encounters(walkers) for walkers in crowds] for rule in (NEARBY, DISTANT, RECEIVED))
     rows = list[tuple[str, ...]]()
-    for title, sources in (
-        (KNOWN_START, ()),
-        *((f"+ {source}", (source,)) for source in ALL_REFERENCES),
-        ("all of these", ALL_REFERENCES),
-    ):
+    alone = [(f"+ {source}", (source,)) for source in REFERENCES]
+    for title, sources in ((KNOWN_START, ()), *alone, ("all of these", REFERENCES)):
         rows.append(score(crowds, close, by_paper(sources), (title, OF_PAPER)))
         rows.append(score(crowds, close, by_graph(sources), (title, GRAPH)))
         if sources in ((ENCOUNTER,), (DESK,)):
@@ -73,23 +68,23 @@ def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
             rows.append(score(crowds, whole, by_graph(sources, as_beacon=True), (title, "graph, terminal as a beacon")))
     minutes = max(walk.steps.end for walk in crowds[0].walks) / 60
     title = f"Reference positions, [calibration-walk] Sec. 2: {len(crowds)} × 12 walkers, {minutes:.1f} min each"
-    return ResultTable("reference-positions", title, REFERENCE_COLUMNS, tuple(rows), NOTE_REFERENCES)
+    return ResultTable("reference-positions", title, COLUMN_NAMES, tuple(rows), NOTE_REFERENCES)
 
 
 def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     """What false encounters do: one in ten is with a walker who was elsewhere."""
     rows = list[tuple[str, ...]]()
     for rule, sources, without in (
-        (CLOSE_ENCOUNTERS, (ENCOUNTER,), True),
-        (CLOSE_ENCOUNTERS, ALL_REFERENCES, True),
+        (NEARBY, (ENCOUNTER,), True),
+        (NEARBY, REFERENCES, True),
         (DISTANT, (ENCOUNTER,), False),  # without false ones: in the other table
     ):
         pairs = [falsified(walkers, rule.encounters(walkers), FIRST_SEED) for walkers in crowds]
         false, wrong = [met for met, _ in pairs], [of_crowd for _, of_crowd in pairs]
-        title = f"{rule.name}{' and all others' if sources == ALL_REFERENCES else ''}, "
+        title = f"{rule.name}{' and all others' if sources == REFERENCES else ''}, "
         rows.append((*score(crowds, false, by_paper(sources), (title + ONE_IN_TEN, OF_PAPER)), ""))
         rows.append(score_with_rejected(crowds, false, by_graph(sources), (title + ONE_IN_TEN, GRAPH), wrong))
-        if rule is CLOSE_ENCOUNTERS and sources == (ENCOUNTER,):
+        if rule is NEARBY and sources == (ENCOUNTER,):
             with changed(LOSSES, closure=UNBOUNDED):
                 names = title + ONE_IN_TEN, "graph without robust loss"
                 rows.append((*score(crowds, false, by_graph(sources), names), ""))
@@ -99,7 +94,7 @@ def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
             rows.append((*score(crowds, kept, by_paper(sources), (title + LEFT_OUT, OF_PAPER)), ""))
             rows.append(score_with_rejected(crowds, kept, by_graph(sources), (title + LEFT_OUT, GRAPH), nothing))
     title = f"False encounters, {NEAREST_FALSE:.0f} to {FARTHEST_FALSE:.0f} m from the other walker"
-    header = (*REFERENCE_COLUMNS, "rejected: false, right [%]")
+    header = (*COLUMN_NAMES, "rejected: false, right [%]")
     return ResultTable("false-encounter", title, header, tuple(rows), NOTE_FALSE)
 
 
@@ -175,7 +170,7 @@ def distance_by(rssi: Array) -> Array:
 
 DISTANT = Rule("encounters at about ten metres", -85.0, 1.5)  # sigma by the level
 # At the level of a metre; their distance was 3.3 m per axis (root mean square) on seeds 0 to 2
-CLOSE_ENCOUNTERS = Rule("close encounters", BEACONS.path_loss[0], 3.0)
+NEARBY = Rule("close encounters", BEACONS.path_loss[0], 3.0)
 RECEIVED = Rule("all receptions", -np.inf, 3.0)
 
 
@@ -209,7 +204,7 @@ def references(walkers: Crowd, sources: Sequence[str], met: Encounters) -> list[
     all_of = list[Reference]()
     for number, walk in enumerate(walkers.walks):
         known = [walk.presses] if SWITCH in sources else []
-        if BLE_BEACONS in sources:
+        if BY_BLE in sources:
             levels = walk.levels
             near = np.flatnonzero(distance_by(levels.rssi) < NEAR_BEACON)
             known.append(Fixes(levels.time[near], levels.position[levels.beacon[near]], np.ones(len(near))))
@@ -269,7 +264,7 @@ def smoothed(walkers: Crowd, sources: Sequence[str], met: Encounters, as_beacon:
     """Every walker by the graph, all in one if they met. as_beacon: the terminal is one more beacon, all its levels."""
     graphs = list[WalkGraph]()
     for number, walk in enumerate(walkers.walks):
-        fixes, levels = [walk.start], [walk.levels] if BLE_BEACONS in sources else []
+        fixes, levels = [walk.start], [walk.levels] if BY_BLE in sources else []
         fixes += [walk.presses] if SWITCH in sources else []
         if DESK in sources:
             at_desk = met.only((met.pair == (number, TERMINAL)).all(axis=1))
@@ -325,8 +320,7 @@ def by_graph(sources: Sequence[str], as_beacon: bool = False) -> Method:
     def method(walkers: Crowd, met: Encounters) -> tuple[list[Trajectory], int]:
         used = np.where(met.with_terminal, DESK in sources, ENCOUNTER in sources)
         number = int(used.sum()) + sum(
-            len(walk.presses) * (SWITCH in sources) + len(walk.levels) * (BLE_BEACONS in sources)
-            for walk in walkers.walks
+            len(walk.presses) * (SWITCH in sources) + len(walk.levels) * (BY_BLE in sources) for walk in walkers.walks
         )
         return smoothed(walkers, sources, met, as_beacon), number
 

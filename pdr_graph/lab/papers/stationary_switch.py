@@ -22,10 +22,9 @@ from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
 CARTS, QUICK = 200, 40
-CALIBRATION_REST, WAIT = 30.0, 5.3  # [s] at rest: for λ, before the cart starts
-STOP_REST, AFTER = 4.0, 5.0  # [s] at rest: between, at the end
+FIRST_REST, WAIT, HALT, AFTER = 30.0, 5.3, 4.0, 5.0  # [s] at rest: for λ, before the cart starts, between, at the end
 OUT, BACK = 0.95, 1.05  # [m] there and back again
-FINAL_PLACE = OUT - BACK  # [m] along x, where the cart stops
+STOPPED_AT = OUT - BACK  # [m] along x, where the cart stops
 THEIR_ERRORS = 0.4  # of the simulated gyroscope's errors: with these, λ is the paper's on most phones
 LASTING = 0.8  # [s] of rest before the longer switch: chosen by hand on seeds 0 to 19, above the gaps of the vibration
 IMU_SENSORS = ("accelerometer", "gyroscope", "magnetometer")
@@ -111,19 +110,14 @@ def cart(seed: int, errors: float = 1.0) -> Cart:
     """
     north = earth_field(35.0, 135.0, Scenario.start).declination  # east of true north [rad], at the scenario's place
     x = np.array([np.cos(north), -np.sin(north)])
-    route = [
-        [0, 0],
-        {"stand": CALIBRATION_REST + WAIT},
-        {"roll": (OUT * x).tolist(), "speed": 0.452},
-        {"stand": STOP_REST},
-    ]
-    route += [{"roll": (FINAL_PLACE * x).tolist(), "speed": 0.438}, {"stand": AFTER}]
+    route = [[0, 0], {"stand": FIRST_REST + WAIT}, {"roll": (OUT * x).tolist(), "speed": 0.452}, {"stand": HALT}]
+    route += [{"roll": (STOPPED_AT * x).tolist(), "speed": 0.438}, {"stand": AFTER}]
     given = {"seed": seed, "heading": 90 - float(np.degrees(north)), "phone": {"hold": "cart", "rate": 50}}
     simulation = simulate(Scenario.of(given | {"route": route}))
     whole, measured = simulation.recording(*IMU_SENSORS), simulation.signals["gyroscope"]
     truth = interpolate(measured.time, simulation.motion.time, simulation.motion.angular_rate)
     whole = replace(whole, gyroscope=Signal(measured.time, truth + errors * (measured.values - truth)))
-    return Cart(_part(whole, 0.0, CALIBRATION_REST), _part(whole, CALIBRATION_REST, np.inf), _moves(simulation))
+    return Cart(_part(whole, 0.0, FIRST_REST), _part(whole, FIRST_REST, np.inf), _moves(simulation))
 
 
 def _part(whole: Recording, start: float, end: float) -> Recording:
@@ -161,7 +155,7 @@ def outcome(cart: Cart, method: Method) -> Outcome:
     position = strapdown(attitude, rest, method.look_ahead).position[-1, :2]
     axis = attitude.R_world_device.apply([1.0, 0.0, 0.0])[attitude.time < cart.rolling[0][0]]
     x = axis.mean(axis=0)[:2]  # the paper's x axis is the phone's at rest
-    error = float(np.hypot(*(position - FINAL_PLACE * x / np.hypot(*x))))
+    error = float(np.hypot(*(position - STOPPED_AT * x / np.hypot(*x))))
     return Outcome(threshold, error, float((~rest[~moving]).mean()), float(rest[moving].mean()))
 
 
