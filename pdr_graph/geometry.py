@@ -197,6 +197,19 @@ def protection_level(covariance: Array, heading: Array, probability: float = 0.9
     return float(stdtrit(FREEDOM, (1 + probability) / 2)) * along_and_across(covariance, heading)
 
 
+def squared_radius(probability: float) -> float:
+    """Squared Mahalanobis distance within which a Gaussian position lies with a probability: a quantile of χ²(2)."""
+    return float(-2 * np.log(1 - probability))
+
+
+REGION_90, REGION_95, REGION_99 = map(squared_radius, (0.90, 0.95, 0.99))
+
+
+def squared_distance(error: Array, covariance: Array) -> Array:
+    """Squared Mahalanobis distance ``(…)`` of errors ``(…, 2)`` [m] with covariances ``(…, 2, 2)`` [m²]."""
+    return np.einsum("...i,...ij,...j->...", error, np.linalg.inv(covariance), error)
+
+
 def confidence_ellipse(covariance: Array, probability: float = 0.9) -> tuple[float, float, float]:
     """Half axes [m], the longer first, and the angle of that [rad] of the ellipse that holds a Gaussian's position.
 
@@ -205,12 +218,11 @@ def confidence_ellipse(covariance: Array, probability: float = 0.9) -> tuple[flo
     if not 0 < probability < 1:
         raise ValueError(f"confidence_ellipse, probability: found {probability}, expected a number between 0 and 1")
     variance, axes = np.linalg.eigh(covariance[:2, :2])
-    minor, major = np.sqrt(-2 * np.log(1 - probability) * np.maximum(variance, 0.0)).tolist()
+    minor, major = np.sqrt(squared_radius(probability) * np.maximum(variance, 0.0)).tolist()
     return major, minor, float(np.arctan2(axes[1, 1], axes[0, 1]))
 
 
-CHI_SQUARE = 5.99  # 95 % quantile for two degrees of freedom
-CORNERS = 24  # of the polygon drawn for an ellipse
+ELLIPSE_CORNERS = 24  # of the polygon drawn for an ellipse
 
 
 def confidence_band(trajectory: Trajectory, here: Mask, ellipses: int = 400) -> Array:
@@ -223,8 +235,8 @@ def confidence_band(trajectory: Trajectory, here: Mask, ellipses: int = 400) -> 
     if trajectory.covariance is None or np.count_nonzero(here) < 2:
         return np.empty(0, dtype=object)
     variance, direction = np.linalg.eigh(trajectory.covariance[::every, :2, :2])
-    half_axes = np.sqrt(CHI_SQUARE * np.maximum(variance, 1e-6))  # [m], at least 2.4 mm: an ellipse, not a line
-    circle = unit(np.linspace(0, 2 * np.pi, CORNERS, endpoint=False))
+    half_axes = np.sqrt(REGION_95 * np.maximum(variance, 1e-6))  # [m], at least 2.4 mm: an ellipse, not a line
+    circle = unit(np.linspace(0, 2 * np.pi, ELLIPSE_CORNERS, endpoint=False))
     rims = np.einsum("nij,nj,kj->nki", direction, half_axes, circle) + position[:, None]
     pairs = np.concatenate([rims[:-1], rims[1:]], axis=1)[here[:-1] & here[1:]]
     return np.asarray(shapely.convex_hull(shapely.linestrings(pairs)))

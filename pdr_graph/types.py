@@ -895,14 +895,8 @@ def declared(record_type: type, column: dict[str, str]) -> list[str]:
 
 def keyframes_of(kind: Any) -> Index | None:
     """The keyframe ``(n,)`` of each instance of a measurement kind; None if no field is declared KEYFRAME."""
-    name = _keyframe(type(kind))
+    name = next(iter(declared(type(kind), KEYFRAME)), "")
     return getattr(kind, name) if name else None
-
-
-@cache
-def _keyframe(record_type: type) -> str:
-    """The name of the field that is declared KEYFRAME, "" without."""
-    return next(iter(declared(record_type, KEYFRAME)), "")
 
 
 def row_columns(record: Any) -> dict[str, Any]:
@@ -912,9 +906,10 @@ def row_columns(record: Any) -> dict[str, Any]:
     """
     keyframe, columns = keyframes_of(record), dict[str, Any]()
     rows = len(record) if keyframe is None else len(keyframe)
-    for name in _of_rows(type(record)):
+    for name, declaration in declarations(type(record)).items():
         values = getattr(record, name)
-        if not (isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))):
+        is_column = isinstance(values, (np.ndarray, tuple)) or "time" in declarations(type(values))
+        if declaration == TABLE[DECLARED_AS] or not is_column:
             continue
         if len(values) == rows:
             columns[name] = values
@@ -922,12 +917,6 @@ def row_columns(record: Any) -> dict[str, Any]:
             hint = "what belongs to the table as a whole is declared field(metadata=TABLE)"
             raise ValueError(f"{type(record).__name__}.{name}: found {len(values)} rows, expected {rows}; {hint}")
     return columns
-
-
-@cache
-def _of_rows(record_type: type) -> list[str]:
-    """The names of the fields that are not declared TABLE."""
-    return [name for name, declaration in declarations(record_type).items() if declaration != TABLE[DECLARED_AS]]
 
 
 def rows_of(column: Any, index: Index) -> Any:

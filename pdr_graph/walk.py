@@ -23,19 +23,11 @@ from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.heading_prior import heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
-from pdr_graph.estimation.gps_track import Stated, follow
+from pdr_graph.estimation.gps_track import Stated, detect_rides, follow, with_stated_rides
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import POSITIONS_ALONE
-from pdr_graph.estimation.rides import (
-    detect_rides,
-    ridden,
-    ride_contradictions,
-    ride_notes,
-    stepping,
-    with_stated_rides,
-    without_rides,
-)
+from pdr_graph.estimation.rides import ridden, ride_contradictions, ride_notes, stepping, without_rides
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
@@ -498,7 +490,8 @@ def _on_foot(evidence: Evidence) -> Evidence:
     steps, headings = evidence.steps, evidence.headings
     if steps is None:
         return evidence
-    rides = with_stated_rides(detect_rides(steps, evidence.fixes), steps, evidence.modes)
+    rides = detect_rides(steps, evidence.fixes) if len(evidence.fixes) > 1 else np.empty((0, 2))
+    rides = with_stated_rides(rides, steps, evidence.modes) if evidence.modes else rides
     return replace(
         evidence,
         steps=without_rides(steps, rides, evidence.fixes),

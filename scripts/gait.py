@@ -12,13 +12,12 @@ from tables import publish, table
 
 from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, smooth
 from pdr_graph.apps.bench.matrix import ERRORS, known, places, stated
-from pdr_graph.apps.report.evaluation import REGION_90
 from pdr_graph.gait import walker
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.steps import gait_signals
 from pdr_graph.gait.walker import StepFeatures, Walker
-from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.geometry import REGION_90, interpolate, wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
 from pdr_graph.lab.simulation.carrying import with_grip_change

@@ -27,7 +27,8 @@ from tables import HELD_BACK, is_wanted, marked, publish, table
 
 from pdr_graph import smooth, verdict
 from pdr_graph.apps.bench.data_sets import given
-from pdr_graph.apps.report.evaluation import REGION_90, pair, squared_distance, stated_covariance
+from pdr_graph.apps.report.evaluation import pair, stated_covariance
+from pdr_graph.geometry import REGION_90, squared_distance
 from pdr_graph.online.interface import trajectory_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Estimate, Steps

@@ -51,7 +51,7 @@ def live_headings(evidence):
             push = compass.push if event.sensor == "magnetometer" else partial(gait.push, event.sensor)
             push(event.time, event.values)
             gait.advance()
-            found += [(event.time[-1], one.time, one.heading, one.sigma) for one in compass.advance()]
+            found += [(event.time[-1], one.time, one.value, one.sigma) for one in compass.advance()]
     moment, *columns = np.array([row for row in found if np.isfinite(row[3])]).reshape(-1, 4).T
     return moment, Headings(*columns)
 

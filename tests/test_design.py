@@ -49,7 +49,7 @@ LIBRARIES = {
     "report": {"matplotlib", "isal", "rerun"},
     "online": {"sqlite3"},
     "papers": {"vqf"},
-    "estimation": {"gtsam", "numba"},
+    "estimation": {"gtsam"},
     "inertial": {"vqf"},
     "floor": {"lxml", "ezdxf", "skimage", "pypdfium2", "yaml", "PIL"},
     "io": {"lxml", "pyarrow", "isal", "rosbags", "python_calamine"},

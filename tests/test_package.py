@@ -56,8 +56,7 @@ def test_the_sdist_builds_the_same_wheel(built, tmp_path):
 def test_what_is_imported_is_a_dependency():
     """What stands at the head of a file must be there for all; what a function imports, for its extra at least.
 
-    The server is imported by its verb alone, which names the extra that is missing; compiled steps of particles only
-    where numba is (tests/estimation/test_particle_kernels.py holds that they are not missed).
+    The server is imported by its verb alone, which names the extra that is missing.
     """
 
     def named(requirements):
@@ -80,7 +79,7 @@ def test_what_is_imported_is_a_dependency():
             else:
                 continue
             for top in {module.split(".")[0] for module in modules} - sys.stdlib_module_names - {"pdr_graph"}:
-                needed = id(node) in at_once and file.parent.name != "serve" and file.name != "particle_kernels.py"
+                needed = id(node) in at_once and file.parent.name != "serve"
                 allowed = core if needed else core | extra
                 assert named(distributions[top]) & allowed, f"{file.name} imports {top}"
 

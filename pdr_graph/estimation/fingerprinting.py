@@ -193,6 +193,10 @@ class RadioMap:
         floors, source = tuple(floor[n] for n in best), (self.source,) * len(best)
         return Fixes(scans.time[best], position[best], sigma, floors, source=source)
 
+    def collector(self, listener: Callable[[Fixes], None]) -> ScanCollector:
+        """What makes fixes of the scans of a walk under way; listener: is called with each."""
+        return ScanCollector(self, listener)
+
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive."""
         arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS if name != "frame"}

@@ -25,7 +25,7 @@ alone cannot distinguish them. Indoors a receiver's position wanders by tens of 
 walker, whatever accuracy is stated. But over TRAVEL.path metres along the path a walker or a vehicle covers nearly as
 much net distance, and a wandering receiver does not. This *straightness* (Batschelet, Circular Statistics in Biology,
 1981: net over gross distance) needs no threshold of speed or distance, and distinguishes a walk in a small garden from
-noise.
+noise. Where there are steps too, `detect_rides` compares the track with them, see `rides`.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ from scipy.special import i0e
 from pdr_graph.estimation.factors.base import geman_mcclure_weight
 from pdr_graph.estimation.factors.fixes import longest_consistent_chain
 from pdr_graph.estimation.results import REPEATED
-from pdr_graph.geometry import ANY_HEADING, interpolate, length_along, viterbi
-from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, TRACK, TRAVEL
-from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
+from pdr_graph.estimation.rides import farthest_lengths, is_ride, on_way
+from pdr_graph.geometry import ANY_HEADING, distance_walked, interpolate, length_along, viterbi, without
+from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, RIDING, TRACK, TRAVEL
+from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Steps, Trajectory
 
 SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
 FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
-ROW, COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
+BLOCK_ROW, BLOCK_COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
 LOWER_ROW, LOWER_COLUMN = np.tril_indices(3)
 
 
@@ -101,7 +102,7 @@ class SmoothTrack:
         knots = self.root.shape[1] // 3
         root, diagonal, next_ = self.root.reshape(6, knots, 3), np.zeros((knots, 3, 3)), np.zeros((knots - 1, 3, 3))
         diagonal[:, LOWER_ROW, LOWER_COLUMN] = root[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN].T
-        next_[:, ROW, COLUMN] = root[3 + ROW - COLUMN, :-1, COLUMN].T
+        next_[:, BLOCK_ROW, BLOCK_COLUMN] = root[3 + BLOCK_ROW - BLOCK_COLUMN, :-1, BLOCK_COLUMN].T
         inverse = np.linalg.inv(diagonal)
         alone = inverse.transpose(0, 2, 1) @ inverse
         gain = next_ @ inverse[:-1]
@@ -143,7 +144,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
     right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
     band = np.zeros((6, knots, 3))
     band[LOWER_ROW - LOWER_COLUMN, :, LOWER_COLUMN] = information[:, LOWER_ROW, LOWER_COLUMN].T
-    band[3 + ROW - COLUMN, :-1, COLUMN] = to_next[:, ROW, COLUMN].T
+    band[3 + BLOCK_ROW - BLOCK_COLUMN, :-1, BLOCK_COLUMN] = to_next[:, BLOCK_ROW, BLOCK_COLUMN].T
     root = cholesky_banded(band.reshape(6, -1), lower=True)
     state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
     return SmoothTrack(origin + state[:, P], state[:, V], weight, root), state[:, G]
@@ -627,3 +628,89 @@ def follow(fixes: Fixes) -> Estimate:
         converged=True,
         warnings=tuple(text for text, holds in warned.items() if holds),
     )
+
+
+def detect_rides(steps: Steps, fixes: Fixes) -> Array:
+    """Start and end ``(r, 2)`` [s] of the rides of the walker of these steps, in order.
+
+    fixes: in order of time, in a metric frame.
+    """
+    fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
+    every, fixes = fixes.time, fixes[on_way(fixes.time, fixes.position, fixes.sigma)]
+    if len(fixes) < 2:
+        return np.empty((0, 2))
+    way = way_through(fixes, [(fixes.time[0], fixes.time[-1], RIDES)])
+    time, place = way.trajectory.time, way.trajectory.position
+    along = length_along(place)
+
+    # Times in which the positions move farther than the steps can have led, and not by one jump of a receiver
+    led = distance_walked(steps, time, farthest_lengths(steps))
+    moved, reach = np.diff(along), FIXES.stretched * np.diff(led)
+    excess, noise = moved - reach - RIDING.slowest * np.diff(time), FIXES.outlier * float(np.median(fixes.sigma))
+    rows = largest_sums(excess, max(noise, RIDING.gradual))
+    score, jump = (np.array([of(part[a:b]) for a, b in rows]) for of, part in ((np.sum, excess), (np.max, moved)))
+    rows = np.array(rows, dtype=np.intp).reshape(-1, 2)
+    spans = time[rows[is_ride(score, jump, noise, (rows[:, 0] > 0) & (rows[:, 1] < len(time) - 1))]]
+    spans = spans[2 * _count(fixes.time, spans) > _count(every, spans)]
+
+    # One ride where the walker does not leave the place of a stop
+    if len(spans) > 1:
+        leave, board = spans[:-1, 1], spans[1:, 0]
+        walked = distance_walked(steps, board) - distance_walked(steps, leave)
+        apart = (board - leave > RIDING.longest_stop) | (walked > RIDING.at_stop)
+        spans = np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
+
+    # Rides without the bouts of walking that lead as far as the positions move: between two buses, or at either end
+    begins, ends = steps.time - steps.duration, steps.time
+    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > RIDING.pause)
+    after = np.append(first[1:], len(steps))[: len(first)]
+    walks = np.column_stack([begins[first], ends[after - 1]])
+    gone, led = (
+        np.diff(np.interp(walks, time, along), axis=1)[:, 0],
+        np.diff(distance_walked(steps, walks), axis=1)[:, 0],
+    )
+    agrees = (gone < FIXES.stretched * led) & (led < FIXES.stretched * gone)
+    walks = walks[agrees & (after - first >= RIDING.fewest_steps)]
+    spans = np.array([part for span in spans for part in without(span, walks)]).reshape(-1, 2)
+    spans = spans[np.diff(np.interp(spans, time, along), axis=1)[:, 0] > RIDING.gradual]
+
+    # Extended to the steps before and after
+    ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)
+    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
+    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
+    return np.column_stack(
+        [np.maximum(last, spans[:, 0] - RIDING.boarding), np.minimum(next_, spans[:, 1] + RIDING.boarding)]
+    )
+
+
+def _count(time: Array, spans: Array) -> Index:
+    """Number of times within each span ``(r, 2)``, both ends included."""
+    first, after = np.searchsorted(time, spans - [INSTANT, -INSTANT]).T
+    return after - first
+
+
+def largest_sums(values: Array, least: float) -> list[tuple[int, int]]:
+    """The parts of values ``(n,)`` that have the largest sums, disjoint, above ``least``: their bounds, in order."""
+    total = np.append(0.0, np.cumsum(values))
+    rise = total - np.minimum.accumulate(total)
+    end = int(np.argmax(rise))
+    if rise[end] <= least:
+        return []
+    begin = int(np.argmin(total[:end]))
+    after = [(a + end, b + end) for a, b in largest_sums(values[end:], least)]
+    return [*largest_sums(values[:begin], least), (begin, end), *after]
+
+
+def with_stated_rides(rides: Array, steps: Steps, stated: Stated) -> Array:
+    """The rides ``(r, 2)`` [s] of a walk, with those that are stated and without times of other stated modes."""
+    for start, end, kind in stated:
+        start, end = max(start, steps.start), min(end, steps.end)
+        if start >= end:
+            continue
+        before, after = np.minimum(rides, start), np.maximum(rides, end)
+        rides = np.concatenate([before, after])
+        rides = rides[rides[:, 1] - rides[:, 0] > INSTANT]
+        if kind == RIDES:
+            rides = np.append(rides, [[start, end]], axis=0)
+        rides = rides[np.argsort(rides[:, 0])]
+    return rides

@@ -31,7 +31,7 @@ from pdr_graph.estimation.factors.base import (
     insert,
     key,
 )
-from pdr_graph.estimation.factors.gtsam_export import unit_noise
+from pdr_graph.estimation.factors.gtsam_export import BlockRows, unit_noise
 from pdr_graph.estimation.factors.marginal import MarginalFactor
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import FARTHEST, Array, Index, Mask
@@ -233,34 +233,27 @@ class IncrementalSmoother:
             if any(not np.array_equal(point[symbol], self.point[symbol]) for symbol in self.walk.start.arrays):
                 self._fresh = self._evaluated(self.walk, point)
         here = self._fresh[name]
-        part = here.of(here.place[identity])
-        self._rows[name].linearized(identity, part)
-        if len(part) == rows:
-            return part
-        filled = np.zeros((rows, part.shape[1]))
-        filled[: len(part)] = part
-        return filled
+        n = here.place[identity]
+        self._rows[name].linearized(identity, here.of(n))
+        return here.filled(n, rows)
 
 
-class FactorRows:
-    """The factors of a block at one state, as rows of residual and derivatives.
+class FactorRows(BlockRows):
+    """The factors of a block at one state, beside those that iSAM2 has.
 
-    identity: of each of the ``n`` factors; place: of each identity; most: rows of each at any state.
+    identity: of each of the ``n`` factors; place: of each identity.
     """
 
     def __init__(self, block: FactorBlock, state: State):
+        super().__init__(block)
         keys = [state.keys(symbol, rows).tolist() for symbol, rows in block.variables]
         self.identity: list[Identity] = list(zip(block.number.tolist(), *keys, strict=True))
         self.place = dict(zip(self.identity, range(len(self.identity)), strict=True))
         self._native, self._constants = block.native, block.constants
-        self._rows = np.column_stack([block.residual, *block.jacobian()])
-        self._bounds: list[int] = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
-        counts = np.diff(self._bounds) if block.most_rows is None else block.most_rows
-        self.most: list[int] = counts.tolist()
         self._robust = block.loss if isinstance(block.loss, RobustLoss) else None
         self._outlier = [False] * len(block) if self._robust is None else self._robust.outlier.tolist()
         if self._robust is None and block.loss.noise(0, unit_noise(1)) is None:  # GTSAM does not have the loss
-            self._rows *= np.sqrt(block.weight)[block.row_of, None]
+            self.rows *= np.sqrt(block.weight)[block.row_of, None]
         self._each = block.rows_each
         self._last = list[Array | None]([None] * len(block))  # as iSAM2 linearised them
 
@@ -270,10 +263,6 @@ class FactorRows:
             return None
         self._last[n] = self._constants[n]
         return self._native(n)
-
-    def of(self, n: int) -> Array:
-        """The rows ``(r, 1 + 3 v)`` of a factor."""
-        return self._rows[self._bounds[n] : self._bounds[n + 1]]
 
     def noise(self, n: int) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of a factor: its rows are whitened."""

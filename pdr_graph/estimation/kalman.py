@@ -4,7 +4,7 @@ The fusion of [gps-dr] as one extended Kalman filter over (x, y, θ, R_s, R_d, b
 same pieces and fixes:
 
     predict   p ← p + R_s l e(θ + half the turn),  θ ← θ + R_d turn + b time      (Secs. 2, 3: strides, gyro)
-              Q from the stride's variance (Sec. 4), and from sway and turn, which are not in the paper
+              Q from the stride's variance (Sec. 4), across too, and from the turn's: both are not in the paper
     correct   with validated magnetic headings, R by both tests of the field      (Sec. 3)
               with fixes, R by the receiver's accuracy or HDOP                    (Sec. 4)
 
@@ -448,10 +448,8 @@ class KalmanFilter:
         turned = R_d * turn + b * time
         heading = theta + np.cumsum(turned, axis=0)
         course, stride = heading - turned / 2, R_s * length
-        ahead, aside = np.empty((2, *course.shape, 2))
-        ahead[..., 0], ahead[..., 1] = np.cos(course), np.sin(course)
-        aside[..., 0], aside[..., 1] = -ahead[..., 1], ahead[..., 0]
-        left = stride[..., None] * aside
+        ahead = np.stack([np.cos(course), np.sin(course)], axis=2)
+        left = stride[..., None] * np.stack([-ahead[..., 1], ahead[..., 0]], axis=2)
 
         mean = np.empty((*course.shape, 6))
         mean[..., :2] = mixture.mean[:, :2] + np.cumsum(stride[..., None] * ahead, axis=0)
@@ -461,11 +459,10 @@ class KalmanFilter:
         F[..., :2, 2], F[..., :2, 3] = left, length[..., None] * ahead
         F[..., :2, 4], F[..., :2, 5] = left * turn[..., None] / 2, left * time[..., None] / 2
         F[..., 2, 4], F[..., 2, 5] = turn, time
-        G = np.zeros((*turned.shape, 3, 3))  # by the errors of length, sway and turn
-        G[..., :2, 0], G[..., :2, 1], G[..., :2, 2], G[..., 2, 2] = ahead, aside, left / 2, 1.0
-        variance = pieces.variance + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0])
+        swing = np.concatenate([left / 2, np.ones_like(turned)[..., None]], axis=2)  # by the error of the turn
         Q = np.zeros_like(F)
-        Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
+        Q[..., :3, :3] = pieces.variance[:, 1, None, None, None] * swing[..., None] * swing[..., None, :]
+        Q[..., range(2), range(2)] += pieces.variance[:, 0, None, None] + SIGMA_STILL**2
 
         rows, P, moments, calibration = np.arange(len(mixture)), mixture.covariance, [], np.arange(3, 6)
         for m, (end, motion) in enumerate(zip(ends, F, strict=True)):
@@ -498,7 +495,7 @@ class KalmanFilter:
         self._heading += float(pieces.to_end[0, -1])
         self.walked += float(pieces.length.sum())
         variance = self._turned[-1][2] if self._turned else 0.0
-        self._turned.append((time, self._heading, variance + float(pieces.variance[:, 2].sum())))
+        self._turned.append((time, self._heading, variance + float(pieces.variance[:, 1].sum())))
         while self._turned[0][0] < time - LONGEST_CARRY:
             self._turned.popleft()
 
@@ -701,7 +698,7 @@ def _start(graph: WalkGraph) -> GaussianMixture:
         until = pieces.last[: graph.headings.keyframe[0]]
         H = np.zeros((1, 6))
         H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
-        on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
+        on_the_way = pieces.variance[: len(until) and until[-1] + 1, 1].sum()
         bank = heading_corrected(bank, H, float(headings.heading[0]), float(headings.sigma[0] ** 2 + on_the_way))
     return by_direction(bank) if fixed or has_heading else bank
 

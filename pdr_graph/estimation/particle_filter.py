@@ -8,8 +8,7 @@ Walls are local constraints: an optimisation that starts in a wrong aisle ends i
 thousands of particles, weighted by walls and the measurements of all kinds; the ancestors of the survivors are the
 possible paths.
 
-A particle that would cross a wall draws its errors again. NumPy's functions say what a step is; those that numba has
-compiled (`particle_kernels`, extra ``fast``) take their place when many particles have moved, and return the same bits.
+A particle that would cross a wall draws its errors again.
 
 By default a kind of measurement weighs poses by its own residuals: its instances at the keyframe are evaluated once for
 each pose, as if the poses were a walk. The priors of other variables (the place of an anchor, the path loss) widen the
@@ -19,13 +18,10 @@ sigmas. A kind with a shorter formula overrides `pose_costs`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.base import (
     CALIBRATION,
@@ -119,10 +115,7 @@ def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
     return np.sqrt(np.maximum(widest, 1.0))
 
 
-MOST_LOOKS = 100  # points of a step, however long
-LOAD_AFTER = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
-
-Motion = tuple[float, float, float, float]  # of a step: length [m], turn [rad], time [s], points tested against walls
+MOST_LOOKS = 100  # points of a step that are tested against walls, however long it is
 
 
 class Walls(NamedTuple):
@@ -137,88 +130,44 @@ class Walls(NamedTuple):
         return self.field.approximate(places, self.at_once, self.tiles)
 
 
-class Compiled:
-    """The compiled functions, from when loading them would have paid: most walks are too short for them."""
-
-    def __init__(self) -> None:
-        self.functions: ModuleType | None = None
-        self.moved = 0  # particles by NumPy, in this process
-
-    def for_particles(self, count: int, may_load: bool) -> ModuleType | None:
-        """The compiled functions to move ``count`` particles, None for NumPy's; may_load: if it is time to."""
-        if self.moved < LOAD_AFTER:
-            self.moved += count
-            if may_load and self.moved >= LOAD_AFTER:
-                self.load()
-        return self.functions
-
-    def load(self) -> None:
-        """Load the functions, in 0.4 s, or 4 s where numba never compiled them.
-
-        NumPy's remain without numba, or where it has no folder for what it compiles.
-        """
-        self.moved = LOAD_AFTER
-        with suppress(Exception):  # numba raises what it likes, and is not needed
-            from pdr_graph.estimation import particle_kernels
-
-            self.functions = particle_kernels
-
-
-COMPILED = Compiled()
-
-
-def costs() -> tuple[float, ...]:
-    """The numbers that the compiled functions take: body [m], margin [m], and three prices [log-odds]."""
-    return WALLS.body, WALLS.margin, PARTICLES.clear_price, REGIONS.outside_price, REGIONS.wall_cost
-
-
 def stepped(
     state: Array, length: float, turn: float, time: float, sigma: Array, walls: Walls, random: np.random.Generator
 ) -> tuple[Array, Array]:
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
     A particle that would cross a wall draws its errors again, up to PARTICLES.tries times, at the cost of the log-odds.
-    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` along, across [m] and of the turn [rad].
     """
-    state = np.ascontiguousarray(state)
-    motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
-    kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
-    errors = _errors(state.shape[1], sigma, random)
-    compiled: tuple[Array, Array, Index] | None = None
-    if kernels is not None:
-        cos, sin = _directions(kernels, state, np.arange(state.shape[1]), errors, motion)
-        table = walls.field.pixel_table(walls.tiles)
-        *tried, complete = kernels.first_try(state, errors, cos, sin, motion, costs(), table)
-        if complete:  # else tiles of the distance field are missing, which only NumPy's functions compute
-            compiled = tried[0], tried[1], tried[2]
-    after, price, stopped = compiled or _first_try(state, errors, motion, walls)
+    looks = float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
+    after, way = _moved(state, _errors(state.shape[1], sigma, random), length, turn, time)
+    clear = _clearances(state, way, looks, walls)
+    price = PARTICLES.clear_price * np.square(np.maximum(0.0, 1 - clear[-1] / WALLS.margin))
+    price[clear[-1] < WALLS.body] = REGIONS.outside_price
+    stopped = np.flatnonzero(clear.min(axis=0) < WALLS.body)
     if len(stopped):
-        errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
-        done = False
-        if kernels is not None:
-            cos, sin = _directions(kernels, state, np.repeat(stopped, PARTICLES.tries), errors, motion)
-            further = errors, cos, sin, motion, costs(), walls.field.pixel_table(walls.tiles), PARTICLES.odds
-            done = kernels.further_tries(state, stopped, *further, after, price)
-        if not done:
-            _further_tries(state, stopped, errors, motion, walls, after, price)
+        stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]  # those inside a wall may leave it
+    if not len(stopped):
+        return after, price
+    before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
+    others, way = _moved(before, _errors(before.shape[1], sigma, random), length, turn, time)
+    free = (_clearances(before, way, looks, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
+    ways = free.sum(axis=1)
+    got = ways > 0
+    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]
+    price[stopped] = np.where(got, PARTICLES.odds[ways], REGIONS.wall_cost)
     return after, price
-
-
-def _directions(
-    kernels: ModuleType, state: Array, origin: Index, errors: Array, motion: Motion
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Cosines and sines ``(k,)`` of the courses in the middle of a step from ``state[:, origin]``."""
-    course = kernels.courses(state, origin, errors, motion)
-    return np.cos(course), np.sin(course)
 
 
 def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
     """States ``(6, n)`` after a pause, in which the phone may have turned."""
-    return _moved(state, _errors(state.shape[1], sigma, random), (0.0, turn, time, 0.0))[0]
+    return _moved(state, _errors(state.shape[1], sigma, random), 0.0, turn, time)[0]
 
 
 def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
-    """Random errors ``(3, count)`` of length, sway [m] and turn [rad]; of some any turn, if it may be the phone's."""
+    """Random errors ``(3, count)`` along, across [m] and of the turn [rad].
+
+    Where the turn may be the phone's, one in PARTICLES.rare gets any turn.
+    """
     errors = random.standard_normal((3, count))
     errors *= sigma[:, None]
     if sigma[2] > PARTICLES.doubted:
@@ -227,36 +176,8 @@ def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
     return errors
 
 
-def _first_try(state: Array, errors: Array, motion: Motion, walls: Walls) -> tuple[Array, Array, Index]:
-    """States ``(6, n)`` after a step, its cost ``(n,)``, and which particles a wall stopped that were not in one."""
-    after, way = _moved(state, errors, motion)
-    clear = _clearances(state, way, motion, walls)
-    price = PARTICLES.clear_price * np.square(np.maximum(0.0, 1 - clear[-1] / WALLS.margin))
-    price[clear[-1] < WALLS.body] = REGIONS.outside_price
-    stopped = np.flatnonzero(clear.min(axis=0) < WALLS.body)
-    if len(stopped):
-        stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]
-    return after, price, stopped
-
-
-def _further_tries(
-    state: Array, stopped: Index, errors: Array, motion: Motion, walls: Walls, after: Array, price: Array
-) -> None:
-    """Replace ``after`` and ``price`` of stopped particles by the first of PARTICLES.tries further steps that is
-    free.
-    """
-    before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
-    others, way = _moved(before, errors, motion)
-    free = (_clearances(before, way, motion, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
-    ways = free.sum(axis=1)
-    got = ways > 0
-    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]
-    price[stopped] = np.where(got, PARTICLES.odds[ways], REGIONS.wall_cost)
-
-
-def _moved(state: Array, errors: Array, motion: Motion) -> tuple[Array, Array]:
+def _moved(state: Array, errors: Array, length: float, turn: float, time: float) -> tuple[Array, Array]:
     """States ``(6, n)`` after a piece with errors ``(3, n)``, and the displacement ``(2, n)`` [m]."""
-    length, turn, time, _ = motion
     forward, left = errors[0] + state[3] * length, errors[1]
     turned = errors[2] + (state[4] * turn + state[5] * time)
     course = (state[2] + 0.5 * turned).astype(np.float32)  # to 1e-6 of a turn; six times as fast
@@ -268,9 +189,8 @@ def _moved(state: Array, errors: Array, motion: Motion) -> tuple[Array, Array]:
     return after, way
 
 
-def _clearances(state: Array, way: Array, motion: Motion, walls: Walls) -> Array:
+def _clearances(state: Array, way: Array, looks: float, walls: Walls) -> Array:
     """Distance ``(looks, n)`` [m] from the walls along displacements ``way (2, n)`` [m]."""
-    looks = motion[-1]
     places = (np.arange(1, looks + 1)[:, None] / looks) * way[:, None]
     places += state[:2, None]
     return walls.distance(places)
@@ -384,8 +304,8 @@ class ParticleFilter:
             self.weight = self.weight - np.minimum(cost, REGIONS.wall_cost)
 
     def step(self, length: float, turn: float, time: float, variance: Array, floor: DistanceField) -> None:
-        """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
-        sigma = np.array(PARTICLES.calm) * np.sqrt(variance)
+        """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(2,)`` as of ``Pieces``."""
+        sigma = np.array(PARTICLES.calm) * np.sqrt(variance[[0, 0, 1]])
         if length > 0:
             # Of the tiles, those that this filter has asked for: others may compute some at any time, in a thread
             asked = None if self.at_once is None else self._tiles.setdefault(id(floor), floor.no_tiles())
@@ -532,7 +452,7 @@ def _pieces(graph: WalkGraph, interval: int) -> Pieces:
     stood = min(limits, default=np.inf)
     if not np.isfinite(stood):
         return pieces
-    return replace(pieces, variance=np.minimum(pieces.variance, [stood, stood, np.inf]))
+    return replace(pieces, variance=np.minimum(pieces.variance, [stood, np.inf]))
 
 
 def _begin(particles: ParticleFilter, graph: WalkGraph) -> None:

@@ -38,9 +38,9 @@ from pdr_graph.types import (
 REPEATED = "a better fix at the same time: not used"  # reason in reports
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 MOVED = "it moved for {:.0f} s, and no steps were recognised"
-MOST_LISTED = 3  # rejected fixes that a warning names
+MOST_NAMED_FIXES = 3  # rejected fixes that a warning names
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
-NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
+COEFFICIENT_NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
 
 def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
@@ -110,7 +110,7 @@ def is_usual(warning: str) -> bool:
 
 def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:
     """Warn of coefficients that the walk does not determine, and of a stride scale of no usual walker."""
-    open_ = [NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
+    open_ = [COEFFICIENT_NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
     unusual = unusual_stride(calibration)
     return (
         *(() if unusual is None else (unusual[0],)),
@@ -129,7 +129,7 @@ def unusual_stride(calibration: Calibration) -> tuple[str, float, float] | None:
     beyond = max(low - value, value - high)
     if beyond <= 0 or not calibration.learnt[:, 0].any():
         return None
-    text = f"the {NAMES['R_s']} is {value:.2f} ± {sigma:.2f}, that of usual walkers {low} to {high}"
+    text = f"the {COEFFICIENT_NAMES['R_s']} is {value:.2f} ± {sigma:.2f}, that of usual walkers {low} to {high}"
     return text, float(value), float(beyond / sigma)
 
 
@@ -139,9 +139,9 @@ def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
     if len(rejected) > REPORTS.many * used and (len(rejected) > 1 or is_a_guess(fixes)):
         guess = ": where the walk was is a guess" if is_a_guess(fixes) else ""
         return (f"{len(rejected)} of {used} fixes contradict the steps and the other fixes and have weight 0{guess}",)
-    farthest = sorted(rejected, key=lambda fix: -fix.residual)[:MOST_LISTED]
+    farthest = sorted(rejected, key=lambda fix: -fix.residual)[:MOST_NAMED_FIXES]
     places = "; ".join(f"at {fix.time:.0f} s, {fix.residual:.0f} m from the walk" for fix in farthest)
-    more = f"; and {len(rejected) - MOST_LISTED} more" * (len(rejected) > MOST_LISTED)
+    more = f"; and {len(rejected) - MOST_NAMED_FIXES} more" * (len(rejected) > MOST_NAMED_FIXES)
     return (f"{count(len(rejected), 'fix')} rejected, weight 0: {places}{more}",) if rejected else ()
 
 

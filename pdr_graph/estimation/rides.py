@@ -10,76 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_graph.estimation.gps_track import RIDES, Stated, way_through
 from pdr_graph.estimation.results import time_on_steps
 from pdr_graph.gait.step_chunks import gap
-from pdr_graph.geometry import distance_walked, length_along, without
 from pdr_graph.priors import FIXES, RIDING, TRAVEL
 from pdr_graph.types import INSTANT, STEP_COLUMNS, Array, Contradiction, Fixes, Index, Mask, Steps
 
 
-def detect_rides(steps: Steps, fixes: Fixes) -> Array:
-    """Start and end ``(r, 2)`` [s] of the rides of the walker of these steps, in order.
-
-    fixes: in order of time, in a metric frame.
-    """
-    fixes = fixes[(fixes.time >= steps.start) & (fixes.time <= steps.end)]
-    every, fixes = fixes.time, fixes[on_way(fixes.time, fixes.position, fixes.sigma)]
-    if len(fixes) < 2:
-        return np.empty((0, 2))
-    way = way_through(fixes, [(fixes.time[0], fixes.time[-1], RIDES)])
-    time, place = way.trajectory.time, way.trajectory.position
-    along = length_along(place)
-
-    # Times in which the positions move farther than the steps can have led, and not by one jump of a receiver
-    led = distance_walked(steps, time, _farthest_lengths(steps))
-    moved, reach = np.diff(along), FIXES.stretched * np.diff(led)
-    excess, noise = moved - reach - RIDING.slowest * np.diff(time), FIXES.outlier * float(np.median(fixes.sigma))
-    rows = largest_sums(excess, max(noise, RIDING.gradual))
-    score, jump = (np.array([of(part[a:b]) for a, b in rows]) for of, part in ((np.sum, excess), (np.max, moved)))
-    rows = np.array(rows, dtype=np.intp).reshape(-1, 2)
-    spans = time[rows[_is_ride(score, jump, noise, (rows[:, 0] > 0) & (rows[:, 1] < len(time) - 1))]]
-    spans = spans[2 * _count(fixes.time, spans) > _count(every, spans)]
-
-    # One ride where the walker does not leave the place of a stop
-    if len(spans) > 1:
-        leave, board = spans[:-1, 1], spans[1:, 0]
-        walked = distance_walked(steps, board) - distance_walked(steps, leave)
-        apart = (board - leave > RIDING.longest_stop) | (walked > RIDING.at_stop)
-        spans = np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
-
-    # Rides without the bouts of walking that lead as far as the positions move: between two buses, or at either end
-    begins, ends = steps.time - steps.duration, steps.time
-    first = np.flatnonzero(np.append(np.inf, begins[1:] - ends[:-1])[: len(steps)] > RIDING.pause)
-    after = np.append(first[1:], len(steps))[: len(first)]
-    walks = np.column_stack([begins[first], ends[after - 1]])
-    gone, led = (
-        np.diff(np.interp(walks, time, along), axis=1)[:, 0],
-        np.diff(distance_walked(steps, walks), axis=1)[:, 0],
-    )
-    agrees = (gone < FIXES.stretched * led) & (led < FIXES.stretched * gone)
-    walks = walks[agrees & (after - first >= RIDING.fewest_steps)]
-    spans = np.array([part for span in spans for part in without(span, walks)]).reshape(-1, 2)
-    spans = spans[np.diff(np.interp(spans, time, along), axis=1)[:, 0] > RIDING.gradual]
-
-    # Extended to the steps before and after
-    ends, begins = np.append(steps.start, steps.time), np.append(begins, steps.end)
-    last = ends[np.searchsorted(ends, spans[:, 0], side="right") - 1]
-    next_ = begins[np.minimum(np.searchsorted(begins, spans[:, 1]), len(begins) - 1)]
-    return np.column_stack(
-        [np.maximum(last, spans[:, 0] - RIDING.boarding), np.minimum(next_, spans[:, 1] + RIDING.boarding)]
-    )
-
-
-def _farthest_lengths(steps: Steps) -> Array:
+def farthest_lengths(steps: Steps) -> Array:
     """How far each row ``(n,)`` can have led: a step its length, a gap at FIXES.driven. [m]"""
     return np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
-
-
-def _count(time: Array, spans: Array) -> Index:
-    """Number of times within each span ``(r, 2)``, both ends included."""
-    first, after = np.searchsorted(time, spans - [INSTANT, -INSTANT]).T
-    return after - first
 
 
 def on_way(time: Array, position: Array, sigma: Array) -> Index:
@@ -98,33 +37,6 @@ def on_way(time: Array, position: Array, sigma: Array) -> Index:
             break
         kept = np.delete(kept, 1 + np.flatnonzero(wrong))
     return kept
-
-
-def largest_sums(values: Array, least: float) -> list[tuple[int, int]]:
-    """The parts of values ``(n,)`` that have the largest sums, disjoint, above ``least``: their bounds, in order."""
-    total = np.append(0.0, np.cumsum(values))
-    rise = total - np.minimum.accumulate(total)
-    end = int(np.argmax(rise))
-    if rise[end] <= least:
-        return []
-    begin = int(np.argmin(total[:end]))
-    after = [(a + end, b + end) for a, b in largest_sums(values[end:], least)]
-    return [*largest_sums(values[:begin], least), (begin, end), *after]
-
-
-def with_stated_rides(rides: Array, steps: Steps, stated: Stated) -> Array:
-    """The rides ``(r, 2)`` [s] of a walk, with those that are stated and without times of other stated modes."""
-    for start, end, kind in stated:
-        start, end = max(start, steps.start), min(end, steps.end)
-        if start >= end:
-            continue
-        before, after = np.minimum(rides, start), np.maximum(rides, end)
-        rides = np.concatenate([before, after])
-        rides = rides[rides[:, 1] - rides[:, 0] > INSTANT]
-        if kind == RIDES:
-            rides = np.append(rides, [[start, end]], axis=0)
-        rides = rides[np.argsort(rides[:, 0])]
-    return rides
 
 
 def ridden(begins: Array, ends: Array, rides: Array) -> Mask:
@@ -174,7 +86,7 @@ class RideWatch:
     """The rides of a walk under way: its steps pass through, but those of a ride come as a gap, some time later.
 
     found: start, end and time on steps of the rides so far [s]. Fixes of the last `RIDING.watched` seconds are compared
-    with the steps between them, as in `detect_rides`, but by the straight line between fixes.
+    with the steps between them, as in `gps_track.detect_rides`, but by the straight line between fixes.
     """
 
     def __init__(self) -> None:
@@ -210,7 +122,7 @@ class RideWatch:
 
     def steps(self, steps: Steps) -> list[Steps]:
         """The steps to use now: those given, or in a ride a gap every `RIDING.boarding` seconds."""
-        self._led += float(_farthest_lengths(steps).sum())
+        self._led += float(farthest_lengths(steps).sum())
         if not self._rides:
             return [steps]
         self._held.append(steps)
@@ -234,7 +146,7 @@ class RideWatch:
         if not self._rides:
             step = np.hypot(*np.diff(rows[:, 1:3], axis=0).T)
             longest, noise = np.maximum.accumulate(step[::-1])[::-1], FIXES.outlier * np.median(rows[:, 3])
-            self._rides = bool(_is_ride(excess, longest, float(noise), np.arange(len(past)) > 0).any())
+            self._rides = bool(is_ride(excess, longest, float(noise), np.arange(len(past)) > 0).any())
             if self._rides:
                 self.found.append((float(past[np.argmax(excess), 0]), float(now[0]), 0.0))
             return []
@@ -268,7 +180,7 @@ class RideWatch:
         return [self.gap(ridden[0].start, ridden[-1].end)]
 
 
-def _is_ride(excess: Array, longest: Array, noise: float, within: Mask) -> Mask:
+def is_ride(excess: Array, longest: Array, noise: float, within: Mask) -> Mask:
     """True where the positions went farther than the steps led, not by one jump.
 
     excess: by how far ``(n,)`` [m]; longest: step from fix to fix within ``(n,)`` [m]; noise: of the receiver [m];

@@ -219,7 +219,8 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
     places = [*((fix.x, fix.y, fix.sigma) for fix in _accepted(estimate)), *beacons]
     if len(places) > 1 and _stride_sigma(np.array(places)) <= half:
         return True
-    anchors = sum(number.values()) - sum(number.get(kind, 0.0) for kind in ("beacons", *_receivers(estimate)))
+    receivers = {fix.source or "fixes" for fix in _accepted(estimate)}
+    anchors = sum(number.values()) - sum(number.get(kind, 0.0) for kind in ("beacons", *receivers))
     return anchors >= max(fewest, RANGES.fewest)
 
 
@@ -253,11 +254,6 @@ def teaches_profile(estimate: Estimate) -> bool:
 
 def _accepted(estimate: Estimate) -> list[FixReport]:
     return [fix for fix in _evidence(estimate) if fix.weight > REPORTS.accepted]
-
-
-def _receivers(estimate: Estimate) -> set[str]:
-    """Names under which fixes are counted."""
-    return {fix.source or "fixes" for fix in _accepted(estimate)}
 
 
 def _stride_sigma(places: Array) -> float:

@@ -114,14 +114,6 @@ class DistanceField:
             distance[address < 0] = OPEN_DISTANCE
         return distance.reshape(places.shape[1:])
 
-    def pixel_table(self, tiles: Index | None = None) -> tuple[Array, float, Index, int, int, Index, Array, int]:
-        """What `approximate` reads, for compiled code: corner [m], pixels per metre, last pixel ``(2, 1)``, rows of
-        tiles, bits of a pixel in its tile, addresses of the tiles, pixels ``(n,)`` [m], address of a missing tile.
-        """
-        address = self._address if tiles is None else tiles
-        layout = self._corner, PIXELS / TILE, self._last_pixel, self._rows, PIXEL_BITS
-        return *layout, address, self._pixels.ravel(), NOT_COMPUTED
-
     def _slots(self, tile: Index) -> Index:
         """Slots ``(n,)`` of tiles ``(n, 2)`` in storage; missing tiles are computed first."""
         slot = self._slot[tile[:, 0], tile[:, 1]]

@@ -57,7 +57,7 @@ def compass_measurements(
         return Headings.none(), Drifts(*np.empty((3, 0)))
     compass, used = LiveCompass(reach=2 * COMPASS.longest_stretch), 0
     compass.locate(frame, near, whole.epoch)
-    headings, drifts = dict[int, LiveHeading](), dict[int, LiveDrift]()
+    headings, drifts = dict[int, StretchValue](), dict[int, StretchValue]()
     for gait in gait_signals(recording):
         for piece in gait.pieces(EVALUATION_INTERVAL):
             before, used = used, int(np.searchsorted(field.time, piece.attitude.time[-1], side="right")) + 1
@@ -65,10 +65,11 @@ def compass_measurements(
             compass.update(piece)
             headings |= {found.stretch: found for found in compass.advance()}
             drifts |= {found.stretch: found for found in compass.advance_drifts()}
-    rows = [(found.time, found.heading, found.sigma) for found in headings.values() if np.isfinite(found.sigma)]
-    time, heading, sigma = np.array(rows).reshape(-1, 3).T
-    rows = [(found.time, found.drift, found.sigma) for found in drifts.values() if np.isfinite(found.sigma)]
-    return Headings(time, heading, sigma), Drifts(*np.array(rows).reshape(-1, 3).T)
+    (time, heading, sigma), drifted = (
+        np.array([(of.time, of.value, of.sigma) for of in found.values() if np.isfinite(of.sigma)]).reshape(-1, 3).T
+        for found in (headings, drifts)
+    )
+    return Headings(time, heading, sigma), Drifts(*drifted)
 
 
 def straightest(heading: Array, among: Index, reach: int) -> int:
@@ -79,35 +80,23 @@ def straightest(heading: Array, among: Index, reach: int) -> int:
 
 EVALUATION_INTERVAL = 30.0  # [s] of a recording between evaluations
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
-HEADING, IS_WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
+HEADING, IS_WALKING, VARIANCE_OF_TURNS = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
 DRIFT_PARTS = 5  # of the time of the observations of a drift
 FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
 
 
 @dataclass(frozen=True)
-class LiveHeading:
-    """The walking direction at a time [s], counter-clockwise from +x, and its standard deviation [rad].
+class StretchValue:
+    """What the compass measures of a stretch, at a time [s]: its walking direction, or the gyroscope's drift.
 
-    stretch: its number; a heading replaces earlier ones of the same stretch. sigma is infinite to retract them.
+    stretch: its number; a value replaces earlier ones of the same stretch. value, sigma: of the walking direction,
+    counter-clockwise from +x [rad], or of the drift b [rad/s]; sigma is infinite to retract them.
     """
 
     stretch: int
     time: float
-    heading: float
-    sigma: float
-
-
-@dataclass(frozen=True)
-class LiveDrift:
-    """The gyroscope's drift b over a stretch, at a time [s], and its standard deviation [rad/s].
-
-    stretch: its number; a drift replaces earlier ones of the same stretch. sigma is infinite to retract them.
-    """
-
-    stretch: int
-    time: float
-    drift: float
+    value: float
     sigma: float
 
 
@@ -149,8 +138,8 @@ class LiveCompass:
         self.previous = _Known(-np.inf, np.inf, 0.0)  # by the earlier stretches
         self._earth: EarthField | None = None
         self._east = 0.0
-        self._found: list[LiveHeading] = []
-        self._drifts: list[LiveDrift] = []
+        self._found: list[StretchValue] = []
+        self._drifts: list[StretchValue] = []
         self._drift_at = np.nan  # time of the stretch's drift, if it has one [s]
         self.upside_down = False  # the field pointed up by as much as the earth's points down: accelerations negated
 
@@ -164,12 +153,12 @@ class LiveCompass:
         """Add samples of the magnetometer at times ``(n,)`` [s], as in `Signal`."""
         self.field.push(time, values)
 
-    def advance(self) -> list[LiveHeading]:
+    def advance(self) -> list[StretchValue]:
         """The headings since the last call."""
         found, self._found = self._found, []
         return found
 
-    def advance_drifts(self) -> list[LiveDrift]:
+    def advance_drifts(self) -> list[StretchValue]:
         """The drifts of the gyroscope since the last call."""
         drifts, self._drifts = self._drifts, []
         return drifts
@@ -322,12 +311,15 @@ class LiveCompass:
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
         late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(COMPASS.straight / spacing)]
         if not len(north) or not len(late):
-            self._retract_drift()
+            if np.isfinite(self._drift_at):
+                self._drifts.append(StretchValue(self.stretch, self._drift_at, 0.0, np.inf))
+                self._drift_at = np.nan
             return self._retract()
         sample = straightest(heading, late, round(COMPASS.straight / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
         moment = float(time[sample])
-        self._report_drift(moment, north)
+        self._drift_at = min(moment, self.end)  # within certain steps
+        self._drifts.append(StretchValue(self.stretch, self._drift_at, north.drift, north.drift_sigma))
         north_sigma = float(np.interp(moment, north.time, north.sigma))
         if not max(ahead.sigma, north_sigma) < COMPASS.least_certain:
             return self._retract()
@@ -335,7 +327,7 @@ class LiveCompass:
         ahead_sigma = LIVE_COMPASS.unconfirmed if ahead.sigma == FORWARD.unconfirmed else ahead.sigma
 
         # The information that it adds to the earlier stretches
-        offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, TURN_VARIANCE])
+        offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, VARIANCE_OF_TURNS])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous.variance + turn_variance - self.previous.turn_variance)
@@ -348,22 +340,12 @@ class LiveCompass:
             moment = float(certain[-1]) if len(certain) else self.end
         self.current = _Known(moment, 1 / (earlier + 1 / variance), turn_variance)
         direction = float(wrap_angle(offset + np.interp(moment, time, heading) + self._east))
-        self._found.append(LiveHeading(self.stretch, moment, direction, float(np.sqrt(variance))))
+        self._found.append(StretchValue(self.stretch, moment, direction, float(np.sqrt(variance))))
 
     def _retract(self) -> None:
         if self.current is not None:
-            self._found.append(LiveHeading(self.stretch, self.current.time, 0.0, np.inf))
+            self._found.append(StretchValue(self.stretch, self.current.time, 0.0, np.inf))
             self.current = None
-
-    def _report_drift(self, moment: float, north: North) -> None:
-        """Report the drift of the gyroscope over the stretch, at a time within certain steps [s]."""
-        self._drift_at = min(moment, self.end)
-        self._drifts.append(LiveDrift(self.stretch, self._drift_at, north.drift, north.drift_sigma))
-
-    def _retract_drift(self) -> None:
-        if np.isfinite(self._drift_at):
-            self._drifts.append(LiveDrift(self.stretch, self._drift_at, 0.0, np.inf))
-            self._drift_at = np.nan
 
     def _fill_field(self) -> None:
         """Fill in the magnetic field of the new samples."""

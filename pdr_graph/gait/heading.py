@@ -39,7 +39,7 @@ class Forward:
         return bool(np.isfinite(self.sigma))
 
 
-UNKNOWN = Forward(0.0, np.inf)
+UNKNOWN_AXIS = Forward(0.0, np.inf)
 
 
 def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
@@ -59,10 +59,10 @@ def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     """The phone's y axis if its screen faces up and it is held steadily, for reading. `step` is not used."""
     x, y, z, w = attitude.R_world_device.as_quat()[walking].T
     if not len(x) or np.mean(1 - 2 * (x * x + y * y)) < FORWARD.facing_up:
-        return UNKNOWN
+        return UNKNOWN_AXIS
     along = (2 * (x * y - w * z) + 1j * (1 - 2 * (x * x + z * z))) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
-        return UNKNOWN
+        return UNKNOWN_AXIS
     return Forward(float(np.angle(along.mean())), FORWARD.unconfirmed)
 
 
@@ -74,10 +74,10 @@ def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     """
     pushes = _pushes(attitude, heading, walking, step, FORWARD.window_steps)
     if len(pushes) < FORWARD.least_windows:
-        return UNKNOWN
+        return UNKNOWN_AXIS
     mean = pushes.mean()
     if abs(mean) < FORWARD.least_coherence:
-        return UNKNOWN
+        return UNKNOWN_AXIS
     aside = np.imag(pushes / mean)  # deviation of each window [rad], for small angles
     return Forward(float(np.angle(mean)), float(np.hypot(FORWARD.gait_sigma, np.std(aside) / np.sqrt(len(pushes)))))
 
@@ -95,7 +95,7 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     mean = complex(pushes.mean()) if len(pushes) else 0.0j
     if abs(mean) < FORWARD.early_coherence:
         x, y = attitude.R_world_device.as_quat()[walking, :2].T
-        return reading if np.mean(1 - 2 * (x * x + y * y)) > FORWARD.surely_facing_up else UNKNOWN
+        return reading if np.mean(1 - 2 * (x * x + y * y)) > FORWARD.surely_facing_up else UNKNOWN_AXIS
     sigma = float(np.hypot(FORWARD.gait_sigma, FORWARD.early_spread / np.sqrt(len(pushes))))
     gait = Forward(float(np.angle(mean)), sigma)
     if not reading.determined:
@@ -104,7 +104,7 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
         early = len(pushes) * FORWARD.early_steps < FORWARD.least_windows * FORWARD.window_steps
         return Forward(reading.angle, FORWARD.confirmed_sigma if early else FORWARD.reading_sigma)
     agree = bool(np.all(np.real(pushes / mean) > 0.5 * np.abs(pushes / mean)))  # within 60 degrees
-    return gait if agree and len(pushes) * FORWARD.early_steps >= FORWARD.overruling_steps else UNKNOWN
+    return gait if agree and len(pushes) * FORWARD.early_steps >= FORWARD.overruling_steps else UNKNOWN_AXIS
 
 
 def _pushes(attitude: Attitude, heading: Array, walking: Mask, step: float, window_steps: int) -> Complex:

@@ -36,7 +36,12 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
     expect("detect_steps, recording", recording, Recording, list, instead="load(path)")
     expect("detect_steps, walker", walker, Walker, None, instead="Walker(height=1.72)")
     walker = walker or Walker()
-    steps = join([_with_movement(steps_of(part, walker), part) for part in gait_signals(recording)])
+    parts = list[Steps]()
+    for gait in gait_signals(recording):
+        movement = UnrecognisedMovement(gait.attitude.period)
+        stepless = movement.update(gait.attitude.acceleration, gait.walking)
+        parts.append(replace(steps_of(gait, walker), stepless=stepless))
+    steps = join(parts)
     return walker.profile.corrected(steps) if walker.profile else steps
 
 
@@ -82,12 +87,6 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         confidence=landings.confidence,
         unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
-
-
-def _with_movement(steps: Steps, gait: GaitSignals) -> Steps:
-    """The steps with the time in which the device moved and none was recognised."""
-    movement = UnrecognisedMovement(gait.attitude.period)
-    return replace(steps, stepless=movement.update(gait.attitude.acceleration, gait.walking))
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:

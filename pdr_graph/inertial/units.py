@@ -13,9 +13,9 @@ from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Signal
 GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over WINDOW; 9.5–10.2 on real walks
 GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
 MIS_SCALED = (6.0, 15.0)  # [m/s²] medians of an accelerometer with an axis of another scale: 7.3 upright, 9.81 flat
-KEPT = 0.05  # weight of a scale of 1, as a share of that of all windows
+PULL = 0.05  # weight of a scale of 1, as a share of that of all windows
 WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration averages out
-FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
+ACCEPTED_FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
 FIELD_UNITS = ((1e-3, "T", 1e6), (0.15, "mT", 1e3), (4.0, "gauss", 100.0), (np.inf, "nT", 1e-3))  # below which median
 FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
@@ -35,7 +35,7 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
         unit, factor = ("Pa", 0.01) if median > 2000 else ("kPa", 10.0)
         notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
         return sensor, factor
-    if sensor == "magnetometer" and median > 0 and not FIELD[0] <= median <= FIELD[1]:
+    if sensor == "magnetometer" and median > 0 and not ACCEPTED_FIELD[0] <= median <= ACCEPTED_FIELD[1]:
         unit, factor = next((unit, factor) for most, unit, factor in FIELD_UNITS if median < most)
         notes.append(f"magnetometer: a median of {median:.3g} can only be in {unit}; converted to µT")
         return sensor, factor
@@ -68,8 +68,8 @@ def axis_scales(signal: Signal) -> Array | None:
         return None
     samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
     windows = signal.values[: len(gravity) * samples].reshape(len(gravity), samples, 3)
-    squares = np.vstack([(windows.mean(axis=1) / STANDARD_GRAVITY) ** 2, KEPT * np.sqrt(len(gravity)) * np.eye(3)])
-    ones = np.append(np.ones(len(gravity)), np.full(3, KEPT * np.sqrt(len(gravity))))
+    squares = np.vstack([(windows.mean(axis=1) / STANDARD_GRAVITY) ** 2, PULL * np.sqrt(len(gravity)) * np.eye(3)])
+    ones = np.append(np.ones(len(gravity)), np.full(3, PULL * np.sqrt(len(gravity))))
     scales = np.sqrt(np.clip(np.linalg.lstsq(squares, ones, rcond=None)[0], low / high, high / low))
     scaled = _windows(Signal(signal.time, signal.values * scales))[2]
     return scales if np.mean((scaled >= GRAVITY[0]) & (scaled <= GRAVITY[1])) > 0.9 else None

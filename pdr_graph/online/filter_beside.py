@@ -18,24 +18,23 @@ import numpy as np
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import KalmanFilter
 from pdr_graph.estimation.live.live_output import Belief
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import REGION_99, squared_distance, wrap_angle
 from pdr_graph.online.interface import Pose, modes_of
-from pdr_graph.types import Array, Contradiction, Fixes, Headings, Steps, Trajectory
+from pdr_graph.types import FINEST, Array, Contradiction, Fixes, Headings, Steps, Trajectory
 
-REGION_99 = 9.21  # 99 % quantile of χ² for two degrees of freedom
 COMPARE_EVERY = 5.0  # [s] between comparisons
 SUSTAINED = 10.0  # [s] of disagreement from which it is said
 MORE_INFORMATION = 0.25  # share by which the same heading must know more, to be used again
 SAID = "the Kalman filter beside the smoother is {:.0f} m away since {:.0f} s, outside both 99 % regions"
-MOST_WAITING = 1000  # measurements that wait for the steps of their time: without steps, none may come
+MOST_WAITING_MEASUREMENTS = 1000  # measurements that wait for the steps of their time: without steps, none may come
 PAST = "the Kalman filter beside the smoother was {:.0f} m away from {:.0f} to {:.0f} s, outside both 99 % regions"
 CHECK = "the sources since then: one of both estimates follows a wrong one"
 
 
 def disagree(a: Array, P_a: Array, b: Array, P_b: Array) -> bool:
     """True if positions ``(2,)`` [m] with covariances ``(2, 2)`` are each outside the 99 % region of the other."""
-    apart = a - b
-    return bool(apart @ np.linalg.solve(P_a + P_b, apart) > REGION_99)
+    least = FINEST**2 * np.eye(2)  # of two estimates without errors
+    return bool(squared_distance(a - b, P_a + P_b + least) > REGION_99)
 
 
 def belief_of_rows(track: Trajectory, time: float) -> Belief:
@@ -53,7 +52,7 @@ class FilterBeside:
     """
 
     def __init__(self, prior: Prior):
-        self.filter, self.apart = KalmanFilter(prior, most_waiting=MOST_WAITING), 0.0
+        self.filter, self.apart = KalmanFilter(prior, most_waiting=MOST_WAITING_MEASUREMENTS), 0.0
         self._since, self._compared = np.nan, -np.inf  # [s] begin of the disagreement; of the last comparison
         self._heading = np.nan, 0.0  # number of the last, and its information [1/rad²]
         self._ended: tuple[float, float, float] | None = None  # the last disagreement that was said: [m], from, to [s]

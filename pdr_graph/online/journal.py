@@ -29,10 +29,10 @@ from pdr_graph.storage import CHECKSUM, decode, decode_json, encode_and_decode, 
 from pdr_graph.types import Estimate, Trajectory
 from pdr_graph.whole_files import lock
 
-WALK, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
+WALK_MAGIC, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
 RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
-REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
+ADVICE = "finish the walk with the pdr_graph that began it, or start a new --journal"
 SECONDS = {"process": float("inf"), "minute": 60.0, "power": 0.0}  # [s] between two waits for the disk
 Navigator = TypeVar("Navigator", bound=LiveEstimator)
 
@@ -103,7 +103,7 @@ def read_entries(path: Path, offset: int = 0, kind: bytes = MESSAGES) -> Iterato
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if file.read(len(kind)) != kind and _found_after(file, 0, size) is None:
-            expected = f"a journal of this version: {REMEDY}" if kind == WALK else "a log of pdr-graph serve"
+            expected = f"a journal of this version: {ADVICE}" if kind == WALK_MAGIC else "a log of pdr-graph serve"
             raise InputError(path, "", "another kind of file", expected)
         offset = max(offset, len(kind))
         while (entry := _entry_at(file, offset, size) or _found_after(file, offset, size)) is not None:
@@ -188,11 +188,11 @@ class Journal(Generic[Navigator]):
         path, requested = Path(path), encode_json(dict(settings or {})).encode()
         if path.exists():
             check_not_special(path, "a journal, or a name that is not taken")
-        log = RecordLog(path, WALK, SECONDS[durable])
+        log = RecordLog(path, WALK_MAGIC, SECONDS[durable])
         try:
             lock(log.file, path)
-            first = next(read_entries(path, kind=WALK), None)
-            if first is None and log.end == len(WALK):
+            first = next(read_entries(path, kind=WALK_MAGIC), None)
+            if first is None and log.end == len(WALK_MAGIC):
                 log.append(0, time.time(), requested)
             elif first is None or first.identity or first.skipped:
                 raise InputError(path, "settings", "a damaged journal", "a whole one: start the walk with another file")
@@ -283,7 +283,7 @@ class Journal(Generic[Navigator]):
     def _replayed(self) -> Navigator:
         """A new navigator after all events of the file before the first damaged byte, at ``_end``."""
         navigator, self.count = self._make(), 0
-        for number, entry in enumerate(read_entries(self._path, kind=WALK)):
+        for number, entry in enumerate(read_entries(self._path, kind=WALK_MAGIC)):
             if entry.skipped or entry.identity != number:
                 break
             if number:

@@ -19,8 +19,7 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
-from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
-from pdr_graph.estimation.factors.registry import kind_of
+from pdr_graph.estimation.factors.registry import COLLECTORS, kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
@@ -152,9 +151,7 @@ class Navigator:
             common_frame = common_frame or Frame.from_description(radio_map.frame)
             if (expected := common_frame.describe()) != radio_map.frame:
                 raise ValueError(f"Navigator, radio_map: found the frame {radio_map.frame}, expected {expected}")
-            from pdr_graph.estimation.fingerprinting import ScanCollector  # imports scipy.optimize, slowly
-
-            self._graph.graph.collectors.append(ScanCollector(radio_map, self._use_radio_fixes))
+            self._graph.graph.collectors.append(radio_map.collector(self._use_radio_fixes))
         if common_frame is not None:
             self._lie_in(common_frame)
 
@@ -280,11 +277,6 @@ class Navigator:
         return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
     @property
-    def _moved_without_steps(self) -> float:
-        """Time of movement without a step, lately or in most of the walk [s]; 0 if there is no such problem."""
-        return self._gait.stepless or (self._stepless if self._stepless > self._on_steps else 0.0)
-
-    @property
     def _walked(self) -> float:
         """Distance walked so far, with the provisional steps [m]."""
         tail = 0.0 if self._tail is None else float(self._tail.length.sum())
@@ -304,6 +296,8 @@ class Navigator:
         graph, walking, pose = self._graph, bool(self._window.keyframes), self.pose
         directed = pose is not None and pose.covariance[2, 2] < DIRECTED**2
         located = self._accepted > 0 or graph.output.modes.mixture is not None or graph.graph.finalized.anchored
+        # Time of movement without a step [s]: lately, or in most of the walk
+        moved = self._gait.stepless or (self._stepless if self._stepless > self._on_steps else 0.0)
         return Status(
             state=state_of(walking and not self._follows_fixes, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
@@ -311,7 +305,7 @@ class Navigator:
             issues=(
                 *issues_of(self._gait.health, located and not walking, self._away_by),
                 *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
-                *((MOVED.format(moved),) if (moved := self._moved_without_steps) else ()),
+                *((MOVED.format(moved),) if moved else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
@@ -394,7 +388,7 @@ class Navigator:
             self._graph.graph.paths = self._graph.graph.paths.seen_from(frame, self.building)
         listed = None if self._beacons is None else frame.place(self._beacons)
         if listed is not None:
-            self._graph.graph.collectors.append(LevelCollector(listed))
+            self._graph.graph.collectors.append(COLLECTORS[Beacons](listed))
         if self.building is not None:
             self._locate(frame, self.building.floors[0].corners.mean(axis=0))
         elif listed is not None and np.isfinite(listed.position).any():
@@ -418,10 +412,10 @@ class Navigator:
             return  # samples that wait for more: the pose is as before
         self._pose, self._provisional, self._tail = None, provisional, provisional
         for heading in headings:
-            self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
-            self._filter.add_heading(heading.time, heading.heading, heading.sigma, heading.stretch)
+            self._graph.set_heading(-1 - heading.stretch, heading.time, heading.value, heading.sigma)
+            self._filter.add_heading(heading.time, heading.value, heading.sigma, heading.stretch)
         for drift in drifts:
-            self._graph.set_drift(-1 - drift.stretch, drift.time, drift.drift, drift.sigma)
+            self._graph.set_drift(-1 - drift.stretch, drift.time, drift.value, drift.sigma)
         if certain is not None:
             self._extend(certain)
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)

@@ -281,7 +281,7 @@ def test_a_receiver_that_does_not_follow_has_wider_priors_and_pays_their_normali
     true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
     graph = biased(WalkGraph(steps, named(fixes_at(time, true, 3.0))))
     at = graph.evaluate(graph.start)
-    [proposal] = [p for p in graph.find(GnssBias).hypotheses(at, None) if p.hypothesis.kind[1] == "astray"]
+    [proposal] = [p for p in graph.find(GnssBias).hypotheses(at, None) if p.hypothesis.kind[1] == "not following"]
     lost = graph.assuming(proposal.measurements)
 
     def sigmas(graph):
@@ -295,8 +295,8 @@ def test_a_receiver_that_does_not_follow_has_wider_priors_and_pays_their_normali
     assert proposal.hypothesis.price == pytest.approx(PRICES.astray + np.log(np.prod(unusual / usual)))
 
 
-@pytest.mark.parametrize(("astray", "larger"), [(True, 1.0), (False, 3.0), (True, 3.0)])
-def test_a_decision_about_receivers_holds_for_later_fixes(astray, larger):
+@pytest.mark.parametrize(("not_following", "larger"), [(True, 1.0), (False, 3.0), (True, 3.0)])
+def test_a_decision_about_receivers_holds_for_later_fixes(not_following, larger):
     """A smoother that goes on from an earlier decision models the same errors."""
     steps = meander()
     time = np.arange(1.0, steps.end, 1.0)
@@ -305,8 +305,8 @@ def test_a_decision_about_receivers_holds_for_later_fixes(astray, larger):
     )
     as_stated = GnssBias.of(graph.positions, graph.steps)
     decided = as_stated._times(larger)
-    later = as_stated.continued((decided._astray() if astray else decided).decisions())
-    assert later.astray == later.courses.wrong == astray
+    later = as_stated.continued((decided._without_following() if not_following else decided).decisions())
+    assert later.not_following == later.courses.wrong == not_following
     assert later.larger == larger
     assert later.sigma == pytest.approx(larger * as_stated.sigma)
 

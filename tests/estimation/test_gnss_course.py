@@ -86,7 +86,7 @@ def without(fixes):
 def test_courses_of_something_else_are_named_and_not_used(off):
     """A compass of the phone instead of the direction of motion, say."""
     lied, honest = smooth(graph_of(off=off)), smooth(WalkGraph(meander(), without(with_courses(meander()))))
-    assert lied.assumed == ("gnss_bias: astray",)
+    assert lied.assumed == ("gnss_bias: not following",)
     assert any("GNSS do not follow" in found.text for found in lied.contradictions)
     apart = lied.trajectory.position - honest.trajectory.position
     assert np.hypot(*apart.T).max() < 0.5

@@ -32,7 +32,7 @@ TEXTS = [
     ("beacons of another place", (), (), "beacons", "the list of beacons is of another place"),
     ("beacons displaced", (), (31.0,), "beacons", "all positions in the list of beacons are off by about 31 m"),
     (
-        "gnss_bias astray",
+        "gnss_bias not following",
         ("A", "B"),
         (2.4,),
         "A and B",

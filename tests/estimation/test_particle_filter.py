@@ -24,7 +24,6 @@ from pdr_graph.estimation.factors.heading_prior import HeadingCosts
 from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import (
-    COMPILED,
     ParticleFilter,
     Walls,
     particle_filter,
@@ -249,7 +248,6 @@ def test_dropped_keyframes_do_not_change_the_others():
 
 def test_memory_is_constant():
     floor, cloud, size = aisle(), begun(), []
-    COMPILED.load()  # or it is loaded within
     tracemalloc.start()
     for keyframe in range(400):
         on(cloud, floor, 1, at(2.0, sigma=3.0))

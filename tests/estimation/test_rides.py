@@ -9,8 +9,9 @@ from streets import NOISE, PACE, gauss_markov, logged, seen, streets
 from walks import steps_of
 
 from pdr_graph import Navigator, WalkGraph, smooth
+from pdr_graph.estimation.gps_track import detect_rides, largest_sums
 from pdr_graph.estimation.live.window import rewound
-from pdr_graph.estimation.rides import detect_rides, largest_sums, without_rides
+from pdr_graph.estimation.rides import without_rides
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.geometry import interpolate, unit
 from pdr_graph.types import STEP_COLUMNS

@@ -11,7 +11,7 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame, projected
-from pdr_graph.gait.compass import LiveCompass, LiveHeading, compass_measurements, gyro_drift
+from pdr_graph.gait.compass import LiveCompass, StretchValue, compass_measurements, gyro_drift
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
@@ -73,12 +73,12 @@ def live(walk, recording=None):
 def batch(walk, recording=None):
     headings = magnetic_headings(recording or recorded(walk), walk.frame, HERE)
     columns = (headings.time, headings.heading, headings.sigma)
-    return [LiveHeading(0, *map(float, row)) for row in zip(*columns, strict=True)]
+    return [StretchValue(0, *map(float, row)) for row in zip(*columns, strict=True)]
 
 
 def errors(walk, found):
     """Errors against the true walking direction, in sigmas and in radians."""
-    time, heading, sigma = np.array([(one.time, one.heading, one.sigma) for one in found]).reshape(-1, 3).T
+    time, heading, sigma = np.array([(one.time, one.value, one.sigma) for one in found]).reshape(-1, 3).T
     error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
     return error / sigma, error
 
@@ -208,7 +208,7 @@ def test_the_field_shows_how_the_gyroscope_drifts(drift):
         assert abs(drifts.drift[0] - true) < 3 * drifts.sigma[0]
         assert drifts.sigma[0] < 0.002
         columns = (headings.time, headings.heading, headings.sigma)
-        assert np.all(np.abs(errors(walk, [LiveHeading(0, *row) for row in zip(*columns, strict=True)])[0]) < 3)
+        assert np.all(np.abs(errors(walk, [StretchValue(0, *row) for row in zip(*columns, strict=True)])[0]) < 3)
 
 
 @pytest.mark.parametrize("share", [1, 2])

@@ -13,8 +13,9 @@ from walks import steps_of
 from pdr_graph import smooth
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.stays import follow_positions, segments_of
+from pdr_graph.estimation.gps_track import detect_rides
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.rides import detect_rides, without_rides
+from pdr_graph.estimation.rides import without_rides
 from pdr_graph.gait.step_chunks import append_steps as then
 from pdr_graph.gait.step_chunks import gap, shifted
 from pdr_graph.geometry import dead_reckon, length_along

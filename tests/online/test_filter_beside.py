@@ -98,6 +98,13 @@ def test_two_positions_disagree_only_where_each_is_outside_the_region_of_the_oth
             assert min((a - b) @ np.linalg.solve(P, a - b) for P in (P_a, P_b)) > 9.21
 
 
+def test_positions_without_errors_disagree_where_they_differ():
+    """Two covariances of zero have no inverse."""
+    place, none = np.array([1.0, 2.0]), np.zeros((2, 2))
+    assert not disagree(place, none, place, none)
+    assert disagree(place, none, place + 0.01, none)
+
+
 def followed(nav, steps, fixes):
     """The issues of the status after every tenth step, those about the filter."""
     steps_so_far = enumerate(pushing(nav, steps, fixes))

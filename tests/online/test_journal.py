@@ -16,7 +16,7 @@ from standin import StandIn, event
 
 from pdr_graph import InputError
 from pdr_graph.online.interface import Samples
-from pdr_graph.online.journal import WALK, Journal, RecordLog, read_entries
+from pdr_graph.online.journal import WALK_MAGIC, Journal, RecordLog, read_entries
 from pdr_graph.storage import encode, fingerprint
 from pdr_graph.types import Fixes
 
@@ -137,7 +137,7 @@ def test_a_failing_event_left_by_a_kill_is_skipped(tmp_path):
     journal = walked(tmp_path / "walk", 60)
     before = told(journal)
     journal.close()
-    log = RecordLog(tmp_path / "walk", WALK)
+    log = RecordLog(tmp_path / "walk", WALK_MAGIC)
     log.append(61, 0.0, encode(Fixes.none()))
     log.close()
     again = opened(tmp_path / "walk")
@@ -242,7 +242,7 @@ def test_a_damaged_journal_comes_back_to_an_earlier_event_and_says_so(tmp_path, 
 
 def test_a_missing_event_costs_those_after_it(tmp_path):
     walked(tmp_path / "walk", 20).close()
-    *_, seventh = (entry for entry in read_entries(tmp_path / "walk", kind=WALK) if entry.identity == 7)
+    *_, seventh = (entry for entry in read_entries(tmp_path / "walk", kind=WALK_MAGIC) if entry.identity == 7)
     content = (tmp_path / "walk").read_bytes()
     (tmp_path / "walk").write_bytes(content[: seventh.offset] + content[seventh.end :])
     with opened(tmp_path / "walk") as journal:

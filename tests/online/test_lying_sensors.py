@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from simulated import scenario
 
-from pdr_graph.apps.report.evaluation import REGION_90
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import REGION_90, interpolate
 from pdr_graph.inertial.attitude import NO_GYROSCOPE
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lab.simulation.simulate import simulate

@@ -13,7 +13,7 @@ from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
 
 NAMES = ("accelerometer", "gyroscope", "magnetometer")
-ALL = {**attitude_filters.METHODS, "VQF offline": attitude_of}
+ALL = {**attitude_filters.ATTITUDE_FILTERS, "VQF offline": attitude_of}
 MAGNETIC = ("accelerometer + magnetometer", "MARG filter", "VQF, 9-D")
 # [deg] median tilt error of a phone in the hand, 95 % quantile of each method
 TILT = {"accelerometer + magnetometer": 12.0, "gyro integration": 9.0, "IMU filter": 4.0, "MARG filter": 4.0}

@@ -127,13 +127,13 @@ def test_fixes_after_an_outage_help_the_smoothers_and_true_headings_the_papers_f
     """The paper's filter has no state for the heading, so that a wrong one pulls it off between all fixes."""
     _, rows = paper.in_outages([observed], 120.0)
     mean = {row[0]: float(row[1]) for row in rows}
-    assert max(mean[paper.RTS], mean[paper.GRAPH]) < mean[paper.EKF] < mean[paper.HELD]
+    assert max(mean[paper.RTS], mean[paper.BY_GRAPH]) < mean[paper.EKF] < mean[paper.HELD]
     assert mean[paper.TRUE_COURSE] < mean[paper.FILTER]
 
 
 def test_the_tables_have_a_row_for_each_method(monkeypatch, tmp_path):
-    monkeypatch.setattr(paper, "QUICK", 1)
-    monkeypatch.setattr(paper, "CORNERS", [[180, 0], [180, 120], [0, 0]])
+    monkeypatch.setattr(paper, "QUICK_WALKS", 1)
+    monkeypatch.setattr(paper, "ROUTE_CORNERS", [[180, 0], [180, 120], [0, 0]])
     monkeypatch.setenv("PDR_GRAPH_DATA", str(tmp_path))
     tables = paper.experiment(quick=True)
     assert len({table.name for table in tables}) == len(tables) == 3

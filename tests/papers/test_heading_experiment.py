@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import unit
 from pdr_graph.lab.papers import heading_experiment
-from pdr_graph.lab.papers.heading_experiment import METHODS, errors, rms, without_half_turns
+from pdr_graph.lab.papers.heading_experiment import READINGS, errors, rms, without_half_turns
 from pdr_graph.types import STANDARD_GRAVITY, Recording, Signal
 
-TIME = np.arange(0.0, 30.0, 1 / heading_experiment.RATE)
+TIME = np.arange(0.0, 30.0, 1 / heading_experiment.SENSOR_RATE)
 CORNER = 15.0, 16.0  # [s]
 WALKING = TIME > 5.0
 
@@ -41,28 +41,28 @@ def walked(fore_aft, lateral, turn=np.pi / 2, device=None):
 
 
 def test_fore_and_aft_acceleration_is_the_direction_except_within_a_window_after_a_corner():
-    error, time = errors(walked(fore_aft=1.5, lateral=0.3), METHODS["acceleration PCA"]), TIME[WALKING]
+    error, time = errors(walked(fore_aft=1.5, lateral=0.3), READINGS["acceleration PCA"]), TIME[WALKING]
     after = (time > CORNER[0]) & (time < CORNER[1] + heading_experiment.PRINCIPAL_WINDOW)
     assert np.abs(error[~after]).max() < 5
     assert np.abs(error[after]).max() > 60  # at the end of the corner most of the window is of before
 
 
 def test_the_axis_is_across_if_people_sway_more_than_they_brake():
-    axis = without_half_turns(errors(walked(fore_aft=0.5, lateral=1.5), METHODS["acceleration PCA"]))
+    axis = without_half_turns(errors(walked(fore_aft=0.5, lateral=1.5), READINGS["acceleration PCA"]))
     assert np.median(np.abs(axis)) > 80
 
 
 @pytest.mark.parametrize("device", [Rotation.identity(), Rotation.from_rotvec([0.3, -0.5, 2.0])])
 def test_the_accumulated_rate_is_right_however_the_phone_is_turned(device):
     """The walker turns by 90° and the phone with them; the initial direction is given in axes of the phone."""
-    error = errors(walked(fore_aft=1.0, lateral=0.5, device=device), METHODS["angular-rate accumulation"])
+    error = errors(walked(fore_aft=1.0, lateral=0.5, device=device), READINGS["angular-rate accumulation"])
     assert error[0] == 0
     assert rms(error) < 3
 
 
 def test_a_walker_who_turns_back_is_reversed_until_the_end():
     """[heading] Sec. 5.1: the side nearer to the estimate before persists."""
-    error, time = errors(walked(fore_aft=1.5, lateral=0.3, turn=np.pi), METHODS["acceleration PCA"]), TIME[WALKING]
+    error, time = errors(walked(fore_aft=1.5, lateral=0.3, turn=np.pi), READINGS["acceleration PCA"]), TIME[WALKING]
     assert np.abs(error[time < CORNER[0]]).max() < 5
     later = error[time > CORNER[1] + heading_experiment.PRINCIPAL_WINDOW]
     assert np.abs(np.abs(later) - 180).max() < 5
@@ -89,7 +89,7 @@ def test_the_holds_take_turns_and_no_two_trials_are_alike():
 def test_a_swinging_arm_shows_its_direction_as_in_the_paper():
     """Table 1 has 21.3° and 21.7°: no half turn, only the lag after the corner."""
     for method in ("acceleration PCA", "angular-rate PCA"):
-        found = [rms(errors(heading_experiment.walk("swinging arm", seed=seed), METHODS[method])) for seed in range(4)]
+        found = [rms(errors(heading_experiment.walk("swinging arm", seed=seed), READINGS[method])) for seed in range(4)]
         assert np.mean(found) < 25
 
 

@@ -9,13 +9,13 @@ from walks import fixes_at, straight
 from pdr_graph import dead_reckon
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.papers.reference_positions import (
-    ALL,
-    CLOSE,
     DISTANT,
     ENCOUNTER,
     FALSE_SHARE,
-    FARTHEST,
-    NEAREST,
+    FARTHEST_FALSE,
+    NEARBY,
+    NEAREST_FALSE,
+    REFERENCES,
     Encounters,
     Reference,
     Rule,
@@ -109,7 +109,7 @@ def test_one_in_ten_encounters_is_falsified_by_a_walker_who_was_elsewhere():
     assert (with_false.pair[false] < TERMINAL).all()
     for n in np.flatnonzero(false):
         one, other = walkers.places(met.time[n])[with_false.pair[n]]
-        assert NEAREST < np.hypot(*(one - other)) < FARTHEST
+        assert NEAREST_FALSE < np.hypot(*(one - other)) < FARTHEST_FALSE
 
 
 def test_the_region_holds_nine_in_ten_draws_of_its_covariance():
@@ -159,22 +159,22 @@ def extent(tracks, seed=0):
 def test_close_encounters_halve_the_error_of_a_known_start_and_the_region_holds():
     none = between_walkers(Rule("none", np.inf, 1.0))
     start = smoothed(crowd(0), (ENCOUNTER,), none)
-    assert median(graph_with(CLOSE)) < 0.6 * median(start)
-    assert share_in_region(graph_with(CLOSE)) > 0.85
+    assert median(graph_with(NEARBY)) < 0.6 * median(start)
+    assert share_in_region(graph_with(NEARBY)) > 0.85
 
 
 def test_encounters_across_the_hall_contract_the_walks_and_the_region_does_not_hold():
     """A closure says that two walkers were at one place: it pulls them together, however wide its sigma."""
     distant = graph_with(Rule("distant", -75.0, 1.5))
-    assert extent(distant) < 0.92 < 0.95 < extent(graph_with(CLOSE))
+    assert extent(distant) < 0.92 < 0.95 < extent(graph_with(NEARBY))
     assert share_in_region(distant) < 0.7
 
 
 def test_with_other_references_false_encounters_lose_their_weight_and_the_region_holds():
     walkers = crowd(0, 120.0)
-    met = CLOSE.encounters(walkers)
+    met = NEARBY.encounters(walkers)
     with_false, false = falsified(walkers, met, 2)
-    tracks = smoothed(walkers, ALL, with_false)
+    tracks = smoothed(walkers, REFERENCES, with_false)
     between = ~with_false.with_terminal
     weight, false = closure_weights(tracks, with_false.only(between)), false[between]
     assert np.count_nonzero(false) > 0

@@ -46,8 +46,8 @@ def test_the_cart_moves_as_in_the_paper_along_the_axis_of_a_phone_that_faces_mag
 
 def test_without_the_switch_the_position_drifts_away_and_with_it_the_cart_is_found():
     """Gravity of a tilt by the bias ω over t = 18 s: g ω t³/6 is tens of metres at 0.005 rad/s."""
-    drifted = [paper.outcome(each, paper.METHODS["λ = 0"]) for each in CARTS]
-    switched = [paper.outcome(each, paper.METHODS[paper.LAMBDA_RULE]) for each in CARTS]
+    drifted = [paper.outcome(each, paper.SWITCH_METHODS["λ = 0"]) for each in CARTS]
+    switched = [paper.outcome(each, paper.SWITCH_METHODS[paper.LAMBDA_RULE]) for each in CARTS]
     assert all(each.missed == 1.0 and each.false == 0.0 for each in drifted)
     bias = [np.hypot(*each.rest.gyroscope.values.mean(axis=0)[:2]) for each in CARTS]
     expected = 9.81 * np.array(bias) * 18.0**3 / 6
@@ -59,14 +59,14 @@ def test_a_wrong_lambda_is_seen_in_the_shares_of_rest():
     """Halved it misses rests; doubled it takes movement for rest."""
     shares = {}
     for scale in (0.5, 1.0, 2.0):
-        outcomes = [paper.outcome(each, replace(paper.PAPER, scale=scale)) for each in CARTS]
+        outcomes = [paper.outcome(each, replace(paper.PAPER_METHOD, scale=scale)) for each in CARTS]
         shares[scale] = np.mean([[each.missed, each.false] for each in outcomes], axis=0)
     assert shares[0.5][0] > 0.1 > shares[1.0][0] >= shares[2.0][0]
     assert shares[0.5][1] < shares[1.0][1] < shares[2.0][1]
 
 
 def test_a_rest_that_lasts_and_looking_ahead_each_bring_the_cart_nearer():
-    methods = (paper.PAPER, paper.LONGER, replace(paper.LONGER, look_ahead=True), paper.PRODUCT)
+    methods = (paper.PAPER_METHOD, paper.LONGER, replace(paper.LONGER, look_ahead=True), paper.PRODUCT)
     errors = [np.median([paper.outcome(each, method).error for each in CARTS]) for method in methods]
     assert errors[0] > errors[1] > errors[2]
     assert errors[3] < 0.1

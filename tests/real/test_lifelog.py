@@ -23,7 +23,7 @@ from pdr_graph.apps.lifelog.sessions import Session, sessions_of, turn_by_field
 from pdr_graph.apps.lifelog.stays import follow_positions
 from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.report.evaluation import circular_error, pair
-from pdr_graph.estimation.rides import detect_rides
+from pdr_graph.estimation.gps_track import detect_rides
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes, Trajectory

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from pdr_graph.lab.papers.heading_experiment import METHODS, errors, movement, real_trials, rms
+from pdr_graph.lab.papers.heading_experiment import READINGS, errors, movement, real_trials, rms
 
 
 def test_real_hands_show_turns_but_not_always_the_axis(data):
     """By the accumulated rate they are on average as accurate as the paper in the hand; by acceleration few are."""
     hands = [trial for name, trials in real_trials(data).items() if name.endswith("hand") for trial in trials]
     by_rate, by_acceleration = (
-        np.array([rms(errors(trial, METHODS[method])) for trial in hands])
+        np.array([rms(errors(trial, READINGS[method])) for trial in hands])
         for method in ("angular-rate accumulation", "acceleration PCA")
     )
     assert by_rate.mean() < 11.8

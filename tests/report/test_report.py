@@ -70,8 +70,8 @@ def test_the_band_contains_95_percent_of_positions():
     (region,) = geometry.confidence_band(still, np.ones(2, dtype=bool))
     draws = np.random.default_rng(0).multivariate_normal([1.0, 1.0], covariance[:2, :2], 20_000)
     inside = shapely.contains_xy(region, *draws.T).mean()
-    inscribed = np.pi / geometry.CORNERS
-    least = chi2.cdf(geometry.CHI_SQUARE * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
+    inscribed = np.pi / geometry.ELLIPSE_CORNERS
+    least = chi2.cdf(geometry.REGION_95 * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
     noise = 4 * np.sqrt(0.95 * 0.05 / 20_000)
     assert least - noise < inside < 0.95 + noise
 

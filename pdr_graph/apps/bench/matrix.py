@@ -19,15 +19,14 @@ from pdr_graph.apps.bench.data_sets import BenchWalk, given, selection, walks_of
 from pdr_graph.apps.bench.methods import Method, method_of, particles, with_verdict
 from pdr_graph.apps.lifelog.workers import ITEM_LIMIT, CrashedItem, LostItem, fleet
 from pdr_graph.apps.report.evaluation import (
-    REGION_90,
     circular_error,
     energy_score,
     log_score,
     pair,
-    squared_distance,
     stated_covariance,
 )
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.geometry import REGION_90, squared_distance, squared_radius
 from pdr_graph.types import Array, Trajectory
 from pdr_graph.walk import Evidence, observe
 
@@ -252,11 +251,11 @@ def _number(value: float) -> float | None:
 SCORED_AT = (50, 75, 95)  # percentiles
 LEVELS = (50, 90, 99)  # [%] of the regions whose coverage is counted
 GROUP = "data set", "given", "method"
-COVERAGE = tuple(f"in {level} %" for level in LEVELS)
+COVERAGE_COLUMNS = tuple(f"in {level} %" for level in LEVELS)
 LOW = 0.6  # share of a walk's places in the 90 % region, up to which the walk is counted
 STATISTICS = (
     *(*GROUP, "walks", "failed", "places"),
-    *("CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE, "log score [nats]", "energy score [m]"),
+    *("CE50 [m]", "CE75 [m]", "CE95 [m]", *COVERAGE_COLUMNS, "log score [nats]", "energy score [m]"),
     *(f"walks up to {100 * LOW:.0f} % in 90 %", "across walls", "length", "steps", "seconds"),
 )
 WORST = (*GROUP, "walk", "places", "CE50 [m]", "CE95 [m]", "in 90 %", "log score [nats]", "verdict")
@@ -289,7 +288,7 @@ def error_percentiles(errors: Array) -> Array:
 def calibration(stated: Array) -> Array:
     """Coverage [%] at LEVELS, mean log score and mean energy score of places ``(n, 3)`` with the columns STATED."""
     squared, *scores = stated.T
-    covered = [100 * np.mean(squared < -2 * np.log(1 - level / 100)) for level in LEVELS]
+    covered = [100 * np.mean(squared < squared_radius(level / 100)) for level in LEVELS]
     return np.array([*covered, *(score.mean() for score in scores)])
 
 

@@ -28,7 +28,7 @@ MODE_ACTIVITIES = {
     "stop": STANDING,
 }
 VISIT, ACTIVITY, END = "visit", "activity", "end"  # kinds of guesses
-FASTEST_WALK = 2.5  # [m/s] of a way whose kind is unknown; chosen by hand
+LEAST_RIDE_SPEED = 2.5  # [m/s] of a way whose kind is unknown; chosen by hand
 ALWAYS = float("-inf"), float("inf")  # start and end of a correction that holds for a place, at all times
 
 
@@ -142,7 +142,7 @@ class Guess(OneLineRepr):
         if name in ("STILL", "WALKING", "WALK", "ON_FOOT", "RUNNING"):
             return STANDING if name == "STILL" else WALKING
         unknown = name.startswith("UNKNOWN") or not name
-        return VEHICLE if not unknown or speed > FASTEST_WALK else WALKING
+        return VEHICLE if not unknown or speed > LEAST_RIDE_SPEED else WALKING
 
     def _summary(self) -> list[str]:
         when = datetime.fromtimestamp(self.start, UTC).isoformat(timespec="seconds")

@@ -21,7 +21,7 @@ from pdr_graph.apps.lifelog.facts import (
     ACTIVITY,
     AEROPLANE,
     END,
-    FASTEST_WALK,
+    LEAST_RIDE_SPEED,
     SHORTEST_FLIGHT,
     SLOWEST_FLIGHT,
     VISIT,
@@ -256,7 +256,7 @@ def _legs(pieces: Sequence[TimelineEntry], track: Track) -> Iterator[TimelineEnt
     kinds = [_leg_kind(piece, longest, track) for piece in pieces]
     if not any(kinds) and all(piece.kind == GAP for piece in pieces):  # by speed: nobody saw how the person went
         start, end = pieces[0].start, pieces[-1].end
-        fast = track.length(start, end) > FASTEST_WALK * (end - start)
+        fast = track.length(start, end) > LEAST_RIDE_SPEED * (end - start)
         kinds = [VEHICLE if fast else WALKING] * len(pieces)
     for n, piece in enumerate(pieces):  # what was recorded of a flight beside a silence
         if piece.kind == VEHICLE and piece.distance > TRACK.fastest * piece.duration:
@@ -292,7 +292,7 @@ def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     if far > max(SHORTEST_FLIGHT, SLOWEST_FLIGHT * lasted):
         return AEROPLANE
     # shortest jump [m] over a short silence, from which a fast one is a ride
-    if far > max(FASTEST_WALK * lasted, 300.0):
+    if far > max(LEAST_RIDE_SPEED * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_SILENCE else GAP
     if piece.kind in MOVING:
         # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it

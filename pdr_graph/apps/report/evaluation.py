@@ -18,13 +18,12 @@ import numpy as np
 from pdr_graph.errors import InputError, count, expect, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
+from pdr_graph.geometry import REGION_90, interpolate, nearest, rotation, squared_distance, wrap_angle
 from pdr_graph.io.tables import clock_hint, read_trajectory
 from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
-REGION_90 = 4.605  # 90 % quantile of χ² with two degrees of freedom
-DIRECTIONS = 360  # of the energy score; the integrand is smooth and periodic, so that twice as many change nothing
+SCORED_DIRECTIONS = 360  # of the energy score; the integrand is smooth and periodic: twice as many change nothing
 
 
 @dataclass(frozen=True)
@@ -233,11 +232,6 @@ def in_region(pairs: Pairs, covariance: Array) -> Mask:
     return squared_distance(pairs.estimate - pairs.truth, covariance) < REGION_90
 
 
-def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared Mahalanobis distance ``(n,)`` of errors ``(n, 2)`` [m] with covariances ``(n, 2, 2)`` [m²]."""
-    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
-
-
 def log_score(error: Array, covariance: Array) -> Array:
     """Logarithmic score ``(n,)`` [nats], smaller is better: -log of the stated Gaussian density [1/m²] at the truth.
 
@@ -256,7 +250,7 @@ def energy_score(error: Array, covariance: Array) -> Array:
     """
     from scipy.special import ndtr
 
-    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    angle = np.arange(SCORED_DIRECTIONS) * np.pi / SCORED_DIRECTIONS
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     sigma = np.sqrt(np.einsum("ki,nij,kj->nk", along, covariance, along))
     z = error @ along.T / sigma

@@ -28,6 +28,7 @@ from pdr_graph.apps.serve.publishing import PROBABILITY, Hub
 from pdr_graph.apps.serve.pulling import Broker, Say, connected
 from pdr_graph.errors import one_line
 from pdr_graph.floor.building import Building
+from pdr_graph.geometry import squared_radius
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import Array
 
@@ -61,7 +62,7 @@ def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, fl
     cells, share = building[label].cells, Counter[str]()
     for mode in pose["modes"] or [{"probability": 1.0, **pose}]:
         region = mode["region"]
-        axes = np.array([region["semi_major"], region["semi_minor"]]) / np.sqrt(-2 * np.log(1 - PROBABILITY))
+        axes = np.array([region["semi_major"], region["semi_minor"]]) / np.sqrt(squared_radius(PROBABILITY))
         cosine, sine = np.cos(region["angle"]), np.sin(region["angle"])
         points = (DEVIATES * axes) @ np.array([[cosine, sine], [-sine, cosine]]) + (mode["x"], mode["y"])
         for cell in cells.at(points).tolist():

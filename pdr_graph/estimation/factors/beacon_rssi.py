@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
-SILENT = 8  # beacons about the strongest one of a stretch of which silence counts: each costs as much as a level
+MOST_SILENT = 8  # beacons about the strongest one of a stretch of which silence counts: each costs as much as a level
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         keyframe, first, of = np.unique(self.keyframe[levels], return_index=True, return_inverse=True)
         strongest, row = np.unique(self.listed.beacon[levels[first]], return_inverse=True)
         gap = place[strongest, None] - place
-        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :SILENT]
+        nearest = np.argsort(np.hypot(*gap.transpose(2, 0, 1)), axis=1, kind="stable")[:, :MOST_SILENT]
         near = np.zeros(gap.shape[:2], dtype=bool)
         np.put_along_axis(near, nearest, True, axis=1)
         silent = near[row]

@@ -37,7 +37,7 @@ class Pieces:
 
     length: ``(m,)`` [m].
     to_middle, to_end: ``(2, m)`` turn [rad] and time [s] from the interval's start to the piece's middle and end.
-    variance: ``(m, 3)`` of length [m²], sideways [m²], turn [rad²].
+    variance: ``(m, 2)`` of the displacement along, which is that across [m²], and of the turn [rad²].
     interval: ``(m,)`` the interval of each piece; first, last: ``(k,)`` the pieces of each interval.
     keyframe_time: ``(k + 1,)`` [s].
     row_end: ``(n + 1,)`` the piece that ends at each row of the trajectory after the first.
@@ -81,7 +81,7 @@ class Pieces:
         """No intervals: a single keyframe at a time [s]."""
         none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
         turns = np.empty((2, 0))
-        return cls(none, turns, turns, np.empty((0, 3)), numbers, numbers, numbers, np.array([time]), numbers)
+        return cls(none, turns, turns, np.empty((0, 2)), numbers, numbers, numbers, np.array([time]), numbers)
 
     @classmethod
     def together(cls, parts: Sequence[Pieces]) -> Pieces:
@@ -162,7 +162,7 @@ def parts_of(
     length, turn = whole[of, 1] * share, whole[of, 2] * share
     last = np.append(first[1:], len(end)) - 1
     empty, keyframe_time = np.empty((2, 0)), np.append(begins[0], end[last])
-    variance = whole[of, 3:6] * share[:, None]
+    variance = whole[of, 3:5] * share[:, None]
     pieces = Pieces(length, empty, empty, variance, interval, first, last, keyframe_time, row_end)
     turn_and_time = np.stack([turn, end - begins])
     to_end = pieces.running(turn_and_time)
@@ -170,18 +170,19 @@ def parts_of(
 
 
 def whole_pieces(steps: Steps) -> Array:
-    """Pauses and steps before any split ``(m, 6)``; the last row is the pause until the end of the recording.
+    """Pauses and steps before any split ``(m, 5)``; the last row is the pause until the end of the recording.
 
-    Columns: end [s], length [m], turn [rad], variances of length [m²], sway [m²] and turn [rad²].
+    Columns: end [s], length [m], turn [rad], variances of the displacement along, which is that across [m²], and of the
+    turn [rad²].
     """
     n = len(steps)
-    rows = np.zeros((2 * n + 1, 6))
+    rows = np.zeros((2 * n + 1, 5))
     pauses, moves = rows[0:-1:2], rows[1::2]
     pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
     moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
-    moves[:, 3:] = np.stack([steps.sigma_length, steps.sigma_length, steps.sigma_turn], axis=1) ** 2
+    moves[:, 3:] = np.stack([steps.sigma_length, steps.sigma_turn], axis=1) ** 2
     rows[-1, :3] = steps.end, 0.0, steps.final_turn
-    rows[0::2, 5] = MOTION.standing_turn**2
+    rows[0::2, 4] = MOTION.standing_turn**2
     rows[:, 0] = np.round(rows[:, 0], DECIMALS)
     return rows[np.diff(rows[:, 0], prepend=round(steps.start, DECIMALS)) > 0]
 
@@ -264,10 +265,10 @@ class Bridge:
 
 
 def bridge(pieces: Pieces, increments: Increments) -> Bridge:
-    """Covariances of the partial sums, by first-order propagation of each piece's length, sway and turn.
+    """Covariances of the partial sums, by first-order propagation of each piece's displacement and turn.
 
     A turn error δθ made half-way through a piece, at u, swings all that follows: δp_k = J (Δp_k − u) δθ, J = +90°.
-    Hence with s the turn's variance and A the sum of the lengths' and sways' covariances,
+    Hence with s the turn's variance and A_k the sum of the displacements' variances, times the unit matrix,
 
         Cov(p_k, p_o) = A_k + J [ Σs p_k p_oᵀ − p_k Σ(s u)ᵀ − Σ(s u) p_oᵀ + Σ(s u uᵀ) ] Jᵀ
         Cov(p_k, θ) = J [ Σs p_k − Σ(s u) ],      Cov(θ, θ) = Σs
@@ -304,10 +305,9 @@ def increment(whole: Array, start: float, begin: float, end: float, c: Array) ->
     first, last = np.searchsorted(whole[:, 0], (begin, end), side="right").tolist()
     rows = whole[first : last + (last == first or whole[last - 1, 0] < end) * (last < len(whole))].tolist()
     before = float(whole[first - 1, 0]) if first else start
-    x = y = by_turn_x = by_turn_y = by_time_x = by_time_y = turned = elapsed = 0.0
-    xx = xy = yy = 0.0
+    x = y = by_turn_x = by_turn_y = by_time_x = by_time_y = turned = elapsed = xx = xy = 0.0
     swings = list[tuple[float, float, float]]()  # position half-way through each piece, and the variance of its turn
-    for until, length, turn, along, across, of_turn, *_ in rows:
+    for until, length, turn, of_displacement, of_turn, *_ in rows:
         if until <= before:  # ends with the piece before it
             continue
         share = (min(until, end) - max(before, begin)) / (until - before)
@@ -320,10 +320,8 @@ def increment(whole: Array, start: float, begin: float, end: float, c: Array) ->
         x, y, turned, elapsed = x + move_x, y + move_y, turned + turn, elapsed + seconds
         by_turn_x, by_turn_y = by_turn_x - middle_turn * move_y, by_turn_y + middle_turn * move_x
         by_time_x, by_time_y = by_time_x - middle_time * move_y, by_time_y + middle_time * move_x
-        a, s = along * share + SIGMA_STILL**2, across * share + SIGMA_STILL**2
-        u, v = (cos(course), sin(course)) if moved else (1.0, 0.0)
-        xx, xy, yy = xx + a * u * u + s * v * v, xy + (a - s) * u * v, yy + a * v * v + s * u * u
-    x_theta = y_theta = theta = 0.0
+        xx += of_displacement * share + SIGMA_STILL**2
+    yy, x_theta, y_theta, theta = xx, 0.0, 0.0, 0.0
     for middle_x, middle_y, of_turn in swings:
         left, ahead = R_s * y - middle_y, R_s * x - middle_x  # a turn moves the end by (−left, ahead)
         xx, xy, yy = xx + of_turn * left * left, xy - of_turn * left * ahead, yy + of_turn * ahead * ahead
@@ -342,19 +340,16 @@ def _covariance_with(pieces: Pieces, x: Array, y: Array) -> Callable[[Array, Arr
     move_y[1:] -= y[:-1]
     move_x[pieces.first], move_y[pieces.first] = x[pieces.first], y[pieces.first]
     u_x, u_y = x - move_x / 2, y - move_y / 2
-    along, across = pieces.variance[:, 0] + SIGMA_STILL**2, pieces.variance[:, 1] + SIGMA_STILL**2
-    course = np.arctan2(move_y, move_x)
-    cos, sin, s = np.cos(course), np.sin(course), pieces.variance[:, 2]
-    A = (along * cos**2 + across * sin**2, (along - across) * cos * sin, along * sin**2 + across * cos**2)
+    s = pieces.variance[:, 1]
     swings = (s, s * u_x, s * u_y, s * u_x * u_x, s * u_x * u_y, s * u_y * u_y)
-    A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(np.array([*A, *swings]))
+    A, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(np.array([pieces.variance[:, 0] + SIGMA_STILL**2, *swings]))
 
     def covariance(o_x: Array, o_y: Array) -> Array:
         """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` of each piece k with a piece at ``o`` that ends no earlier."""
-        xx = A_xx + S * y * o_y - y * Su_y - Su_y * o_y + Su_yy
-        xy = A_xy - (S * y * o_x - y * Su_x - Su_y * o_x + Su_xy)
-        yx = A_xy - (S * x * o_y - x * Su_y - Su_x * o_y + Su_xy)
-        yy = A_yy + S * x * o_x - x * Su_x - Su_x * o_x + Su_xx
+        xx = A + S * y * o_y - y * Su_y - Su_y * o_y + Su_yy
+        xy = y * Su_x + Su_y * o_x - S * y * o_x - Su_xy
+        yx = x * Su_y + Su_x * o_y - S * x * o_y - Su_xy
+        yy = A + S * x * o_x - x * Su_x - Su_x * o_x + Su_xx
         columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
         return np.ascontiguousarray(np.array(columns).T).reshape(-1, 3, 3)
 

@@ -83,7 +83,7 @@ class GnssBias(Refined, Remembered, Doubted):
     first of a source; elapsed: ``(m,)`` time since the node before [s].
     receiver: ``(m,)`` of each node; receiver_number: ``(r,)``; usual: ``(r,)`` median σ₀ [m].
     larger: factor by which all sigmas are larger than of the fixes; courses: of the receivers, unused if these are
-    assumed to be astray, that is, not to follow the walk.
+    assumed not to follow the walk.
     """
 
     fixes: FixFactor
@@ -103,7 +103,7 @@ class GnssBias(Refined, Remembered, Doubted):
     usual: Array
     courses: Courses
     larger: float = 1.0
-    astray: bool = False
+    not_following: bool = False
 
     name: ClassVar[str] = "gnss_bias"
     symbol: ClassVar[str] = "g"
@@ -159,11 +159,11 @@ class GnssBias(Refined, Remembered, Doubted):
         if not len(self.fix):
             return ()
         names, found = tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist())), list[Proposal]()
-        if not self.astray:
-            lost = self._astray()
+        if not self.not_following:
+            lost = self._without_following()
             wider = np.log(lost._of_throughout / self._of_throughout)  # normaliser of the wider prior
             price = PRICES.astray + float(np.sum(wider)) + self.courses.surprise * bool(at.blocks_of(COURSE))
-            hypothesis = Hypothesis((self.name, "astray"), names, (RECEIVERS.astray,), price)
+            hypothesis = Hypothesis((self.name, "not following"), names, (RECEIVERS.astray,), price)
             found.append(Proposal(hypothesis, (lost,), anew=bool(at.blocks_of(COURSE))))
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol_throughout]
         if np.sqrt(np.mean(block.residual**2)) < RECEIVERS.scattered:
@@ -181,9 +181,9 @@ class GnssBias(Refined, Remembered, Doubted):
         names = {int(self.receiver[n]): self.fixes.fixes.source[f] for n, f in zip(self.node, self.fix, strict=True)}
         return [(name, self.symbol_throughout, row) for row, name in sorted(names.items())]
 
-    def _astray(self) -> Self:
+    def _without_following(self) -> Self:
         """The receivers do not follow the walk."""
-        return replace(self, courses=self.courses.unused(), astray=True)
+        return replace(self, courses=self.courses.unused(), not_following=True)
 
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
@@ -191,17 +191,17 @@ class GnssBias(Refined, Remembered, Doubted):
         return replace(self, **changes)
 
     def decisions(self) -> dict[str, AnyArray]:
-        """Whether receivers are astray, and the factor of their sigmas."""
-        if self.larger == 1.0 and not self.astray:
+        """Whether receivers do not follow the walk, and the factor of their sigmas."""
+        if self.larger == 1.0 and not self.not_following:
             return {}
-        return {"larger": np.array([self.larger]), "astray": np.array([self.astray])}
+        return {"larger": np.array([self.larger]), "not_following": np.array([self.not_following])}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Apply an earlier decision about the errors of receivers."""
         if not decisions:
             return self
         larger = self._times(float(decisions["larger"][0]))
-        return larger._astray() if decisions["astray"][0] else larger
+        return larger._without_following() if decisions["not_following"][0] else larger
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
@@ -309,7 +309,7 @@ class GnssBias(Refined, Remembered, Doubted):
         lead = np.sum(self.lead[self.fixes.keyframe[self.fix]] ** 2, axis=1) / 2
         receiver, count = self.receiver[self.node], len(self.usual)
         mean = np.bincount(receiver, lead, count) / np.maximum(np.bincount(receiver, minlength=count), 1)
-        factor, most = (RECEIVERS.astray, 1.0) if self.astray else (RECEIVERS.throughout, RECEIVERS.behind)
+        factor, most = (RECEIVERS.astray, 1.0) if self.not_following else (RECEIVERS.throughout, RECEIVERS.behind)
         behind = np.minimum(most, self.usual / np.sqrt(np.maximum(mean, INSTANT)))
         return np.stack([factor * self.usual, factor * self.usual, behind], axis=1)
 

@@ -1,7 +1,7 @@
 """Export of a walk's factors to GTSAM, for its own optimisers and to check ours.
 
 Factors that exist in GTSAM are GTSAM's own; the others are ``gtsam.CustomFactor`` behind a guard. A loss which GTSAM
-does not have is part of the residual, see `_LinearizedBlock.with_loss`. So each factor has the cost, the gradient and
+does not have is part of the residual, see `_LossRows.with_loss`. So each factor has the cost, the gradient and
 the information matrix that it has in our linear system, and GTSAM's marginals at the optimum are the covariances of
 that walk. The covariance of an estimate's trajectory also spans the other walks that explain the measurements.
 """
@@ -97,16 +97,16 @@ class _Evaluated:
     def __init__(self, chain: Chain, measurements: Sequence[Measurement], start: State):
         self._chain, self._measurements = chain, measurements
         self.last = chain.evaluate(start, measurements)
-        self._linearized = dict[int, _LinearizedBlock]()
+        self._linearized = dict[int, _LossRows]()
 
-    def block(self, values: gtsam.Values, position: int, variables: Sequence[_Variable]) -> _LinearizedBlock:
+    def block(self, values: gtsam.Values, position: int, variables: Sequence[_Variable]) -> _LossRows:
         """The block at ``position`` in the list of blocks; for a factor of these variables, since no other matters."""
         if any(variable.differs(values, self.last.state) for variable in variables):
             self.last.forget_blocks()
             self.last = self._chain.evaluate(self.last.state.updated(values), self._measurements)
             self._linearized.clear()
         if position not in self._linearized:
-            self._linearized[position] = _LinearizedBlock(self.last.blocks[position])
+            self._linearized[position] = _LossRows(self.last.blocks[position])
         return self._linearized[position]
 
 
@@ -127,40 +127,50 @@ class _Variable(NamedTuple):
         return value != state[self.symbol][self.row].tolist()
 
 
-class _LinearizedBlock:
-    """Residuals and derivatives of the factors of a block, with the loss where GTSAM does not have it."""
+class BlockRows:
+    """The factors of a block at one state, as rows of residual and derivatives ``(…, 1 + 3 v)`` by v variables.
+
+    most: rows of each factor at any state.
+    """
 
     def __init__(self, block: FactorBlock):
-        self._residual, self._jacobian = block.residual, list(block.jacobian())
-        self._bounds = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
-        self._place = dict(zip(block.number.tolist(), range(len(block)), strict=True))
+        self.rows = np.column_stack([block.residual, *block.jacobian()])
+        self._bounds: list[int] = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
+        self.most: list[int] = (np.diff(self._bounds) if block.most_rows is None else block.most_rows).tolist()
+
+    def of(self, n: int) -> Array:
+        """The rows ``(r, 1 + 3 v)`` of a factor."""
+        return self.rows[self._bounds[n] : self._bounds[n + 1]]
+
+    def filled(self, n: int | None, rows: int) -> Array:
+        """The rows of a factor, and zeros for those that it does not have here ``(rows, 1 + 3 v)``; None for none."""
+        part = self.rows[:0] if n is None else self.of(n)
+        return part if len(part) == rows else np.pad(part, ((0, rows - len(part)), (0, 0)))
+
+
+class _LossRows(BlockRows):
+    """The factors of a block by their numbers, with the loss where GTSAM does not have it."""
+
+    def __init__(self, block: FactorBlock):
+        super().__init__(block)
+        self.place = dict(zip(block.number.tolist(), range(len(block)), strict=True))
         self._deviation, self._weight, self._cost = block.deviation, block.weight, block.loss.cost(block.deviation)
 
-    def factor(self, number: int, rows: int) -> tuple[Array, list[Array]]:
-        """Residual ``(rows,)`` and derivatives ``(rows, 3)`` of one factor; 0 in rows that it does not have here."""
-        n = self._place.get(number)
-        here = slice(self._bounds[n], self._bounds[n + 1]) if n is not None else slice(0, 0)
-        residual, by = np.zeros(rows), [np.zeros((rows, 3)) for _ in self._jacobian]
-        for target, source in zip((residual, *by), (self._residual, *self._jacobian), strict=True):
-            target[: here.stop - here.start] = source[here]
-        return residual, by
-
-    def with_loss(self, number: int, rows: int) -> tuple[Array, list[Array]]:
-        """As `factor`, under a loss ρ of the deviation s whose weight w never rises with |s|; the last row is added.
+    def with_loss(self, n: int | None, rows: int) -> Array:
+        """As `filled`, under a loss ρ of the deviation s whose weight w never rises with |s|; the last row is added.
 
         The rows are √w r with derivatives √w J, as in our linear system; the last, √(2 ρ − w s²) with derivative 0,
         completes the cost. So information and gradient are ours, although the derivative of a single row is not its
         own: the same holds for GTSAM's robust noise models.
         """
-        residual, by = self.factor(number, rows)
-        if (n := self._place.get(number)) is None:
-            return residual, by
+        if n is None:
+            return self.filled(None, rows)
         root, missing = np.sqrt(self._weight[n]), 2 * self._cost[n] - self._weight[n] * self._deviation[n] ** 2
         if missing < -ROUNDING * (1 + self._cost[n]):
             raise FactorError(f"the weight of a loss rises to {self._weight[n]:.3g} at {self._deviation[n]:.3g} sigma")
-        residual *= root
-        residual[-1] = np.sqrt(max(missing, 0.0))
-        return residual, [root * block for block in by]
+        whitened = root * self.filled(n, rows)
+        whitened[-1, 0] = np.sqrt(max(missing, 0.0))
+        return whitened
 
 
 def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) -> gtsam.CustomFactor:
@@ -174,7 +184,8 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
 
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.block(values, position, variables)
-        return now.factor(number, rows) if noise else now.with_loss(number, rows + 1)
+        part = now.filled(now.place.get(number), rows) if noise else now.with_loss(now.place.get(number), rows + 1)
+        return part[:, 0], np.split(part[:, 1:], len(variables), axis=1)
 
     return guarded(block.name, noise or unit_noise(rows + 1), [variable.key for variable in variables], linearized)
 

@@ -39,7 +39,7 @@ from pdr_graph.types import INSTANT, Array, Complex, Index, Mask, Steps, take
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-LONGEST_SILENCE = 1.0  # [s] between two velocities that are interpolated
+LONGEST_GAP = 1.0  # [s] between two velocities that are interpolated
 KEYFRAMES_EVERY = 2.0  # [s] between keyframes: where the direction of the steps may turn
 SLOWEST = 0.2  # [m/s] of steps that are compared with the network
 MOST_DOUBTED = 3  # in doubt at once, the longest ones: 8 walks are solved
@@ -104,12 +104,12 @@ class LearnedVelocityFactor(Refined, Doubted):
         if not len(of):
             nothing = np.full((len(chain.segment), 2), np.nan)
             return replace(self, moved=nothing, sigma=nothing, frame=np.zeros(len(chain.segment_first), dtype=np.intp))
-        gap = (np.diff(time) > LONGEST_SILENCE) | (np.diff(of.frame) != 0)
+        gap = (np.diff(time) > LONGEST_GAP) | (np.diff(of.frame) != 0)
         rates = np.hstack([of.velocity, 2 * LEARNED.lasts * (of.sigma**2 + LEARNED.least**2)])
         sums = np.column_stack([np.diff(time)[:, None] * (rates[1:] + rates[:-1]) / 2, gap])
         sums = np.cumsum(np.vstack([np.zeros(5), sums]), axis=0)
         moved = np.diff(interpolate(chain.time, time, sums), axis=0)
-        known = (chain.time[:-1] >= time[0] - LONGEST_SILENCE) & (chain.time[1:] <= time[-1] + LONGEST_SILENCE)
+        known = (chain.time[:-1] >= time[0] - LONGEST_GAP) & (chain.time[1:] <= time[-1] + LONGEST_GAP)
         known &= moved[:, 4] == 0
         begins = np.searchsorted(time, chain.time[chain.segment_first])
         frame = of.frame[np.minimum(begins, len(time) - 1)]

@@ -27,7 +27,7 @@ from pdr_graph.types import Array, Index
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-LEAST_SHARE, TINY = 1e-13, 1e-30  # share of the information of a number that rounding errors leave; least information
+ROUNDING_SHARE, TINY = 1e-13, 1e-30  # share of the information of a number that is rounding; least information
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +95,12 @@ def _reduced(information: Array, gradient: Array, gone: int) -> tuple[Array, Arr
     scale = np.sqrt(np.maximum(np.diag(information), TINY))  # of numbers in metres and radians, near and after a gap
     schur, left = information / np.outer(scale, scale), gradient / scale
     if gone:
-        factor = cho_factor(schur[:gone, :gone] + LEAST_SHARE * np.eye(gone))
+        factor = cho_factor(schur[:gone, :gone] + ROUNDING_SHARE * np.eye(gone))
         across = cho_solve(factor, np.column_stack([schur[:gone, gone:], left[:gone]]))
         left = left[gone:] - schur[:gone, gone:].T @ across[:, -1]
         schur = schur[gone:, gone:] - schur[:gone, gone:].T @ across[:, :-1]
     value, vector = np.linalg.eigh((schur + schur.T) / 2)
-    kept = value > LEAST_SHARE
+    kept = value > ROUNDING_SHARE
     root = np.sqrt(value[kept])[:, None] * vector[:, kept].T
     offset = (vector[:, kept].T @ left) / np.sqrt(value[kept])
     return root * scale[gone:], offset

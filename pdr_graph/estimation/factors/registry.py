@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 KINDS: dict[type, tuple[Any, ...]] = {}  # type of data: the kind made from it, then kinds that are made from the first
 ON_PLAN: dict[str, Any] = {}  # factors of corridors, by `Prior.corridors`
 WAYS_OUTDOORS = "ways"  # in ON_PLAN: that of ways outdoors
+COLLECTORS: dict[type, Any] = {}  # list of transmitters: what makes measurements of their receptions, in a live walk
 RESERVED = set[str]()  # names of the kinds that are made from no data
 
 

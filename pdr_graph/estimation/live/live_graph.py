@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.incremental import IncrementalSmoother
     from pdr_graph.floor.paths import PathNetwork
 
-MOST_REASONS = 100  # reasons that are kept
+MOST_KEPT_REASONS = 100  # reasons that are kept
 LEAST_RISE = 0.01  # of the cost, that is no rounding error
 
 
@@ -340,7 +340,7 @@ class LiveGraph:
             self._begin(searched(self.factors))
 
     def _log_failure(self, reason: str) -> None:
-        self.failures = [*self.failures, f"{reason[:100]}, at {self.window.times[-1]:.0f} s"][-MOST_REASONS:]
+        self.failures = [*self.failures, f"{reason[:100]}, at {self.window.times[-1]:.0f} s"][-MOST_KEPT_REASONS:]
 
     def frozen(self) -> WalkGraph:
         """The graph of the window as it is now, with the marginal of what has left, at the estimate."""

@@ -32,10 +32,17 @@ from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
-from pdr_graph.estimation.live.window import CLOSE, END, IS_ROW, TURN_VARIANCE
+from pdr_graph.estimation.live.window import CLOSE, IS_ROW, TURN_VARIANCE, UNTIL
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.geometry import ANY_HEADING, CHI_SQUARE, distance_to_box, horizontal_sigma, pose_rotation
+from pdr_graph.geometry import (
+    ANY_HEADING,
+    REGION_95,
+    distance_to_box,
+    horizontal_sigma,
+    pose_rotation,
+    squared_distance,
+)
 from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
@@ -172,7 +179,7 @@ def predict(
 
 def unknown_turns(whole: Array) -> Array:
     """Ends [s] of the pieces in which the walker may have turned by any angle; whole: see `intervals`."""
-    return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, END]
+    return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, UNTIL]
 
 
 @dataclass
@@ -211,7 +218,7 @@ def after_headings(
         turned, variance = np.zeros(3), sigma**2  # since then, as a function of (R_s, R_d, b)
         if time <= now - INSTANT:
             pieces = intervals(whole, start, max(time, start), np.array([now]))
-            turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 2].sum()
+            turned, variance = np.append(0.0, pieces.to_end[:, -1]), variance + pieces.variance[:, 1].sum()
         H[0, 2], H[0, 3:] = 1.0, -turned
         mixture = thinned(heading_corrected(mixture, H, heading, variance))
     return mixture
@@ -305,7 +312,7 @@ class Away:
             return self  # it agrees with none before
         apart = alone.mean - belief.mean[:2]
         spread = belief.covariance[:2, :2] + alone.covariance_at(alone.time)[:2, :2]
-        if apart @ np.linalg.solve(spread, apart) < CHI_SQUARE:
+        if squared_distance(apart, spread) < REGION_95:
             return Away()
         return replace(self, count=self.count + 1) if self.count else Away(1, alone.mean, walked)
 
@@ -343,7 +350,7 @@ class LiveOutput:
         whole = window.steps.with_tail(tail)
         if modes.mixture is None:
             modes = Modes(self.keyframe_belief(), window.times[-1])
-        end = float(whole[-1, END]) if len(whole) else modes.time
+        end = float(whole[-1, UNTIL]) if len(whole) else modes.time
         end = end if until is None else min(end, until)
         fixes = self.fixes_between(modes.time, end)
         if fixes and self.modes.mixture is None and not self.graph.has_position:
@@ -456,8 +463,8 @@ class LiveOutput:
         """Predicted rows of the steps since the last keyframe; the last row is the current pose."""
         window = self.graph.window
         whole = window.steps.with_tail(tail)
-        ends = whole[(whole[:, END] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), END]
-        moments = np.unique(np.append(ends, whole[-1:, END]))
+        ends = whole[(whole[:, UNTIL] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), UNTIL]
+        moments = np.unique(np.append(ends, whole[-1:, UNTIL]))
         moments = moments[moments > window.times[-1] + CLOSE]
         beliefs = [self.belief(tail, until) for until in moments.tolist()]
         pose = np.array([belief.mean[:3] for belief in beliefs]).reshape(-1, 3)

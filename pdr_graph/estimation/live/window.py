@@ -52,7 +52,7 @@ Rows = TypeVar("Rows", Fixes, Headings)
 RECENT = 6 * MOTION.pace_steps  # pieces, steps and pauses, among which a change of pace is sought
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
-END, LENGTH, VARIANCE, SWAY, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 4, 5, 6, 7  # columns of whole pieces
+UNTIL, LENGTH, VARIANCE, TURN_VARIANCE, IS_ROW, IS_GAP = 0, 1, 3, 4, 5, 6  # columns of whole pieces
 
 
 @dataclass
@@ -88,19 +88,19 @@ class Interval:
 class StepBuffer:
     """The steps since the first keyframe of the window.
 
-    whole: pieces ``(m, 8)``: columns of `whole_pieces`, then 1 if a trajectory row ends with the piece, 1 if it is a
+    whole: pieces ``(m, 7)``: columns of `whole_pieces`, then 1 if a trajectory row ends with the piece, 1 if it is a
     gap; start: of the first piece [s]; walked: distance before it [m]; chunks: the steps.
     """
 
     def __init__(self) -> None:
-        self.whole, self.start, self.walked = np.empty((0, 8)), np.nan, 0.0
+        self.whole, self.start, self.walked = np.empty((0, 7)), np.nan, 0.0
         self.chunks: list[Steps] = []
         self._distance: tuple[Array, Array, Array] | None = None  # pieces, their ends [s], distance by then [m]
 
     @property
     def end(self) -> float:
         """End of the last certain step. [s]"""
-        return float(self.whole[-1, END]) if len(self.whole) else self.start
+        return float(self.whole[-1, UNTIL]) if len(self.whole) else self.start
 
     @property
     def steps(self) -> Steps:
@@ -129,9 +129,8 @@ class StepBuffer:
         row = np.flatnonzero(self.whole[:, IS_ROW])  # of the last steps: those before them have no piece any more
         changed = (self.steps.length != before.length)[len(before) - len(row) :]
         self.whole[row, LENGTH] = self.steps.length[len(before) - len(row) :]
-        for column in (VARIANCE, SWAY):
-            self.whole[row, column] = self.steps.sigma_length[len(before) - len(row) :] ** 2
-        return float(self.whole[row[changed], END].min(initial=np.inf))
+        self.whole[row, VARIANCE] = self.steps.sigma_length[len(before) - len(row) :] ** 2
+        return float(self.whole[row[changed], UNTIL].min(initial=np.inf))
 
     def with_tail(self, tail: Steps | None) -> Array:
         """The whole pieces, followed by those of provisional steps."""
@@ -139,13 +138,13 @@ class StepBuffer:
             return self.whole
         whole, ends = whole_pieces(tail), np.round(tail.time, DECIMALS).tolist()
         is_gap = dict(zip(ends, tail.is_gap.tolist(), strict=True))
-        marks = np.array([(end in is_gap, is_gap.get(end, False)) for end in whole[:, END].tolist()], dtype=float)
+        marks = np.array([(end in is_gap, is_gap.get(end, False)) for end in whole[:, UNTIL].tolist()], dtype=float)
         return np.concatenate([self.whole, np.column_stack([whole, marks.reshape(-1, 2)])])
 
     def walked_by(self, time: float | Array) -> Array:
         """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
         if self._distance is None or self._distance[0] is not self.whole:
-            end = self.whole[:, END]
+            end = self.whole[:, UNTIL]
             driven = np.where(self.whole[:, IS_GAP] > 0, FIXES.driven * np.diff(end, prepend=self.start), 0)
             distance = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
             self._distance = self.whole, np.append(self.start, end), self.walked + distance
@@ -153,16 +152,16 @@ class StepBuffer:
 
     def rows(self, begin: float, end: float) -> Array:
         """The pieces after ``begin`` and until ``end`` [s] that end with a trajectory row."""
-        ends = self.whole[:, END]
+        ends = self.whole[:, UNTIL]
         return self.whole[(self.whole[:, IS_ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
 
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
         """Times [s] of the next keyframes after ``last``: at ``marks``, gaps, and after MOTION.steps_per_keyframe."""
-        after = self.whole[:, END] > last + CLOSE
+        after = self.whole[:, UNTIL] > last + CLOSE
         gaps = np.flatnonzero(after & (self.whole[:, IS_GAP] > 0))
-        begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
-        required = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *self.whole[gaps, END]])
-        ends, pieces = list[float](), self.whole[after, END]
+        over, begins = self.whole[gaps, UNTIL], [self.whole[n - 1, UNTIL] if n else self.start for n in gaps]
+        required = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *over])
+        ends, pieces = list[float](), self.whole[after, UNTIL]
         for stop in required.tolist():
             share = np.append(pieces[(pieces > last + CLOSE) & (pieces < stop - CLOSE)], stop)
             parts = -(-len(share) // MOTION.steps_per_keyframe)
@@ -173,14 +172,14 @@ class StepBuffer:
 
     def rewind(self, to: float) -> None:
         """Drop the pieces that end after ``to`` [s]."""
-        self.whole = self.whole[: int(np.searchsorted(self.whole[:, END], to + CLOSE))]
+        self.whole = self.whole[: int(np.searchsorted(self.whole[:, UNTIL], to + CLOSE))]
         self.chunks = rewound(self.chunks, self.end)
 
     def forget(self, before: float) -> None:
         """Drop steps that ended before the first keyframe of the window, ``before`` [s]."""
-        count = int(np.searchsorted(self.whole[:, END], before + CLOSE))
+        count = int(np.searchsorted(self.whole[:, UNTIL], before + CLOSE))
         if count:
-            start = float(self.whole[count - 1, END])
+            start = float(self.whole[count - 1, UNTIL])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
         self.chunks = [later_steps(self.steps, before)]
 
@@ -274,10 +273,10 @@ class Window:
     def _change_pace(self) -> None:
         """Begin another segment at the keyframe nearest to where the pace last changed within the present one."""
         begin = min((interval.begin for interval in self.intervals if interval.segment == self.segment), default=np.inf)
-        recent = np.flatnonzero(self.steps.whole[:, END] > begin + CLOSE)[-RECENT:]
+        recent = np.flatnonzero(self.steps.whole[:, UNTIL] > begin + CLOSE)[-RECENT:]
         if not len(recent):
             return
-        before = np.append(self.steps.start, self.steps.whole[:, END])[recent[0]]
+        before = np.append(self.steps.start, self.steps.whole[:, UNTIL])[recent[0]]
         changed, pace = pace_changes(self.steps.whole[recent], float(before), begins=self.segment == 0)
         if not len(changed):
             return
@@ -435,7 +434,7 @@ class Window:
     def _interval(self, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
         """The interval to keyframe j, from ``begin`` to ``end`` [s]."""
         pieces = intervals(self.steps.whole, self.steps.start, begin, np.array([end]))
-        ends, rows = begin + pieces.to_end[1], self.steps.rows(begin, end)[:, END]
+        ends, rows = begin + pieces.to_end[1], self.steps.rows(begin, end)[:, UNTIL]
         which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
         increments = preintegrate(pieces, np.array([self.prior.mean]))
         bridges, delta = bridge(pieces, increments), increments.delta[-1]

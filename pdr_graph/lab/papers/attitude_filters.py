@@ -239,7 +239,7 @@ def switching(recording: Recording, threshold: float, shortest: int = 1) -> Atti
     return run_filter(recording, lambda period: Switching(period, threshold, shortest), magnetometer=True)
 
 
-METHODS: dict[str, Callable[[Recording], Attitude]] = {
+ATTITUDE_FILTERS: dict[str, Callable[[Recording], Attitude]] = {
     "accelerometer + magnetometer": partial(run_filter, make=lambda _: AccelerometerMagnetometer(), magnetometer=True),
     "gyro integration": gyro_integration,
     "gravity filter": partial(run_filter, make=GravityFilter),

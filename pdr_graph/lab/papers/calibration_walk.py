@@ -33,7 +33,7 @@ from pdr_graph.types import Array, Recording, Steps
 
 TRAINING = 1_000  # first seed of the walks that the Lasso learns from
 PENALTY = 1e-4  # [m] of the Lasso
-MANNERS = ("normal", "fast", "narrow", "wide")
+WALKED_MANNERS = ("normal", "fast", "narrow", "wide")
 PEOPLE = ("m", "m", "m", "f")  # sex of the four people of Sec. 4.1
 HEIGHTS = (1.67, 1.75, 1.90, 1.48, 1.64, 1.72, 1.65, 1.73, 1.80, 1.77, 1.69, 1.77, 1.65, 1.67, 1.72, 1.76)  # [m] A to P
 WOMEN = (3, 4)  # D and E
@@ -45,8 +45,8 @@ TURNS_PUBLISHED = (  # [deg] Table 6: walkers A, D, I, O (best), B, E, G, M (wor
     *((89.86, 88.45, 89.90), (89.54, 89.24, 89.33), (84.95, 87.67, 86.28), (88.87, 89.78, 88.96)),
     *((88.87, 87.75, 87.78), (89.93, 86.34, 88.95), (84.30, 84.92, 83.66), (88.93, 85.06, 88.61)),
 )
-RAW, CALIBRATED = "candidates, height, gyro", "the same with E_length, E_straight, E_corner"
-ALL = "templates, Lasso, gyro, the three coefficients"
+UNCALIBRATED, CALIBRATED = "candidates, height, gyro", "the same with E_length, E_straight, E_corner"
+ALL_COEFFICIENTS = "templates, Lasso, gyro, the three coefficients"
 OFFERED = ("h", "T", "h·T", "h/T", "P0", "P1", "P2", "P3", "sex", "acceleration difference", "time per step")
 RIDI = (0.639, 0.633, 0.645, 0.642, 0.600, 0.599)  # [m] length over steps of six people, means of their walks
 
@@ -82,7 +82,7 @@ def twenty_steps(groups: int) -> ResultTable:
     methods = {name: list[int]() for name in ("candidates", "templates, last", "templates, every", "product")}
     for group in range(groups):
         for n, sex in enumerate(PEOPLE):
-            for manner in MANNERS:
+            for manner in WALKED_MANNERS:
                 gait = gait_signals(_sensors(twenty(FIRST_SEED + 4 * group + n, sex, manner)))[0]
                 found = trough_to_peak(gait.attitude)
                 doubtful = closing(found, gait.attitude, gait.forward, every=True)
@@ -223,7 +223,7 @@ def people(count: int) -> list[PaperWalk]:
     return [
         PaperWalk.simulated(seed, _route(HUNDRED_METRES, manner), {})
         for seed in range(TRAINING, TRAINING + count)
-        for manner in ("normal", MANNERS[seed % len(MANNERS)])
+        for manner in ("normal", WALKED_MANNERS[seed % len(WALKED_MANNERS)])
     ]
 
 
@@ -417,9 +417,9 @@ def courses(walker: Sixteenth, weights: Array) -> dict[str, Course]:
 
     raw, best = conventional(walker.track), proposed(walker.track)
     return {
-        RAW: raw,
+        UNCALIBRATED: raw,
         CALIBRATED: raw.corrected(fit_to_route(conventional(walker.eight), EIGHT)),
-        ALL: best.corrected(fit_to_route(proposed(walker.eight), EIGHT)),
+        ALL_COEFFICIENTS: best.corrected(fit_to_route(proposed(walker.eight), EIGHT)),
     }
 
 
@@ -447,7 +447,7 @@ def position(walks: Sequence[Reckoned]) -> ResultTable:
             add(name, course.time, course.track(0.0)[1:])
         for name, steps in of_product.items():
             add(name, steps.time, dead_reckon(steps).position[1:-1])
-    published = {RAW: "8.26", CALIBRATED: "5.91", ALL: "5.67"}
+    published = {UNCALIBRATED: "8.26", CALIBRATED: "5.91", ALL_COEFFICIENTS: "5.67"}
     rows = []
     for name, each in errors.items():
         along, end = np.mean(each, axis=0)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from pdr_graph.errors import InputError, install
-from pdr_graph.gait.heading import UNKNOWN, Direction, Forward, at_step_frequency, level_and_vertical, push
+from pdr_graph.gait.heading import UNKNOWN_AXIS, Direction, Forward, at_step_frequency, level_and_vertical, push
 from pdr_graph.gait.step_detection import Landings
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.lab.papers.attitude_filters import running_mean
@@ -175,7 +175,7 @@ def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: floa
     vertical + → − the forward − → +), by the lead as in `braking_axis`.
     """
     if not walking.any():
-        return UNKNOWN
+        return UNKNOWN_AXIS
     level = level_and_vertical(attitude, heading)[0][walking]
     level = level - level.mean()
     doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle

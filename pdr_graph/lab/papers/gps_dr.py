@@ -37,15 +37,15 @@ from pdr_graph.priors import NORTH
 from pdr_graph.types import GNSS, Array, Fixes, Mask, Recording, Trajectory
 from pdr_graph.walk import Options, read
 
-WALKS, QUICK = 40, 6
+SIMULATED_WALKS, QUICK_WALKS = 40, 6
 RECORDING = "nju_phyphox_outdoor"  # of a phone in the hand
-CORNERS = [[260, 0], [260, 150], [120, 150], [120, 250], [290, 290]]  # 1650 m with the way back
-CORNERS += [[290, 420], [60, 420], [-40, 330], [-40, 110], [0, 0]]
-ACCURACY, HDOP = 5.0, 0.9  # [m] 68 % and median, of a receiver at 1 Hz
+ROUTE_CORNERS = [[260, 0], [260, 150], [120, 150], [120, 250], [290, 290]]  # 1650 m with the way back
+ROUTE_CORNERS += [[290, 420], [60, 420], [-40, 330], [-40, 110], [0, 0]]
+GPS_ACCURACY, GPS_HDOP = 5.0, 0.9  # [m] 68 % and median, of a receiver at 1 Hz
 FIRST_OUTAGE, LAST_FIXES = 120.0, 30.0  # [s] from the start to the first outage, from the last to the end
 OUTAGES = {"20 s": 20.0, "2 min": 120.0}
 STRAIGHT = 30.0  # [s] of the first straight walk, which calibrates the forward axis
-CALIBRATED = 120.0  # [s] of the recorded walk with GPS speeds as strides, for the person's constants
+CALIBRATION_TIME = 120.0  # [s] of the recorded walk with GPS speeds as strides, for the person's constants
 
 NORTH_DRIFT = 0.03  # [rad/√s] of a phone's gyroscope, whose bias is not estimated: least north errors on seeds 0 to 11
 
@@ -56,7 +56,7 @@ OTHER_AXIS, TRUE_COURSE = (
     "paper's filters, true headings (from the truth)",
 )
 PRODUCT_ALONE, EKF = "product: dead reckoning from the last fix", "product: Kalman filter, causal"
-RTS, GRAPH = "product: RTS smoother", "**product: graph**"
+RTS, BY_GRAPH = "product: RTS smoother", "**product: graph**"
 Axis = Callable[[Attitude, Array, Mask, float], Forward]
 Rows = list[tuple[str, ...]]
 
@@ -199,8 +199,8 @@ def simulated(seed: int, manner: str = "fast") -> Walk:
 
     Nine tenths of a fix's error stay for 50 s. The person's strides of the calibration walk are known, as in the paper.
     """
-    route = [[0, 0], {"stand": 5}, {"to": CORNERS, "manner": manner}, {"stand": 5}]
-    gnss = {"accuracy": ACCURACY, "hdop": HDOP}
+    route = [[0, 0], {"stand": 5}, {"to": ROUTE_CORNERS, "manner": manner}, {"stand": 5}]
+    gnss = {"accuracy": GPS_ACCURACY, "hdop": GPS_HDOP}
     walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}, "gnss": gnss}))
     assert walk.gnss is not None
     fixes = replace(walk.gnss.fixes, source=(GNSS,) * len(walk.gnss.fixes))
@@ -227,7 +227,7 @@ def recorded(path: Path) -> Walk:
     evidence = read(path, Options())
     gait, _ = paper_gait(evidence.walk)
     landings, fixes = gait.landings, evidence.fixes
-    first = landings.time < fixes.time[0] + CALIBRATED
+    first = landings.time < fixes.time[0] + CALIBRATION_TIME
     known = np.interp(landings.time, fixes.time, fixes.speed) * landings.period
     stride = regression(StepFeatures(gait).vertical[first], known[first])
     truth = _trajectory(fixes.time, fixes.position)
@@ -278,7 +278,7 @@ class Observed:
             PRODUCT_ALONE: continued(self.alone, fixes, time),
             EKF: kalman_filter(graph).trajectory,
             RTS: kalman_smoother(graph).trajectory,
-            GRAPH: smooth(graph).trajectory,
+            BY_GRAPH: smooth(graph).trajectory,
         }
 
 
@@ -288,7 +288,7 @@ def _of_paper(walk: Walk) -> Iterator[tuple[str, tuple[PaperSteps, Fixes]]]:
     if not len(walk.hdop):
         yield from {FILTER: (steps, fixes), OTHER_AXIS: (other, fixes)}.items()
         return
-    by_hdop = replace(fixes, sigma=ACCURACY / RADIUS_68 * walk.hdop / HDOP)
+    by_hdop = replace(fixes, sigma=GPS_ACCURACY / RADIUS_68 * walk.hdop / GPS_HDOP)
     yield FILTER, (steps, by_hdop)
     yield IN_METRES, (steps, replace(fixes, sigma=walk.hdop))
     yield OTHER_AXIS, (other, by_hdop)
@@ -347,7 +347,7 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
 
     data: folder with the real recordings; those that are not there have no rows.
     """
-    walks = [Observed.of(simulated(FIRST_SEED + n)) for n in range(QUICK if quick else WALKS)]
+    walks = [Observed.of(simulated(FIRST_SEED + n)) for n in range(QUICK_WALKS if quick else SIMULATED_WALKS)]
     minutes = np.mean([np.ptp(each.walk.truth.time) for each in walks]) / 60
     title = f"[gps-dr] Sec. 4: 1650 m in {minutes:.0f} min [paper: 12 min], {len(walks)} simulated walkers"
     header = ("method", "mean [m]", "median [m]", "95 % [m]", "at the end, median [m]")

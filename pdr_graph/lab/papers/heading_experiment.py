@@ -34,15 +34,15 @@ from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
-HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
-PUBLISHED = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
+CARRIED = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+TABLE_1 = {  # Table 1: mean of the trials' root mean square errors [deg], by hold
     "acceleration PCA": (20.3, 21.3, 29.0, 44.6, 26.4),
     "angular-rate PCA": (55.7, 21.7, 27.3, 73.3, 50.0),
     "angular-rate accumulation": (11.8, 18.2, 24.9, 15.0, 15.4),
 }
-TRIALS, RATE = 62, 25.0  # of the experiment; [Hz] of the sensors
+TRIALS, SENSOR_RATE = 62, 25.0  # of the experiment; [Hz] of the sensors
 EXPERIMENTS = 10  # repetitions of the 62 trials, with other walkers
-PART = 45.0  # [s] of a real walk that are evaluated: about the duration of a trial
+PART_DURATION = 45.0  # [s] of a real walk that are evaluated: about the duration of a trial
 
 
 def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTable, ...]:
@@ -53,7 +53,7 @@ def experiment(quick: bool = False, data: Path | None = None) -> tuple[ResultTab
     """
     experiments = [[l_walk(n, repetition) for n in range(TRIALS)] for repetition in range(1 if quick else EXPERIMENTS)]
     reheld = [reheld_walk(n) for n in range(8 * len(experiments))]
-    by_hold = {hold: [t for trials in experiments for t in trials[n :: len(HOLDS)]] for n, hold in enumerate(HOLDS)}
+    by_hold = {hold: [t for trials in experiments for t in trials[n :: len(CARRIED)]] for n, hold in enumerate(CARRIED)}
     groups = _simulated_and_real(by_hold, real_trials(data) if data else {})
     return _table_1(experiments, reheld), _real_phones(groups)
 
@@ -80,12 +80,12 @@ class Trial:
 
 def l_walk(number: int, experiment: int = 0) -> Trial:
     """Trial ``number`` of 62 in an L-shaped corridor, west and then north; the holds take turns."""
-    return walk(HOLDS[number % len(HOLDS)], seed=FIRST_SEED + 100 * experiment + number // len(HOLDS))
+    return walk(CARRIED[number % len(CARRIED)], seed=FIRST_SEED + 100 * experiment + number // len(CARRIED))
 
 
 def reheld_walk(number: int) -> Trial:
     """The same walk with the phone taken from the hand to another place half-way along the first leg, or back."""
-    others = HOLDS[1:]
+    others = CARRIED[1:]
     holds = ("hand", others[number % 4])
     return walk(*(holds if number % 8 < 4 else holds[::-1]), seed=FIRST_SEED + number)
 
@@ -94,7 +94,7 @@ def walk(hold: str, new_hold: str = "", seed: int = 0) -> Trial:
     """A simulated walk along the L of 36 m and 26 m. new_hold: of the phone after 17 m, "" for no change."""
     first = [{"to": [[20.0, 1.2]], "hold": new_hold}] if new_hold else []
     route = [[37.0, 1.2], {"stand": 3}, *first, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
-    made = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": RATE}}))
+    made = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": SENSOR_RATE}}))
     body, walking = made.body, made.body.step_length > 0.3
     recording = made.recording("accelerometer", "gyroscope")
     return _with_pose(recording, body.time, body.heading, walking, made.motion.R_world_device)
@@ -136,7 +136,7 @@ def _of_gait(recording: Recording) -> tuple[Attitude, Direction]:
 
 
 Method = Callable[[Recording], tuple[Attitude, Direction]]
-METHODS: dict[str, Method] = {
+READINGS: dict[str, Method] = {
     "acceleration PCA": partial(_of_paper, acceleration_axis),
     "angular-rate PCA": partial(_of_paper, angular_rate_axis),
     "angular-rate accumulation": partial(_of_paper, accumulate_turn),
@@ -180,14 +180,15 @@ def without_half_turns(error: Array) -> Array:
 def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) -> ResultTable:
     """Mean of the trials' root mean square errors by method and hold, and their spread."""
     rows = list[tuple[str, ...]]()
-    for name, method in METHODS.items():
+    for name, method in READINGS.items():
         by_trial = [[errors(trial, method) for trial in trials] for trials in experiments]
-        by_hold = [[e for trials in by_trial for e in trials[n :: len(HOLDS)]] for n in range(len(HOLDS))]
-        published = [f" ({figure})" for figure in PUBLISHED.get(name, ())] or [""] * len(HOLDS)
+        by_hold = [[e for trials in by_trial for e in trials[n :: len(CARRIED)]] for n in range(len(CARRIED))]
+        published = [f" ({figure})" for figure in TABLE_1.get(name, ())] or [""] * len(CARRIED)
         means = (f"{_mean_rms(hold)}{figure}" for hold, figure in zip(by_hold, published, strict=True))
         rows.append((name, *means, _mean_rms([errors(trial, method) for trial in reheld])))
         if len(experiments) > 1:
-            means = np.array([[_mean_rms(trials[n :: len(HOLDS)]) for n in range(len(HOLDS))] for trials in by_trial])
+            holds = range(len(CARRIED))
+            means = np.array([[_mean_rms(trials[n :: len(CARRIED)]) for n in holds] for trials in by_trial])
             ranges = zip(means.astype(float).min(axis=0), means.astype(float).max(axis=0), strict=True)
             rows.append(("– range of the experiments", *(f"{low:.0f} to {high:.0f}" for low, high in ranges), ""))
         rows.append(("– median of the trials", *(f"{np.median([rms(e) for e in hold]):.1f}" for hold in by_hold), ""))
@@ -198,7 +199,7 @@ def _table_1(experiments: Sequence[Sequence[Trial]], reheld: Sequence[Trial]) ->
         "heading",
         f"Walking direction by hold: mean of the trials' RMS error [deg] ([heading] Table 1, Eq. 2, Figs. 12 and 13); "
         f"{len(experiments)} x {TRIALS} simulated trials",
-        ("method (paper's figure)", *HOLDS, "re-held in mid-walk"),
+        ("method (paper's figure)", *CARRIED, "re-held in mid-walk"),
         tuple(rows),
         "As in the paper: IMU filter, 25 Hz, windows of 65 samples, initial direction from the truth (the last "
         "method gets none). Principal components are of the level plane, as in Figs. 6 and 7. A half turn in a few "
@@ -230,7 +231,8 @@ def real_trials(data: Path) -> dict[str, list[Trial]]:
 
 
 SIDEWAYS = ("hang_handheld_side_test2", "hang_body_test1")  # whose walkers go sideways, or turn for seconds: data page
-SLOWEST, TURNS_BACK = 0.5, np.radians(135.0)  # [m/s] of walking; [rad] within a window, more than the corner of an L
+SLOWEST_WALK = 0.5  # [m/s]
+TURNS_BACK = np.radians(135.0)  # [rad] within a window: more than the corner of an L
 
 
 def _ridi(path: Path) -> Iterator[Trial]:
@@ -242,10 +244,10 @@ def _ridi(path: Path) -> Iterator[Trial]:
 
     time = columns["time"]
     grid, recording = _at_25_hz(path, Signal(time, columns_of("acce")), Signal(time, columns_of("gyro")))
-    position = gaussian_filter1d(interpolate(grid, time, columns_of("pos", "xy")), 0.5 * RATE, axis=0)
-    velocity = as_complex(np.gradient(position, 1 / RATE, axis=0))
+    position = gaussian_filter1d(interpolate(grid, time, columns_of("pos", "xy")), 0.5 * SENSOR_RATE, axis=0)
+    velocity = as_complex(np.gradient(position, 1 / SENSOR_RATE, axis=0))
     pose = Slerp(time, Rotation.from_quat(columns_of("ori", "xyzw")))(grid)
-    yield from _evaluated(recording, grid, np.unwrap(np.angle(velocity)), np.abs(velocity) > SLOWEST, pose)
+    yield from _evaluated(recording, grid, np.unwrap(np.angle(velocity)), np.abs(velocity) > SLOWEST_WALK, pose)
 
 
 def _microsoft(path: Path) -> Iterator[Trial]:
@@ -266,7 +268,7 @@ def _microsoft(path: Path) -> Iterator[Trial]:
 def _at_25_hz(path: Path, accelerometer: Signal, gyroscope: Signal) -> tuple[Array, Recording]:
     """Times ``(n,)`` [s] of the paper's rate, and a recording of both sensors sampled at them."""
     begin, end = max(accelerometer.time[0], gyroscope.time[0]), min(accelerometer.time[-1], gyroscope.time[-1])
-    grid = np.arange(begin, end, 1 / RATE)
+    grid = np.arange(begin, end, 1 / SENSOR_RATE)
     force, rate = (Signal(grid, interpolate(grid, s.time, s.values)) for s in (accelerometer, gyroscope))
     return grid, Recording(str(path), clock_origin=0.0, epoch=None, accelerometer=force, gyroscope=rate)
 
@@ -276,17 +278,17 @@ def _evaluated(recording: Recording, time: Array, heading: Array, walking: Mask,
 
     pose: attitude ``(n,)`` in the world of ``heading (n,)`` [rad].
     """
-    half_window = round(PRINCIPAL_WINDOW / 2 * RATE)
+    half_window = round(PRINCIPAL_WINDOW / 2 * SENSOR_RATE)
     padded = np.pad(heading, half_window, mode="edge")
     turn = np.abs(padded[2 * half_window :] - padded[: -2 * half_window])  # within a window of the components
     for first, after in zip(*runs(walking & (turn < TURNS_BACK)), strict=True):
-        if after - first >= 20 * RATE:
-            part = (time >= time[first]) & (time < min(time[first] + PART, time[after - 1]))
+        if after - first >= 20 * SENSOR_RATE:
+            part = (time >= time[first]) & (time < min(time[first] + PART_DURATION, time[after - 1]))
             yield _with_pose(recording, time, heading, part, pose)
             return
 
 
-BESIDE = {  # a simulated hold and the real phones carried like it
+REAL_PHONES = {  # a simulated hold and the real phones carried like it
     "hand": ("Microsoft, hand", "RIDI, hand"),
     "trouser pocket": ("RIDI, trouser pocket",),
     "breast pocket": ("RIDI, at the body",),
@@ -297,7 +299,7 @@ BESIDE = {  # a simulated hold and the real phones carried like it
 def _simulated_and_real(by_hold: dict[str, list[Trial]], real: dict[str, list[Trial]]) -> dict[str, list[Trial]]:
     """Trials by how the phone is carried, simulated ones before real ones."""
     groups = dict[str, list[Trial]]()
-    for hold, others in BESIDE.items():
+    for hold, others in REAL_PHONES.items():
         groups[f"simulated, {hold}"] = by_hold[hold]
         groups |= {name: real[name] for name in others if name in real}
     return groups
@@ -308,16 +310,16 @@ def _real_phones(groups: dict[str, list[Trial]]) -> ResultTable:
     rows = list[tuple[str, ...]]()
     for name, trials in groups.items():
         cells = [name, str(len(trials))]
-        for method in PUBLISHED:
-            by_trial = [errors(trial, METHODS[method]) for trial in trials]
+        for method in TABLE_1:
+            by_trial = [errors(trial, READINGS[method]) for trial in trials]
             cells.append(_mean_rms(by_trial))
             if "PCA" in method:
                 reversed_axis = np.mean([np.abs(error[-1]) > 90 for error in by_trial])
                 cells += [_mean_rms([without_half_turns(e) for e in by_trial]), f"{100 * reversed_axis:.0f}"]
         package = "reference" if name.startswith("Microsoft") else _mean_rms([errors(t, _of_package) for t in trials])
         rows.append((*cells, package))
-        if (hold := name.removeprefix("simulated, ")) in HOLDS:
-            acceleration, rate, accumulation = (str(figures[HOLDS.index(hold)]) for figures in PUBLISHED.values())
+        if (hold := name.removeprefix("simulated, ")) in CARRIED:
+            acceleration, rate, accumulation = (str(figures[CARRIED.index(hold)]) for figures in TABLE_1.values())
             rows.append((f"paper, {hold}", "", acceleration, "", "", rate, "", "", accumulation, ""))
     columns = ("– axis", "– reversed at the end [%]")
     return ResultTable(

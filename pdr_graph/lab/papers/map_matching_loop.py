@@ -29,13 +29,14 @@ from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Fixes, Headings, Steps, Trajectory
 
 SHARES = np.sort([*np.arange(1, 11) / 10, 0.35, 0.53, 0.56])  # of the route, where the paper measures
-PAPER = {  # mean, greatest, least error of the 13 points [m], Table 1
+PUBLISHED_ERRORS = {  # mean, greatest, least error of the 13 points [m], Table 1
     "dead reckoning": (6.76, 10.78, 2.01),
     "projection on links": (1.01, 1.94, 0.19),
     "method 1": (0.57, 1.08, 0.24),
     "method 2": (1.54, 2.68, 0.44),
 }
-SIDES, WIDTH = np.array([42.5, 25.5]), 2.5  # [m] between the middles of corridors; their width, 2 to 3 m in the paper
+LOOP_SIDES = np.array([42.5, 25.5])  # [m] between the middles of corridors
+CORRIDOR_WIDTH = 2.5  # [m]; 2 to 3 m in the paper
 START = 3.0  # [m] from the corner to the start: "the lower part of a corridor"
 ZIGZAG = (0.4, 0.8)  # [m] amplitude on two legs: as much as the corridors leave
 # Factor of the strides with which our dead reckoning has about the paper's errors of 2.01 to 10.78 m: the paper's track
@@ -99,9 +100,9 @@ class Lap:
         return Fixes(np.array([self.bent.start]), self.start[None], np.array([SIGMA_START]), ("",))
 
 
-def loop_plan(sides: Array = SIDES) -> FloorPlan:
+def loop_plan(sides: Array = LOOP_SIDES) -> FloorPlan:
     """Four corridors around a block, with an intersection at each corner. sides: ``(2,)`` between their middles [m]."""
-    half, (x, y) = WIDTH / 2, sides.tolist()
+    half, (x, y) = CORRIDOR_WIDTH / 2, sides.tolist()
     corners = [(0.0, 0.0), (x, 0.0), (x, y), (0.0, y)]
     crossings = [shapely.box(a - half, b - half, a + half, b + half) for a, b in corners]
     corridors = [
@@ -114,12 +115,12 @@ def loop_plan(sides: Array = SIDES) -> FloorPlan:
 
 def simulate_lap(seed: int) -> Lap:
     """A lap of 136 m, counter-clockwise, by the walker of a seed, with zigzags on the second and third leg."""
-    (x, y), random = SIDES.tolist(), np.random.default_rng(seed)
+    (x, y), random = LOOP_SIDES.tolist(), np.random.default_rng(seed)
     start = [START, 0.0]
     legs = [{"to": to, "zigzag": 0.0} for to in ([x, 0.0], [x, y], [0.0, y], [0.0, 0.0], start)]
     legs[1]["zigzag"], legs[2]["zigzag"] = random.uniform(*ZIGZAG, 2).tolist()
     route = [start, {"stand": 3}, *legs, {"stand": 3}]
-    plan = loop_plan(SIDES)
+    plan = loop_plan(LOOP_SIDES)
     scenario = replace(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}), plans={"": plan})
     simulation = simulate(scenario)
     return Lap(simulation, plan, np.array(start), paper_steps(simulation))
@@ -173,7 +174,7 @@ def by_product(lap: Lap) -> Trajectory:
     return by_graph(lap, detect_steps(lap.simulation.recording("accelerometer", "gyroscope")))
 
 
-METHODS: dict[str, Callable[[Lap], Trajectory]] = {
+MATCHING_METHODS: dict[str, Callable[[Lap], Trajectory]] = {
     "dead reckoning": reckoned,
     "projection on links": projected,
     "method 1": by_method_1,
@@ -206,13 +207,13 @@ def _at_shares(line: Array) -> Array:
 def table_1(laps: Sequence[Lap], name: str, strides: str) -> ResultTable:
     """Errors of all methods over the laps. name: of the table; strides: what they are, for the title."""
     rows = []
-    for label, method in METHODS.items():
+    for label, method in MATCHING_METHODS.items():
         tracks = [method(lap) for lap in laps]
         along, timed = (
             np.array([np.hypot(*rule(track, lap.truth).T) for track, lap in zip(tracks, laps, strict=True)])
             for rule in (errors_along, errors_at_times)
         )
-        published = PAPER.get(label, (None,) * 3)
+        published = PUBLISHED_ERRORS.get(label, (None,) * 3)
         cells = [
             median_and_range(score(along, axis=1), paper)
             for score, paper in zip((np.mean, np.max, np.min), published, strict=True)

@@ -15,33 +15,32 @@ from pdr_graph.estimation.factors.base import geman_mcclure_weight
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.smoother import smooth
-from pdr_graph.geometry import dead_reckon, distance_walked, interpolate
+from pdr_graph.geometry import REGION_90, dead_reckon, distance_walked, interpolate, squared_distance
 from pdr_graph.lab.papers.result_table import FIRST_SEED, ResultTable
 from pdr_graph.lab.simulation.crowd import DURATION, SURVEYED, TERMINAL, TERMINAL_PLACE, Crowd, CrowdWalk, crowd
 from pdr_graph.priors import BEACONS, LOSSES, REPORTS, changed
 from pdr_graph.types import Array, Closures, Fixes, Index, Levels, Mask, Trajectory
 
 CROWDS = 4
-FEW, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk [s]
-FALSE_SHARE, NEAREST, FARTHEST = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
-IN_REGION = -2 * np.log(1 - 0.9)  # squared Mahalanobis distance in the plane
+QUICK_CROWDS, SHORT = 1, 150.0  # crowds of a quick run, and how long they walk [s]
+FALSE_SHARE, NEAREST_FALSE, FARTHEST_FALSE = 0.1, 20.0, 40.0  # of false encounters; [m] from where the other is
 UNBOUNDED = 1e3  # [σ] within which the loss of closures is Gaussian
 
-START, SWITCH, BEACON = "known start", "switch", "BLE beacons"
+KNOWN_START, SWITCH, BY_BLE = "known start", "switch", "BLE beacons"
 ENCOUNTER, DESK = "encounters with a walker", "encounters with a fixed terminal"
-ALL = (SWITCH, BEACON, ENCOUNTER, DESK)
+REFERENCES = (SWITCH, BY_BLE, ENCOUNTER, DESK)
 
 NEAR_BEACON = BEACONS.nearest  # [m] by its level, within which the paper's reference is the beacon's place
 
 
 def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     """Errors by each reference position, and with false encounters."""
-    number, duration = (FEW, SHORT) if quick else (CROWDS, DURATION)
+    number, duration = (QUICK_CROWDS, SHORT) if quick else (CROWDS, DURATION)
     crowds = [crowd(FIRST_SEED + n, duration) for n in range(number)]
     return by_reference(crowds), with_false_encounters(crowds)
 
 
-HEADER = (
+COLUMN_NAMES = (
     "reference positions",
     "method",
     "references per walk",
@@ -52,15 +51,16 @@ HEADER = (
     "in the 90 % region [%]",
     "extent of the walk [%]",
 )
-PAPER, GRAPH, ONE_IN_TEN, LEFT_OUT = "paper", "graph", "1 in 10 false", "these left out"
+OF_PAPER, GRAPH, ONE_IN_TEN, LEFT_OUT = "paper", "graph", "1 in 10 false", "these left out"
 
 
 def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
     """Errors of dead reckoning by each kind of reference position, and by all."""
-    close, strong, whole = ([rule.encounters(walkers) for walkers in crowds] for rule in (CLOSE, DISTANT, RECEIVED))
+    close, strong, whole = ([rule.encounters(walkers) for walkers in crowds] for rule in (NEARBY, DISTANT, RECEIVED))
     rows = list[tuple[str, ...]]()
-    for title, sources in ((START, ()), *((f"+ {source}", (source,)) for source in ALL), ("all of these", ALL)):
-        rows.append(score(crowds, close, by_paper(sources), (title, PAPER)))
+    alone = [(f"+ {source}", (source,)) for source in REFERENCES]
+    for title, sources in ((KNOWN_START, ()), *alone, ("all of these", REFERENCES)):
+        rows.append(score(crowds, close, by_paper(sources), (title, OF_PAPER)))
         rows.append(score(crowds, close, by_graph(sources), (title, GRAPH)))
         if sources in ((ENCOUNTER,), (DESK,)):
             rows.append(score(crowds, strong, by_graph(sources), (title, "graph, distant encounters too")))
@@ -68,33 +68,33 @@ def by_reference(crowds: Sequence[Crowd]) -> ResultTable:
             rows.append(score(crowds, whole, by_graph(sources, as_beacon=True), (title, "graph, terminal as a beacon")))
     minutes = max(walk.steps.end for walk in crowds[0].walks) / 60
     title = f"Reference positions, [calibration-walk] Sec. 2: {len(crowds)} × 12 walkers, {minutes:.1f} min each"
-    return ResultTable("reference-positions", title, HEADER, tuple(rows), NOTE_REFERENCES)
+    return ResultTable("reference-positions", title, COLUMN_NAMES, tuple(rows), NOTE_REFERENCES)
 
 
 def with_false_encounters(crowds: Sequence[Crowd]) -> ResultTable:
     """What false encounters do: one in ten is with a walker who was elsewhere."""
     rows = list[tuple[str, ...]]()
     for rule, sources, without in (
-        (CLOSE, (ENCOUNTER,), True),
-        (CLOSE, ALL, True),
+        (NEARBY, (ENCOUNTER,), True),
+        (NEARBY, REFERENCES, True),
         (DISTANT, (ENCOUNTER,), False),  # without false ones: in the other table
     ):
         pairs = [falsified(walkers, rule.encounters(walkers), FIRST_SEED) for walkers in crowds]
         false, wrong = [met for met, _ in pairs], [of_crowd for _, of_crowd in pairs]
-        title = f"{rule.name}{' and all others' if sources == ALL else ''}, "
-        rows.append((*score(crowds, false, by_paper(sources), (title + ONE_IN_TEN, PAPER)), ""))
+        title = f"{rule.name}{' and all others' if sources == REFERENCES else ''}, "
+        rows.append((*score(crowds, false, by_paper(sources), (title + ONE_IN_TEN, OF_PAPER)), ""))
         rows.append(score_with_rejected(crowds, false, by_graph(sources), (title + ONE_IN_TEN, GRAPH), wrong))
-        if rule is CLOSE and sources == (ENCOUNTER,):
+        if rule is NEARBY and sources == (ENCOUNTER,):
             with changed(LOSSES, closure=UNBOUNDED):
                 names = title + ONE_IN_TEN, "graph without robust loss"
                 rows.append((*score(crowds, false, by_graph(sources), names), ""))
         if without:
             kept = [met.only(~of_crowd) for met, of_crowd in pairs]
             nothing = [np.zeros(len(met), dtype=bool) for met in kept]
-            rows.append((*score(crowds, kept, by_paper(sources), (title + LEFT_OUT, PAPER)), ""))
+            rows.append((*score(crowds, kept, by_paper(sources), (title + LEFT_OUT, OF_PAPER)), ""))
             rows.append(score_with_rejected(crowds, kept, by_graph(sources), (title + LEFT_OUT, GRAPH), nothing))
-    title = f"False encounters, {NEAREST:.0f} to {FARTHEST:.0f} m from the other walker"
-    header = (*HEADER, "rejected: false, right [%]")
+    title = f"False encounters, {NEAREST_FALSE:.0f} to {FARTHEST_FALSE:.0f} m from the other walker"
+    header = (*COLUMN_NAMES, "rejected: false, right [%]")
     return ResultTable("false-encounter", title, header, tuple(rows), NOTE_FALSE)
 
 
@@ -164,17 +164,17 @@ def distance_by(rssi: Array) -> Array:
 
 DISTANT = Rule("encounters at about ten metres", -85.0, 1.5)  # sigma by the level
 # At the level of a metre; their distance was 3.3 m per axis (root mean square) on seeds 0 to 2
-CLOSE = Rule("close encounters", BEACONS.path_loss[0], 3.0)
+NEARBY = Rule("close encounters", BEACONS.path_loss[0], 3.0)
 RECEIVED = Rule("all receptions", -np.inf, 3.0)
 
 
 def falsified(walkers: Crowd, met: Encounters, seed: int) -> tuple[Encounters, Mask]:
-    """Encounters of which one in ten is with a walker who was NEAREST to FARTHEST metres away, and which these are."""
+    """Encounters, one in ten with a walker NEAREST_FALSE to FARTHEST_FALSE metres away, and which these are."""
     random, pair, false = np.random.default_rng(seed), met.pair.copy(), np.zeros(len(met), dtype=bool)
     for n in np.flatnonzero(random.uniform(size=len(met)) < FALSE_SHARE).tolist():
         places = walkers.places(float(met.time[n]))
         away = np.hypot(*(places - places[pair[n, 0]]).T)[:TERMINAL]
-        others = np.flatnonzero((away > NEAREST) & (away < FARTHEST))
+        others = np.flatnonzero((away > NEAREST_FALSE) & (away < FARTHEST_FALSE))
         if pair[n, 1] != TERMINAL and len(others):
             pair[n, 1], false[n] = random.choice(others), True
     return replace(met, pair=pair), false
@@ -198,7 +198,7 @@ def references(walkers: Crowd, sources: Sequence[str], met: Encounters) -> list[
     all_of = list[Reference]()
     for number, walk in enumerate(walkers.walks):
         known = [walk.presses] if SWITCH in sources else []
-        if BEACON in sources:
+        if BY_BLE in sources:
             levels = walk.levels
             near = np.flatnonzero(distance_by(levels.rssi) < NEAR_BEACON)
             known.append(Fixes(levels.time[near], levels.position[levels.beacon[near]], np.ones(len(near))))
@@ -258,7 +258,7 @@ def smoothed(walkers: Crowd, sources: Sequence[str], met: Encounters, as_beacon:
     """Every walker by the graph, all in one if they met. as_beacon: the terminal is one more beacon, all its levels."""
     graphs = list[WalkGraph]()
     for number, walk in enumerate(walkers.walks):
-        fixes, levels = [walk.start], [walk.levels] if BEACON in sources else []
+        fixes, levels = [walk.start], [walk.levels] if BY_BLE in sources else []
         fixes += [walk.presses] if SWITCH in sources else []
         if DESK in sources:
             at_desk = met.only((met.pair == (number, TERMINAL)).all(axis=1))
@@ -314,7 +314,7 @@ def by_graph(sources: Sequence[str], as_beacon: bool = False) -> Method:
     def method(walkers: Crowd, met: Encounters) -> tuple[list[Trajectory], int]:
         used = np.where(met.with_terminal, DESK in sources, ENCOUNTER in sources)
         number = int(used.sum()) + sum(
-            len(walk.presses) * (SWITCH in sources) + len(walk.levels) * (BEACON in sources) for walk in walkers.walks
+            len(walk.presses) * (SWITCH in sources) + len(walk.levels) * (BY_BLE in sources) for walk in walkers.walks
         )
         return smoothed(walkers, sources, met, as_beacon), number
 
@@ -377,5 +377,4 @@ def in_region(truth: Trajectory, track: Trajectory) -> Mask:
     """Rows ``(n,)`` whose true position is in the 90 % region that the track states; none if it states no region."""
     if track.covariance is None:
         return np.zeros(0, dtype=bool)
-    gap = (truth.position - track.position)[:, :, None]
-    return (gap.transpose(0, 2, 1) @ np.linalg.solve(track.covariance[:, :2, :2], gap))[:, 0, 0] <= IN_REGION
+    return squared_distance(truth.position - track.position, track.covariance[:, :2, :2]) <= REGION_90

@@ -22,12 +22,12 @@ from pdr_graph.lab.simulation.simulate import Simulation, simulate
 from pdr_graph.types import Array, Mask, Recording, Signal
 
 CARTS, QUICK = 200, 40
-CALIBRATION, WAIT, STOP, AFTER = 30.0, 5.3, 4.0, 5.0  # [s] at rest: for λ, before the cart starts, between, at the end
+FIRST_REST, WAIT, HALT, AFTER = 30.0, 5.3, 4.0, 5.0  # [s] at rest: for λ, before the cart starts, between, at the end
 OUT, BACK = 0.95, 1.05  # [m] there and back again
-LAST = OUT - BACK  # [m] along x, where the cart stops
+STOPPED_AT = OUT - BACK  # [m] along x, where the cart stops
 THEIR_ERRORS = 0.4  # of the simulated gyroscope's errors: with these, λ is the paper's on most phones
 LASTING = 0.8  # [s] of rest before the longer switch: chosen by hand on seeds 0 to 19, above the gaps of the vibration
-SENSORS = ("accelerometer", "gyroscope", "magnetometer")
+IMU_SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def lasting(period: float) -> int:
     return round(LASTING / period)
 
 
-PAPER = Method(
+PAPER_METHOD = Method(
     attitude=lambda run, threshold: switching(run, threshold),
     rest=lambda attitude, threshold: below_threshold(attitude.angular_rate, threshold),
 )
@@ -89,18 +89,18 @@ PRODUCT = Method(
 )
 LAMBDA_RULE, UNBIASED = "λ rule, sample by sample", "λ rule, gyroscope bias of the calibration subtracted"
 BETTER = "λ rule, sample by sample, a gyroscope with 0.4 of the errors"
-METHODS = {
-    "λ = 0": replace(PAPER, scale=0.0),
-    LAMBDA_RULE: PAPER,
-    "λ rule, λ halved": replace(PAPER, scale=0.5),
-    "λ rule, λ doubled": replace(PAPER, scale=2.0),
-    BETTER: PAPER,
-    UNBIASED: replace(PAPER, unbiased=True),
+SWITCH_METHODS = {
+    "λ = 0": replace(PAPER_METHOD, scale=0.0),
+    LAMBDA_RULE: PAPER_METHOD,
+    "λ rule, λ halved": replace(PAPER_METHOD, scale=0.5),
+    "λ rule, λ doubled": replace(PAPER_METHOD, scale=2.0),
+    BETTER: PAPER_METHOD,
+    UNBIASED: replace(PAPER_METHOD, unbiased=True),
     f"the same, and at rest for {LASTING} s": LONGER,
     "**the same, looking ahead to the next rest**": replace(LONGER, look_ahead=True),
     "the product's attitude and rests, looking ahead": PRODUCT,
 }
-PUBLISHED = {"λ = 0": "drifts away", LAMBDA_RULE: "near the truth", BETTER: "near the truth"}
+PUBLISHED_FINDINGS = {"λ = 0": "drifts away", LAMBDA_RULE: "near the truth", BETTER: "near the truth"}
 
 
 def cart(seed: int, errors: float = 1.0) -> Cart:
@@ -110,18 +110,18 @@ def cart(seed: int, errors: float = 1.0) -> Cart:
     """
     north = earth_field(35.0, 135.0, Scenario.start).declination  # east of true north [rad], at the scenario's place
     x = np.array([np.cos(north), -np.sin(north)])
-    route = [[0, 0], {"stand": CALIBRATION + WAIT}, {"roll": (OUT * x).tolist(), "speed": 0.452}, {"stand": STOP}]
-    route += [{"roll": (LAST * x).tolist(), "speed": 0.438}, {"stand": AFTER}]
+    route = [[0, 0], {"stand": FIRST_REST + WAIT}, {"roll": (OUT * x).tolist(), "speed": 0.452}, {"stand": HALT}]
+    route += [{"roll": (STOPPED_AT * x).tolist(), "speed": 0.438}, {"stand": AFTER}]
     given = {"seed": seed, "heading": 90 - float(np.degrees(north)), "phone": {"hold": "cart", "rate": 50}}
     simulation = simulate(Scenario.of(given | {"route": route}))
-    whole, measured = simulation.recording(*SENSORS), simulation.signals["gyroscope"]
+    whole, measured = simulation.recording(*IMU_SENSORS), simulation.signals["gyroscope"]
     truth = interpolate(measured.time, simulation.motion.time, simulation.motion.angular_rate)
     whole = replace(whole, gyroscope=Signal(measured.time, truth + errors * (measured.values - truth)))
-    return Cart(_part(whole, 0.0, CALIBRATION), _part(whole, CALIBRATION, np.inf), _moves(simulation))
+    return Cart(_part(whole, 0.0, FIRST_REST), _part(whole, FIRST_REST, np.inf), _moves(simulation))
 
 
 def _part(whole: Recording, start: float, end: float) -> Recording:
-    signals = {name: getattr(whole, name) for name in SENSORS}
+    signals = {name: getattr(whole, name) for name in IMU_SENSORS}
     inside = {name: (signal.time >= start) & (signal.time < end) for name, signal in signals.items()}
     return replace(whole, **{name: Signal(s.time[inside[name]], s.values[inside[name]]) for name, s in signals.items()})
 
@@ -155,7 +155,7 @@ def outcome(cart: Cart, method: Method) -> Outcome:
     position = strapdown(attitude, rest, method.look_ahead).position[-1, :2]
     axis = attitude.R_world_device.apply([1.0, 0.0, 0.0])[attitude.time < cart.rolling[0][0]]
     x = axis.mean(axis=0)[:2]  # the paper's x axis is the phone's at rest
-    error = float(np.hypot(*(position - LAST * x / np.hypot(*x))))
+    error = float(np.hypot(*(position - STOPPED_AT * x / np.hypot(*x))))
     return Outcome(threshold, error, float((~rest[~moving]).mean()), float(rest[moving].mean()))
 
 
@@ -164,18 +164,18 @@ def experiment(quick: bool = False) -> tuple[ResultTable, ...]:
     seeds = range(FIRST_SEED, FIRST_SEED + (QUICK if quick else CARTS))
     carts, better = ([cart(seed, errors) for seed in seeds] for errors in (1.0, THEIR_ERRORS))
     rows = []
-    for name, method in METHODS.items():
+    for name, method in SWITCH_METHODS.items():
         outcomes = [outcome(each, method) for each in (better if name == BETTER else carts)]
         threshold = "—" if method is PRODUCT else f"{np.median([each.threshold for each in outcomes]):.4f}"
-        threshold += " [0.0041]" if name in PUBLISHED and method.scale else ""
-        rows.append((name, threshold, *_cells(outcomes), PUBLISHED.get(name, "—")))
+        threshold += " [0.0041]" if name in PUBLISHED_FINDINGS and method.scale else ""
+        rows.append((name, threshold, *_cells(outcomes), PUBLISHED_FINDINGS.get(name, "—")))
         if name in (LAMBDA_RULE, BETTER, UNBIASED):
             clean = [each for each in outcomes if each.false == 0]
             rows.append((f"{len(clean)} of these, no sample of the movement ≤ λ", "—", *_cells(clean), "—"))
     header = ("method", "λ, median [rad/s]", "rest missed [%]", "movement as rest [%]")
     header += ("end error, median [cm]", "90 % [cm]", "largest [cm]", "paper")
     title = f"[stationary-switch] Sec. 3: a cart, 95 cm forth and 105 cm back, {len(carts)} simulated phones"
-    return (ResultTable("stationary-switch", title, header, tuple(rows), NOTE),)
+    return (ResultTable("stationary-switch", title, header, tuple(rows), SWITCH_NOTE),)
 
 
 def _cells(outcomes: list[Outcome]) -> tuple[str, ...]:
@@ -187,7 +187,7 @@ def _cells(outcomes: list[Outcome]) -> tuple[str, ...]:
     return (*shares, *(f"{value:.1f}" for value in (*np.percentile(error, [50, 90]), error.max())))
 
 
-NOTE = (
+SWITCH_NOTE = (
     "The paper prints one run and no errors. The mean vertical acceleration at rest is subtracted. Simulated castors "
     "vibrate with 0.05 rad/s and 0.6 m/s² at 0.5 m/s (chosen by hand). The rows remove three errors of the paper's "
     "method one by one. (1) A sample of the movement at or below λ sets the velocity to 0 and takes the attitude "

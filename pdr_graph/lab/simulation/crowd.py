@@ -20,14 +20,14 @@ from pdr_graph.types import Array, Fixes, Headings, Index, Levels, Steps, Trajec
 
 WALKERS, DURATION = 12, 300.0  # and the time that they walk [s]
 HALL = np.array([90.0, 60.0])  # [m]
-MARGIN = 1.0  # [m] from its walls to the nearest place where a walker turns
+WALL_MARGIN = 1.0  # [m] from its walls to the nearest place where a walker turns
 BEACON_PLACES = np.array([[22.0, 15.0], [68.0, 15.0], [22.0, 45.0], [68.0, 45.0]])  # [m]
 SWITCH_PLACES = np.array([[2.0, 30.0], [88.0, 30.0]])  # [m] beside the doors
 TERMINAL, TERMINAL_PLACE = WALKERS, np.array([45.0, 30.0])  # its number among the walkers, and its place [m]
 TO_A_SWITCH = 0.15  # share of the legs that lead to a switch: two or three in a walk
 SURVEYED = 0.5  # [m] sigma per axis of the places of beacons
 PRESSED = 0.75  # [m] the same of a walker about a switch, or about the known start: an arm's length
-ROUNDING = 2.0  # [steps] over which corners are cut
+CORNER_STEPS = 2.0  # [steps] over which corners are cut
 SHADOWING, FADING = 7.0, 3.0  # [dB] of a pair of phones: by bodies for a period, and at a moment
 PERIOD_OF_SHADOWS = 15.0  # [s]
 SENSITIVITY = BEACONS.weakest
@@ -108,15 +108,15 @@ def _walk(
 
 def _route(random: np.random.Generator, stride: float, n: int) -> tuple[Array, tuple[Index, Index]]:
     """Places ``(n + 1, 2)`` of the feet [m], and the rows at which switches are pressed, with their numbers."""
-    goals, switches = [random.uniform(MARGIN, HALL - MARGIN)], [-1]
+    goals, switches = [random.uniform(WALL_MARGIN, HALL - WALL_MARGIN)], [-1]
     while length_along(np.array(goals))[-1] < n * stride:
         to_switch = switches[-1] < 0 and random.uniform() < TO_A_SWITCH
         switches.append(int(random.integers(len(SWITCH_PLACES))) if to_switch else -1)
-        goals.append(SWITCH_PLACES[switches[-1]] if to_switch else random.uniform(MARGIN, HALL - MARGIN))
+        goals.append(SWITCH_PLACES[switches[-1]] if to_switch else random.uniform(WALL_MARGIN, HALL - WALL_MARGIN))
     line, number = np.array(goals), np.array(switches)
     walked = length_along(line)
     place = gaussian_filter1d(
-        interpolate(stride * np.arange(n + 1, dtype=np.float64), walked, line), ROUNDING, axis=0, mode="nearest"
+        interpolate(stride * np.arange(n + 1, dtype=np.float64), walked, line), CORNER_STEPS, axis=0, mode="nearest"
     )
     row = np.rint(walked / stride).astype(np.intp)
     pressed = (number >= 0) & (row <= n)
