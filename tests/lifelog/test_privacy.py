@@ -13,6 +13,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
+from tiers import thorough
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
 from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx
@@ -255,7 +256,7 @@ def guesses(hide, secrets, days):
     return np.array(found).T
 
 
-@pytest.mark.parametrize("days", [2, pytest.param(6, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("days", [2, thorough(6)])
 def test_the_ends_of_tracks_reveal_no_more_than_the_hidden_area(days):
     """On average 2/3 r from home, or √π r / √n by n ends of walks that lead as often anywhere; less 4 standard errors.
 
