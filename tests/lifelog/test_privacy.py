@@ -401,12 +401,13 @@ def test_the_covariance_of_blurred_rows_is_honest():
     assert np.mean(errors) == pytest.approx(1, abs=4 * np.sqrt(0.8 / 400))
 
 
-def test_parts_that_follow_one_another_to_the_second_are_not_joined_across_a_cut_place():
+@pytest.mark.parametrize("every", [6.0, thorough(1.0)])
+def test_parts_that_follow_one_another_to_the_second_are_not_joined_across_a_cut_place(every):
     """A part of exactly 15 min begins and ends on a quarter, when the next one could begin."""
     [place] = hidden(circle((0.0, 0.0), 60))
     through = shapely.bounds(place.hidden)[2] * 2  # [m]
     before, inside = 900.0 * PACE[VEHICLE], through / PACE[VEHICLE]
-    for extra in np.arange(0.0, 120.0, 1.0):
+    for extra in np.arange(0.0, 120.0, every):
         walk = outing([(VEHICLE, 900.0 + extra + inside + 900.0, 0.0)], start=(-before - through / 2 - extra * 10, 0.0))
         for feature in json.loads(as_geojson([left_of(walk, cut=[place])]))["features"]:
             line = np.array(feature["geometry"]["coordinates"])
