@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from plans import ARCADE
 
-from pdr_graph import detect_steps
+from pdr_graph import FloorPlan, detect_steps
 from pdr_graph.frames import enu
 from pdr_graph.gait.walker import Walker
 from pdr_graph.lab.simulation.recorders import write
@@ -45,6 +45,14 @@ def scenario_walk(name, **changes):
     """The simulation of a scenario of the package, and the steps of its recording; nobody changes them."""
     made = simulate(replace(Scenario.load(name), **changes))
     return made, detect_steps(made.recording(), Walker(height=made.walker.height))
+
+
+@cache
+def walk_in_the_arcade():
+    """The steps, the true trajectory and the plan of a walk of 40 s through the arcade."""
+    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [27.6, 27.6], [27.9, 8.0]]}, {"stand": 2}]
+    made = simulate(Scenario.of({"route": route, "plan": str(ARCADE), "phone": {"rate": RATE}}))
+    return detect_steps(made.recording("accelerometer", "gyroscope")), made.truth, FloorPlan.load(ARCADE)
 
 
 def walk_along(route, seed=0):

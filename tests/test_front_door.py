@@ -10,12 +10,17 @@ import recorders
 from commands import run
 from mutations import gpx
 from plans import ARCADE
+from tiers import thorough
 
 from pdr_graph import kalman_filter, kalman_smoother, read_trajectory, smooth
 from pdr_graph.io.loading import READERS
 from pdr_graph.walk import Options, estimate, observe, read
 
 PHONES = ("sensor_logger", "phyphox", "get_sensor_data", "gnss_logger")  # whose exports have the walk's sensors
+
+
+RECORDERS = [reader.__name__.rsplit(".", 1)[1] for reader in READERS]
+FIRST = ("sensor_logger", "gnss_logger", "ros_bags", "oxford_steps")  # tests of the readers have all
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +47,8 @@ def smoothed(path, out, *options):
     return code, errors, json.loads((out / "summary.json").read_text())
 
 
-@pytest.mark.parametrize("command", ["smooth", pytest.param("replay", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in READERS])
+@pytest.mark.parametrize("command", ["smooth", thorough("replay")])
+@pytest.mark.parametrize("recorder", [name if name in FIRST else thorough(name) for name in RECORDERS])
 def test_one_command_makes_a_report_of_every_recorders_file(tmp_path, felt, recorder, command):
     """Without options: the last line of the output is the report, in the current folder."""
     code, printed, errors = run(command, exported(recorder, tmp_path, felt), cwd=tmp_path)

@@ -10,6 +10,7 @@ import simulated
 from commands import run
 from plans import ARCADE
 from simulated import ROUTE
+from tiers import thorough
 
 from pdr_graph.apps.serve.publishing import plan_layers
 from pdr_graph.floor import plan_files
@@ -30,9 +31,7 @@ def plan(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(
-    ("verb", "farthest"), [("smooth", 0.5), pytest.param("replay", 4.0, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("verb", "farthest"), [("smooth", 0.5), thorough("replay", 4.0)])
 def test_a_walk_is_the_same_on_a_plan_in_metres_but_for_the_compass(arcade_walk, plan, tmp_path, verb, farthest):
     tracks = {}
     for path in (ARCADE, plan):

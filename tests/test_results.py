@@ -9,6 +9,7 @@ import simulated
 from commands import run
 from plans import ARCADE, MAPS, TWO_FLOORS
 from simulated import ROUTE
+from tiers import thorough
 
 from pdr_graph import read_trajectory, walk
 from pdr_graph.apps.report import evaluation
@@ -266,7 +267,7 @@ def start_heading(truth, long_walk, tmp_path_factory):
     return run_with
 
 
-LIVE = pytest.param("replay", marks=pytest.mark.thorough)
+LIVE = thorough("replay")
 
 
 @pytest.mark.parametrize("verb", ["smooth", LIVE])
@@ -279,7 +280,7 @@ def test_a_start_heading_decides_the_direction_from_one_fix(verb, start_heading)
 @pytest.mark.parametrize(
     ("verb", "off"),
     [("smooth", 0), ("smooth", 90), ("replay", 90)]
-    + [pytest.param(*case, marks=pytest.mark.thorough) for case in (("smooth", 180), ("replay", 0), ("replay", 180))],
+    + [thorough(*case) for case in (("smooth", 180), ("replay", 0), ("replay", 180))],
 )
 def test_fixes_overrule_a_wrong_start_heading_and_the_verdict_says_so(verb, off, start_heading):
     code, summary, error = start_heading(verb, 6, off)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plans import ARCADE
 from simulated import ROUTE
+from tiers import thorough
 
 from pdr_graph.apps.replay import replay_recording
 from pdr_graph.apps.report.output_files import smooth_recording
@@ -50,7 +51,7 @@ def test_only_certainty_is_said_to_be_certain():
     assert stated == ["0 %", "less than 1 %", "43 %", "99 %", "more than 99 %", "100 %"]
 
 
-@pytest.mark.parametrize("write", [smooth_recording, pytest.param(replay_recording, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("write", [smooth_recording, thorough(replay_recording)])
 def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, long_walk, tmp_path):
     write(long_walk / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
     summary = json.loads((tmp_path / "summary.json").read_text())

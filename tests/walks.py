@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pdr_graph.geometry import dead_reckon
+from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.priors import BEACONS, RECEIVERS
 from pdr_graph.types import STEP_COLUMNS, Array, Fixes, Steps, Trajectory, last_time, take
 
@@ -107,6 +107,11 @@ def live_rows(live: LiveSmoother) -> Trajectory:
     past = live.graph.finalized
     rows = TrajectoryRows.joined([*past.rows, live.output.rows(), live.output.predicted_rows()])
     return Trajectory(rows.time, rows.pose[:, :2], rows.pose[:, 2], covariance=rows.covariance)
+
+
+def distances(track: Trajectory, other: Trajectory) -> Array:
+    """Distance of each row of a trajectory from where the other is at its time [m]."""
+    return np.hypot(*(track.position - interpolate(track.time, other.time, other.position)).T)
 
 
 def square_walk(side: int = 20, laps: int = 1) -> Steps:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from commands import run
 from numpy.testing import assert_allclose, assert_array_equal
+from tiers import thorough
 
 from pdr_graph.apps.bench.data_sets import BenchWalk, given, recorded
 from pdr_graph.apps.bench.matrix import RESULTS, calibration, error_percentiles, low_walks, with_intervals
@@ -255,7 +256,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", ["killed", thorough("hangs"), thorough("memory")])
 def test_a_walk_that_crashes_or_hangs_has_a_row_that_says_so_and_the_others_go_on(arcade_walk, tmp_path, fault):
     for name in ("one", "two"):
         shutil.copytree(arcade_walk, tmp_path / "walks" / name)
@@ -292,7 +293,7 @@ def is_running(pid):
         return False
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [thorough(signal.SIGKILL), signal.SIGINT, thorough(signal.SIGTERM)])
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="lists the processes of a process by /proc")
 def test_a_run_that_is_ended_leaves_no_process_and_goes_on_without_loss(arcade_walk, tmp_path, number):
     """Ctrl-C goes to all processes of a terminal, as here; the others to the command alone."""

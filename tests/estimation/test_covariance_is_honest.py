@@ -16,6 +16,7 @@ from nees import (
     twice_as_noisy,
 )
 from test_together import first_of_both, one_that_met, one_that_met_far_off
+from tiers import thorough
 from walks import drawn_from_the_model, live_rows, pushing
 
 from pdr_graph import kalman_smoother, smooth
@@ -44,8 +45,11 @@ def _gaussian():
         yield
 
 
+@pytest.mark.parametrize("share", [3, thorough(1)])
 @pytest.mark.parametrize(("drawn", "method", "seeds"), HONEST.values(), ids=HONEST)
-def test_covariance_is_honest(drawn, method, seeds):
+def test_covariance_is_honest(drawn, method, seeds, share):
+    """Of a third of the seeds, and of all."""
+    seeds //= share
     low, high = interval(seeds)
     assert low < normalised_errors(drawn, method, seeds).mean() < high
 
@@ -74,13 +78,14 @@ def live_errors(wrong, seeds):
     return np.transpose(found)
 
 
-def test_the_covariance_of_a_walk_under_way_is_honest():
-    low, high = interval(40)
-    for errors in live_errors(wrong=1.0, seeds=40):
+@pytest.mark.parametrize("seeds", [15, thorough(40)])
+def test_the_covariance_of_a_walk_under_way_is_honest(seeds):
+    low, high = interval(seeds)
+    for errors in live_errors(wrong=1.0, seeds=seeds):
         assert low < errors.mean() < high
 
 
 def test_under_way_fixes_twice_as_bad_as_stated_fail_the_test():
     """Control."""
-    for errors in live_errors(wrong=2.0, seeds=12):
-        assert errors.mean() > interval(12)[1]
+    for errors in live_errors(wrong=2.0, seeds=6):
+        assert errors.mean() > interval(6)[1]

@@ -35,14 +35,14 @@ def with_courses(steps, lag=0.0, off=0.0, seed=0, sigma=3.0):
     return named(replace(fixes, speed=np.hypot(*way.T) / 2, course=course))
 
 
-def graph_of(lag=0.0, off=0.0):
-    steps = meander()
+def graph_of(lag=0.0, off=0.0, n=300):
+    steps = meander(n)
     return WalkGraph(steps, with_courses(steps, lag, off))
 
 
 def test_derivatives_are_those_of_the_residuals():
     """By the heading of a keyframe and by the lag; a course that lies between two steps has no kink there."""
-    graph = graph_of()
+    graph = graph_of(n=60)
     graph = graph.refined(graph.evaluate(graph.start))
     random = np.random.default_rng(3)
     state = random_state(graph, random)

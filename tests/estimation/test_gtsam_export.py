@@ -158,8 +158,8 @@ def test_beacons_one_of_which_was_moved():
 
 def test_cost_gradient_and_information_are_ours_under_the_loss_of_ranges():
     """At the optimum and anywhere near it, although the loss has a sign, which GTSAM's losses have not."""
-    steps, _, truth = drawn_from_the_model(60, 3)
-    estimate = pdr.smooth(WalkGraph(steps, measurements=[ranged(truth, 3)[0]]))
+    steps, fixes, truth = drawn_from_the_model(60, 3)
+    estimate = pdr.smooth(WalkGraph(steps, fixes, measurements=[ranged(truth, 3)[0]]))
     start = estimate.graph.start
     for state in (start, perturbed(start, "x", 4, 0, 0.1), start.rotated(0.1, np.ones(2))):
         assert_gtsam_agrees(estimate.graph, state)

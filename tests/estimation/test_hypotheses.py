@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tiers import thorough
 from walks import (
     dead_reckon,
     drawn_beside_beacons,
@@ -186,7 +187,7 @@ def with_a_receiver():
     return steps, [fixes]
 
 
-@pytest.mark.parametrize("walk", [swapped, with_a_receiver])
+@pytest.mark.parametrize("walk", [thorough(swapped), with_a_receiver])
 def test_idle_moments_change_nothing(walk):
     """A review between pushes: the same walk, bit by bit."""
     steps, data, *_ = walk()

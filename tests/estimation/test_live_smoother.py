@@ -8,6 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from synthetic_walks import LOOP, held_by_walls, live_events, walk
+from tiers import thorough
 from walks import (
     PERIOD,
     drawn_from_the_model,
@@ -110,10 +111,11 @@ def wild(fixes, seed, share=0.3, far=40.0):
     return replace(fixes, position=fixes.position + off)
 
 
-def test_outliers_are_rejected():
-    """Three in ten are 40 m off: the median error of eight walks is at most 1.7 times that without; one may be lost."""
+@pytest.mark.parametrize("walks", [5, thorough(8)])
+def test_outliers_are_rejected(walks):
+    """Three in ten are 40 m off: the median error of the walks is at most 1.7 times that without; one may be lost."""
     with_them, without = [], []
-    for seed in range(8):
+    for seed in range(walks):
         steps, fixes, truth = drawn(seed)
         with_them.append(np.median(apart(live_track(steps, wild(fixes, seed), lag=LAG, size=10), truth)))
         without.append(np.median(apart(within_lag(seed), truth)))
@@ -173,12 +175,13 @@ def test_a_window_of_a_minute_is_nearly_as_good_as_the_batch():
     assert np.sqrt(np.mean(np.square(live))) < 1.3 * np.sqrt(np.mean(np.square(batch)))
 
 
-def test_memory_is_bounded():
-    """2000 steps, 18 minutes: only the finalised rows grow, and these are removed."""
+@pytest.mark.parametrize("laps", [3, thorough(5)])
+def test_memory_is_bounded(laps):
+    """400 steps and more than three minutes a lap: only the finalised rows grow, and these are removed."""
     steps, fixes, _ = drawn_from_the_model(400, seed=1, every=30)
     live, sizes, handed = LiveSmoother(lag=LAG), [], 0
     graph = live.graph
-    for lap in range(5):
+    for lap in range(laps):
         shift = lap * (steps.end - steps.start)
         for now in pushing(live, shifted(steps, shift), replace(fixes, time=fixes.time + shift), size=5):
             if now % 50 == 0:
@@ -189,8 +192,8 @@ def test_memory_is_bounded():
                 held += [graph.marginals, graph.failures, graph._priors, graph._others]
                 size = sum(marginal.root.size for marginal in graph.marginals)
                 sizes.append([len(store) for store in held] + [size, len(graph.window.steps.whole)])
-    assert (np.max(sizes[20:], axis=0) <= 1.5 * np.max(sizes[4:12], axis=0) + 2).all()
-    assert handed + len(live_rows(live)) == 1 + 2000 + 1, "the start, and the present"
+    assert (np.max(sizes[4 * laps :], axis=0) <= 1.5 * np.max(sizes[4:12], axis=0) + 2).all()
+    assert handed + len(live_rows(live)) == 1 + 400 * laps + 1, "the start, and the present"
 
 
 @pytest.mark.parametrize("lag", [20.0, LAG, np.inf])
@@ -238,25 +241,25 @@ def test_a_gap_is_bridged_from_both_sides(far):
 
 
 def test_finalised_rows_move_with_the_first_fix():
-    """They come after ten minutes: all rows, most of them finalised, move rigidly with the window.
+    """They come after five minutes: all rows, most of them finalised, move rigidly with the window.
 
     None was returned before: who takes them stores them, and they could not be moved afterwards.
     """
-    steps = wandering_walk(1300, seed=3)
+    steps = wandering_walk(700, seed=3)
     R, way = rotation(2.0), np.array([300.0, -100.0])
     truth = dead_reckon(steps)
     truth = replace(truth, position=truth.position @ R.T + way)
     fixes = fixes_on(truth, every=15)
-    fixes = fixes[fixes.time > 600.0]
+    fixes = fixes[fixes.time > 300.0]
     live = LiveSmoother(lag=LAG)
     for now in pushing(live, steps, fixes):
-        if steps.time[now - 1] < 600.0:
+        if steps.time[now - 1] < 300.0:
             assert not live.graph.finalized.pop_finalized()
     live.finish()
     track = live_rows(live)
-    assert len(track) == 1302
+    assert len(track) == 702
     assert np.median(apart(track, truth)[-100:]) < 0.3
-    # a dead reckoning of ten minutes that is turned by what a minute of fixes says: exact steps, 2° over 900 m
+    # a dead reckoning of five minutes that is turned by what a minute of fixes says: exact steps, 2° over 450 m
     assert apart(track, truth).max() < 0.035 * np.hypot(*np.ptp(truth.position, axis=0))
 
 
@@ -291,10 +294,6 @@ def disturbed(seed, on_plan):
             yield event
         yield from (fix for left, fix in late if left == 0)
         late = [(left - 1, fix) for left, fix in late if left > 0]
-
-
-def thorough(*values):
-    return pytest.param(*values, marks=pytest.mark.thorough)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plans import ring
+from tiers import thorough
 from walks import (
     dead_reckon,
     drawn_beside_beacons,
@@ -69,9 +70,6 @@ def on_a_plan_with_a_receiver(seed):
     return steps, [replace(fixes, source=("GNSS",) * len(fixes))], floor
 
 
-WALKS = [plain, with_outliers, with_headings, with_a_receiver, with_beacons, on_a_plan, on_a_plan_with_a_receiver]
-
-
 def started(floor, lag=np.inf):
     return LiveSmoother(lag=lag, plan=None if floor is None else Building.around(floor))
 
@@ -83,7 +81,14 @@ def from_batch(estimate, other):
     return float(np.hypot(*(first.position - second.position).T).max())
 
 
-@pytest.mark.parametrize(("drawn", "size"), [*((drawn, 1) for drawn in WALKS), (plain, 120)])
+WALKS = [plain, with_outliers, with_headings, with_a_receiver, with_beacons, on_a_plan, on_a_plan_with_a_receiver]
+ONE_HALF, OTHER_HALF = WALKS[::2], WALKS[1::2]
+
+
+@pytest.mark.parametrize(
+    ("drawn", "size"),
+    [(plain, 120), *((drawn, 1) for drawn in ONE_HALF), *((thorough(drawn, 1)) for drawn in OTHER_HALF)],
+)
 def test_a_finished_live_walk_equals_the_batch(drawn, size):
     """The track to a millimetre, with covariance, cost, calibration and all reports; also by one chunk."""
     steps, data, floor = drawn(1)
@@ -122,7 +127,7 @@ def optimum(at):
     return at
 
 
-@pytest.mark.parametrize("drawn", WALKS)
+@pytest.mark.parametrize("drawn", [*OTHER_HALF, *map(thorough, ONE_HALF)])
 def test_the_window_reaches_the_optimum_of_its_factors(drawn):
     """It equals Gauss–Newton over the same blocks in cost, and to 15 cm where sigmas are metres: iSAM2 linearises a
     factor anew where a variable has moved beyond its threshold.

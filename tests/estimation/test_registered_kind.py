@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import simulated
 from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
-from walks import drawn_from_the_model, part
+from tiers import thorough
+from walks import distances, drawn_from_the_model, part
 
 import pdr_graph as pdr
 from pdr_graph.apps.lifelog.build import build
@@ -93,7 +94,7 @@ def drawn(seed=0, n=100):
 
 def error(track, truth):
     """Median distance of a trajectory from the truth [m]."""
-    return np.median(np.hypot(*(interpolate(truth.time, track.time, track.position) - truth.position).T))
+    return np.median(distances(truth, track))
 
 
 def median_sigma(track):
@@ -235,7 +236,7 @@ def test_report_and_summary_list_the_lines(recorded, tmp_path):
     assert summary["reports"]["anchor_lines"][0]["time"] == pytest.approx(lines.time[0] + walk.clock_origin)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("workers", [1, thorough(2)])
 def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path, workers):
     """What reads the lines of a recording is the caller's; the store has them from then on."""
     folder, truth, lines = recorded

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from streets import NOISE, PACE, gauss_markov, logged, seen, streets
+from tiers import thorough
 from walks import steps_of
 
 from pdr_graph import Navigator, WalkGraph, smooth
@@ -69,10 +70,10 @@ def test_a_jump_of_the_receiver_is_no_ride():
         )
 
 
-@pytest.mark.parametrize("every", [1, 10])
-def test_outliers_are_no_ride(every):
+@pytest.mark.parametrize(("every", "seconds"), [(1, 150), thorough(10, 600), thorough(1, 600)])
+def test_outliers_are_no_ride(every, seconds):
     """One fix in ten is 50 to 500 m off."""
-    place, done = streets([("walk", 600)])
+    place, done = streets([("walk", seconds)])
     steps, fixes, random = on_foot(place, done), seen(place, every=every), np.random.default_rng(1)
     off = random.uniform(50, 500, (len(fixes), 1)) * unit(random.uniform(0, 2 * np.pi, len(fixes)))
     wild = replace(fixes, position=fixes.position + off * (random.random(len(fixes)) < 0.1)[:, None])
@@ -80,29 +81,30 @@ def test_outliers_are_no_ride(every):
     assert not live(steps, wild)[2].any()
 
 
-def test_a_live_ride_is_named_in_time_and_both_walks_are_right():
-    place, steps, fixes = by_bus(60)
+@pytest.mark.parametrize("walk", [90, thorough(180)])
+def test_a_live_ride_is_named_in_time_and_both_walks_are_right(walk):
+    place, steps, fixes = by_bus(60, walk=walk)
     nav, poses, rides, estimate = live(steps, fixes)
     named = np.flatnonzero(rides)
-    assert 180 < named[0] < 200
-    assert named[-1] < 240 + 40, "a walk of 30 m ends it"
+    assert walk < named[0] < walk + 20
+    assert named[-1] < walk + 60 + 40, "a walk of 30 m ends it"
     off = np.array([np.hypot(pose.x - x, pose.y - y) for pose, (x, y) in zip(poses, place[1:], strict=True)])
     assert np.median(off[named]) < 15
-    assert np.percentile(off[300:], 95) < 15, "a minute after the ride"
+    assert np.percentile(off[walk + 120 :], 95) < 15, "a minute after the ride"
     assert {reason.source for reason in verdict(estimate).reasons} <= {"place"}, "its fixes have 20 m"
     assert any("a ride from" in warning for warning in estimate.warnings)
     assert nav.status.restarts == 0
 
 
-def test_a_live_walk_has_no_ride():
-    place, done = streets([("walk", 240)])
-    for noise in NOISE.values():
-        assert not live(on_foot(place, done), seen(place, noise))[2].any()
+@pytest.mark.parametrize("noise", [next(iter(NOISE)), *map(thorough, [*NOISE][1:])])
+def test_a_live_walk_has_no_ride(noise):
+    place, done = streets([("walk", 150)])
+    assert not live(on_foot(place, done), seen(place, NOISE[noise]))[2].any()
 
 
 def test_fixes_that_go_faster_than_regular_steps_are_doubtful():
     """A scale that is three times too large looks like a ride, all on steps."""
-    place, done = streets([("walk", 240)])
+    place, done = streets([("walk", 150)])
     steps, fixes = on_foot(place, done), seen(3.0 * place)
     estimate = live(steps, fixes)[3]
     assert not verdict(estimate).ok

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import shapely
 from plans import MAPS, corridors
-from simulated import scenario_walk
-from walks import fixes_at, steps_of, straight
+from simulated import scenario_walk, walk_in_the_arcade
+from walks import distances, fixes_at, steps_of, straight
 
 from pdr_graph import Building, FloorPlan, Headings, WalkGraph, detect_steps, kalman_filter, smooth
 from pdr_graph.apps.report.evaluation import coverage
@@ -30,8 +30,7 @@ ARCADE, LOOP = MAPS / "arcade.geojson", MAPS / "loop.geojson"
 
 
 def error(estimate, truth):
-    track = estimate.trajectory
-    return np.hypot(*(track.position - interpolate(track.time, truth.time, truth.position)).T)
+    return distances(estimate.trajectory, truth)
 
 
 def aisles(*ends):
@@ -177,10 +176,7 @@ def test_several_floors_are_several_possible_starts():
 
 @pytest.fixture(scope="module")
 def arcade():
-    """A walk of 40 s through the arcade: its steps, true trajectory and plan."""
-    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [27.6, 27.6], [27.9, 8.0]]}, {"stand": 2}]
-    made = simulate(Scenario.of({"route": route, "plan": str(ARCADE), "phone": {"rate": 50}}))
-    return detect_steps(made.recording("accelerometer", "gyroscope")), made.truth, FloorPlan.load(ARCADE)
+    return walk_in_the_arcade()
 
 
 def fixes(truth, count=5):

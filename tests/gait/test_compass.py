@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame, projected
@@ -83,13 +84,13 @@ def errors(walk, found):
     return error / sigma, error
 
 
-OTHERS_LIVE = [pytest.param(live, hold, marks=pytest.mark.thorough) for hold in HOLDS if hold != "hand"]
+OTHERS_LIVE = [thorough(live, hold) for hold in HOLDS if hold != "hand"]
 
 
 @pytest.mark.parametrize(("headings", "hold"), [*((batch, hold) for hold in HOLDS), (live, "hand"), *OTHERS_LIVE])
 def test_headings_are_right_or_missing(headings, hold):
     """With steel and 3 µT of hard iron per axis all are within three sigmas and 0.8 rad, live ones 0.9."""
-    for seed in range(3 if headings is batch else 2):
+    for seed in range(3 if headings is batch else 1):
         walk = walked(hold, seed)
         z, error = errors(walk, headings(walk))
         assert np.all(np.abs(z) < 3)
@@ -106,7 +107,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("laps", [0, pytest.param(1, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("laps", [0, thorough(1)])
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_magnetometer_gives_no_headings(name, laps):
     walk = walked(laps=laps)
@@ -236,7 +237,7 @@ def first_heading(walk, preview=True):
     return delay, found
 
 
-@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("hold", ["hand", *(thorough(hold) for hold in HOLDS[1:])])
 def test_the_first_heading_comes_after_eight_steps(hold):
     """Within 8 s of walking for most walkers, with an honest sigma, and never reversed."""
     delays, z = [], []
@@ -306,7 +307,7 @@ OCCASIONAL = {
 }
 
 
-LESS_OFTEN = [pytest.param(name, marks=pytest.mark.thorough) for name in ("spikes", "wrong times", "repeated")]
+LESS_OFTEN = [thorough(name) for name in ("spikes", "wrong times", "repeated")]
 
 
 @pytest.mark.parametrize("name", ["NaN", "clock reset", *LESS_OFTEN])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gait_data import put_away
 from scipy.spatial.transform import Rotation
+from tiers import thorough
 
 from pdr_graph import detect_steps
 from pdr_graph.gait.heading import walking_direction
@@ -72,7 +73,7 @@ def test_a_grip_change_adds_variance_and_no_turn():
     assert direction.variance[1700] == 0, "no doubt before"
 
 
-@pytest.mark.parametrize("rate", [25, pytest.param(100, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("rate", [25, thorough(100)])
 @pytest.mark.parametrize("hold", HOLDS)
 def test_the_error_is_below_eight_degrees_in_every_hold(hold, rate):
     """[heading] Eq. (2): RMS error along an L with the true initial direction; the paper has 11.8 to 24.9°."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tiers import thorough
 
 from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_stream import StepStream
@@ -121,7 +122,7 @@ def test_certain_steps_equal_those_of_the_whole_recording(hold, degrees):
     assert np.ptp(heading(found, steps.time) - heading(steps, steps.time)) < np.radians(degrees)
 
 
-OTHER_MODELS = [pytest.param(stride, marks=pytest.mark.thorough) for stride in ("amplitude", "cadence", "height")]
+OTHER_MODELS = [thorough(stride) for stride in ("amplitude", "cadence", "height")]
 
 
 @pytest.mark.parametrize("stride", ["weinberg", *OTHER_MODELS])
@@ -362,7 +363,7 @@ def test_a_high_sampling_rate_is_reduced():
         assert size_of(gait) < 1.6e6
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))])
+@pytest.mark.parametrize("seed", [0, *(thorough(seed) for seed in (1, 2, 3))])
 def test_chunks_are_a_valid_walk_for_any_packets(seed):
     """With random clock jumps, lost, repeated and swapped packets, high rates, and wrong values and times."""
     random, shift, packets = np.random.default_rng(seed), 0.0, []

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from walks import drawn_from_the_model
+from walks import distances, drawn_from_the_model
 
 from pdr_graph.apps.lifelog import multi_day
 from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.observation import Ends, Observation
 from pdr_graph.apps.lifelog.reconstruct import as_outings, reconstruct_outings
 from pdr_graph.frames import Frame, enu
-from pdr_graph.geometry import interpolate, rotation
+from pdr_graph.geometry import rotation
 from pdr_graph.types import Fixes, Headings, Steps
 
 HERE = enu(48.1, 11.6)
@@ -39,7 +39,7 @@ def walk(n: int = 60, seed: int = 0, epoch: float = NOON, **other):
 
 def median_error(track, truth):
     """Median distance of a trajectory from the truth [m]."""
-    return np.median(np.hypot(*(interpolate(truth.time, track.time, track.position) - truth.position).T))
+    return np.median(distances(truth, track))
 
 
 def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float = 0.0):

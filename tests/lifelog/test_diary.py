@@ -263,7 +263,7 @@ def logs(draw):
     return Log(np.concatenate(time), every_place, accuracy)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(logs())
 def test_no_stay_is_longer_than_its_silences_allow(tmp_path_factory, log):
     """And a walk has the speed of a walker, and the parts of a day are as long as the day by the clock."""

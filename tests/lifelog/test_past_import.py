@@ -28,6 +28,7 @@ from made_past import (
     timeline,
     zipped,
 )
+from tiers import thorough
 
 from pdr_graph import InputError
 from pdr_graph.apps.lifelog.build import build
@@ -361,7 +362,7 @@ def all_rows(store):
     return [line.split(",") for text in texts for line in text.split("milliseconds,")[1].splitlines()[1:]]
 
 
-@pytest.mark.parametrize(("number", "moved"), [(3000, 0.02), (3000, 0.2), (800, 0.02)])
+@pytest.mark.parametrize(("number", "moved"), [(3000, 0.02), thorough(3000, 0.2), (800, 0.02)])
 def test_the_stated_sigma_covers_the_error_at_home_and_on_the_way(tmp_path, number, moved):
     town = Town(1, number, moved)
     signals, truth = town.signals(range(14), gps=lambda day: day % 2 == 0)

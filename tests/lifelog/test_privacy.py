@@ -13,6 +13,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
+from tiers import thorough
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
 from pdr_graph.apps.lifelog.export import as_csv, as_geojson, as_gpx
@@ -255,7 +256,7 @@ def guesses(hide, secrets, days):
     return np.array(found).T
 
 
-@pytest.mark.parametrize("days", [2, pytest.param(6, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("days", [2, thorough(6)])
 def test_the_ends_of_tracks_reveal_no_more_than_the_hidden_area(days):
     """On average 2/3 r from home, or √π r / √n by n ends of walks that lead as often anywhere; less 4 standard errors.
 
@@ -400,12 +401,13 @@ def test_the_covariance_of_blurred_rows_is_honest():
     assert np.mean(errors) == pytest.approx(1, abs=4 * np.sqrt(0.8 / 400))
 
 
-def test_parts_that_follow_one_another_to_the_second_are_not_joined_across_a_cut_place():
+@pytest.mark.parametrize("every", [6.0, thorough(1.0)])
+def test_parts_that_follow_one_another_to_the_second_are_not_joined_across_a_cut_place(every):
     """A part of exactly 15 min begins and ends on a quarter, when the next one could begin."""
     [place] = hidden(circle((0.0, 0.0), 60))
     through = shapely.bounds(place.hidden)[2] * 2  # [m]
     before, inside = 900.0 * PACE[VEHICLE], through / PACE[VEHICLE]
-    for extra in np.arange(0.0, 120.0, 1.0):
+    for extra in np.arange(0.0, 120.0, every):
         walk = outing([(VEHICLE, 900.0 + extra + inside + 900.0, 0.0)], start=(-before - through / 2 - extra * 10, 0.0))
         for feature in json.loads(as_geojson([left_of(walk, cut=[place])]))["features"]:
             line = np.array(feature["geometry"]["coordinates"])

@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_build import HERE, added, built, content, days_of
 from threadpoolctl import threadpool_info
+from tiers import thorough
 
 from pdr_graph import InputError
 from pdr_graph.apps.lifelog import workers
@@ -45,13 +46,12 @@ def cluster():
         yield local.scheduler_address
 
 
-@pytest.fixture(params=["processes", pytest.param("cluster", marks=pytest.mark.thorough)])
+@pytest.fixture(params=["processes", thorough("cluster")])
 def elsewhere(request):
     """The options of a build in other processes."""
     return {"workers": 2} if request.param == "processes" else {"scheduler": request.getfixturevalue("cluster")}
 
 
-@pytest.mark.parametrize("elsewhere", ["processes", "cluster"], indirect=True)
 def test_the_number_and_kind_of_workers_make_no_difference(tmp_path, elsewhere):
     """Also if a day fails in a worker, or a recording is missing."""
     found = []

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 from simulated import scenario
+from tiers import thorough
 from walks import part, straight
 
 from pdr_graph.estimation.live.live_ambiguity import Deferred
@@ -346,7 +347,7 @@ def test_before_any_position_a_pose_has_no_sigma_and_no_region():
     assert last.region().is_empty
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, thorough(3)])
 def test_who_stands_turns_and_puts_the_phone_away_is_found_again(seed):
     """The direction is open until the gait shows it; without any further fix the region holds throughout."""
     route = [[0, 0], {"stand": 2}, {"to": [[40, 0]]}, {"stand": 20, "turn": 90}, {"hold": "trouser pocket"}]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from weakref import ref
 
@@ -74,11 +75,16 @@ def last_poses(events, nav):
     return np.array(poses)
 
 
+@cache
+def without_failure():
+    """The poses of a walk of 200 steps."""
+    return last_poses(fixes_at_1_hz(200), Navigator(executor=None))
+
+
 @pytest.mark.parametrize("what", ["throws", "raises the cost"])
 def test_an_update_that_fails_begins_isam2_anew_and_is_counted(monkeypatch, what):
     """The walk goes on as without: within a centimetre when the next keyframes have closed."""
-    events, update, count = fixes_at_1_hz(200), IncrementalSmoother.update, [0]
-    expected = last_poses(events, Navigator(executor=None))
+    expected, update, count = without_failure(), IncrementalSmoother.update, [0]
 
     def failing(self, walk):
         update(self, walk)
@@ -90,7 +96,7 @@ def test_an_update_that_fails_begins_isam2_anew_and_is_counted(monkeypatch, what
 
     monkeypatch.setattr(IncrementalSmoother, "update", failing)
     nav = Navigator(executor=None)
-    found = last_poses(events, nav)
+    found = last_poses(fixes_at_1_hz(200), nav)
     assert ("Indeterminate" if what == "throws" else "raised the cost") in nav.status.rebuilds[-1]
     assert not nav.status.rebuilds[-1].endswith("at 2 s"), "before the walk is placed another may"
     assert np.hypot(*(found - expected).T).max() < 0.5

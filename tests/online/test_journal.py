@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from refusals import refused
 from standin import StandIn, event
+from tiers import thorough
 
 from pdr_graph import InputError
 from pdr_graph.online.interface import Samples
@@ -95,7 +96,7 @@ def life(path, luck):
     return np.frombuffer(output, np.int64)
 
 
-@pytest.mark.parametrize("kills", [10, pytest.param(50, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("kills", [10, thorough(50)])
 def test_kills_lose_no_acknowledged_event(tmp_path, kills):
     luck, acknowledged, found = random.Random(9), 0, []
     for _ in range(kills):
@@ -212,7 +213,7 @@ def test_an_empty_file_or_the_beginning_of_one_is_a_new_journal(tmp_path, conten
     assert told(walked(tmp_path / "walk", 60)) == told(walked(tmp_path / "other", 60))
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.thorough) for n in range(2, 20))])
+@pytest.mark.parametrize("seed", [0, 1, *(thorough(n) for n in range(2, 20))])
 def test_a_damaged_journal_comes_back_to_an_earlier_event_and_says_so(tmp_path, seed):
     """Pages that are not in use may be damaged; an event is not lost in silence, but for the last of a cut WAL."""
     luck, path = random.Random(seed), tmp_path / "walk"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph import FloorPlan, evaluate
 from pdr_graph.io.tables import drawn_beacons
@@ -16,12 +17,12 @@ from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Sightings
 
 ROOT = Path(__file__).resolve().parents[2]
-END = 30.0  # [s] of the walk
+END = 22.0  # [s] of the walk
 
 
 @cache
 def mall():
-    """The plan of the mall, its beacons, the events of a walk's first 30 s, and its truth."""
+    """The plan of the mall, its beacons, the events of a walk's first 22 s, and its truth."""
     plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
     walk = simulate(replace(Scenario.load("mall"), seed=12))
     recording = replace(walk.recording(), bluetooth=walk.bluetooth)
@@ -63,7 +64,7 @@ def test_without_a_magnetometer_the_direction_stays_open_and_is_said_to():
     assert len(navigated(blind)[0].modes) > 6
 
 
-@pytest.mark.parametrize("radio", ["wifi", pytest.param("bluetooth", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("radio", ["wifi", thorough("bluetooth")])
 def test_access_points_with_the_addresses_of_beacons_are_no_beacons(radio):
     """Their levels led the walk 60 m astray; as advertisements they count."""
     _, beacons, events, _ = mall()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import simulated
 from standin import Metronome
+from tiers import thorough
 
 from pdr_graph import InputError
 from pdr_graph.apps.cli.terminal import live_lines
@@ -206,7 +207,7 @@ def test_without_steps_and_fixes_is_an_input_error(folder, tmp_path):
         replay_recording(folder / "walk.txt", tmp_path, Options(recorded_fixes=False), Nothing)
 
 
-@pytest.mark.parametrize("journal", [False, pytest.param(True, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("journal", [False, thorough(True)])
 def test_a_walk_whose_only_fix_has_left_the_window_has_a_place(folder, tmp_path, journal):
     """The direction is given. Its score is that of the walk whose fix is still in the window, or nearly."""
     scores = {}

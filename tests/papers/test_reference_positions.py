@@ -163,6 +163,7 @@ def test_close_encounters_halve_the_error_of_a_known_start_and_the_region_holds(
     assert share_in_region(graph_with(NEARBY)) > 0.85
 
 
+@pytest.mark.thorough
 def test_encounters_across_the_hall_contract_the_walks_and_the_region_does_not_hold():
     """A closure says that two walkers were at one place: it pulls them together, however wide its sigma."""
     distant = graph_with(Rule("distant", -75.0, 1.5))
@@ -170,6 +171,7 @@ def test_encounters_across_the_hall_contract_the_walks_and_the_region_does_not_h
     assert share_in_region(distant) < 0.7
 
 
+@pytest.mark.thorough
 def test_with_other_references_false_encounters_lose_their_weight_and_the_region_holds():
     walkers = crowd(0, 120.0)
     met = NEARBY.encounters(walkers)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import LiveFloors, floors_along
@@ -83,9 +84,9 @@ def test_up_and_down_the_same_stairs_is_as_high(data):
 @pytest.mark.parametrize(
     ("pattern", "start"),
     [
-        pytest.param("ipin2023_track3/*Trial01*.txt", "0", marks=pytest.mark.thorough),
-        pytest.param("ipin2023_track3/*Trial24*.txt", "-2", marks=pytest.mark.thorough),
-        pytest.param("nju_phyphox_outdoor", "1", marks=pytest.mark.thorough),
+        thorough("ipin2023_track3/*Trial01*.txt", "0"),
+        thorough("ipin2023_track3/*Trial24*.txt", "-2"),
+        thorough("nju_phyphox_outdoor", "1"),
         ("ipin21_hcu/eight", "4"),
     ],
 )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from tiers import thorough
 
 from pdr_graph import FloorPlan
 from pdr_graph.apps.bench.data_sets import given, walks_of
@@ -86,7 +87,7 @@ def graph(evidence):
     return found.trajectory
 
 
-@pytest.mark.parametrize("plan", [", plan", pytest.param("", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("plan", [", plan", thorough("")])
 def test_smoothing_beats_straight_lines_between_the_waypoints_given(data, plan):
     """Every second waypoint given: the others, where straight lines miss them by 1.6 m in the median, within 1.2 m."""
     errors = errors_of(data, f"every second{plan}", {"graph": graph, "straight": straight})

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.apps.report.output_files import smooth_recording
@@ -28,10 +29,6 @@ def smoothed(data, tmp_path_factory):
         return circular_error(pair(track, frame.place(walk.truth))), summary
 
     return run
-
-
-def thorough(*values):
-    return pytest.param(*values, marks=pytest.mark.thorough)
 
 
 @pytest.mark.parametrize(("trial", "median"), [("01", 2.1), thorough("24", 5.5), thorough("52", 4.2)])

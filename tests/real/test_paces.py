@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph import detect_steps
 from pdr_graph.apps.bench.data_sets import given, walks_of
@@ -12,7 +13,7 @@ from pdr_graph.lab.papers.attitude_filters import on_one_grid
 from pdr_graph.walk import observe
 
 
-@pytest.fixture(scope="module", params=["strides", "ridi"])
+@pytest.fixture(scope="module", params=["strides", thorough("ridi")])
 def walks(data, request):
     walks = {name: read() for name, read in walks_of(request.param, data)}
     return [(name, walk, detect_steps(walk.evidence.walk)) for name, walk in walks.items()]
@@ -43,7 +44,7 @@ def test_slow_steps_are_found_live_too(data):
         assert live == pytest.approx(walking_steps(time, acceleration).time)
 
 
-@pytest.mark.parametrize("carry", ["leg", "bag", "handheld", "body"])
+@pytest.mark.parametrize("carry", ["handheld", *map(thorough, ["leg", "bag", "body"])])
 def test_the_region_holds_however_the_phone_is_carried_and_whichever_way_somebody_walks(data, carry):
     """RIDI, by two positions: no walk has less than 80 % in its region, those with steps sideways or backwards too."""
     errors = []

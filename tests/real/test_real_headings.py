@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gait_data import heading_errors, live_headings
+from tiers import thorough
 
 from pdr_graph.apps.bench.data_sets import walks_of
 from pdr_graph.walk import observe
@@ -45,7 +46,7 @@ def test_live_headings_of_a_phone_in_the_hand_are_right_or_missing(data, site):
     assert with_heading >= 2
 
 
-OTHERS = [pytest.param(trial, marks=pytest.mark.thorough) for trial in ("Trial24", "Trial52")]
+OTHERS = [thorough(trial) for trial in ("Trial24", "Trial52")]
 
 
 @pytest.mark.parametrize("trial", ["Trial01", *OTHERS])

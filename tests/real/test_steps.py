@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tiers import thorough
 
 from pdr_graph import Walker, detect_steps
 from pdr_graph.frames import enu
@@ -82,7 +83,7 @@ def headings(steps):
     [
         "ipin21_hcu/eight",
         *(
-            pytest.param(pattern, marks=pytest.mark.thorough)
+            thorough(pattern)
             for pattern in ("ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt")
         ),
     ],

@@ -7,6 +7,7 @@ import time
 
 import estimating_standin
 import pytest
+from tiers import thorough
 
 from pdr_graph.apps.serve import estimators
 from pdr_graph.apps.serve.estimators import MOST_ATTEMPTS, Estimators
@@ -56,7 +57,7 @@ def failures(updates):
     ("walker", "text"),
     [
         ("deadly", "its process was killed or crashed"),
-        pytest.param("freezing", "its process did not answer for 2 s", marks=pytest.mark.thorough),
+        thorough("freezing", "its process did not answer for 2 s"),
     ],
 )
 def test_a_walker_that_ends_or_hangs_its_process_again_and_again_is_left_alone(tmp_path, quick, walker, text):

@@ -126,10 +126,17 @@ DRIPS = {
 }
 
 
+@pytest.fixture(scope="module")
+def impatient(tmp_path_factory):
+    """A server that waits a second for a head or a body."""
+    server = RunningServer(tmp_path_factory.mktemp("impatient") / "out", "--token", OWNERS, before=BRIEF)
+    yield server
+    server.kill()
+
+
 @pytest.mark.parametrize("drip", DRIPS)
-def test_a_connection_that_drips_ends(start, drip):
-    server = start("--token", OWNERS, before=BRIEF)
-    with server.connected() as connection:
+def test_a_connection_that_drips_ends(impatient, drip):
+    with impatient.connected() as connection:
         connection.sendall(DRIPS[drip])
         connection.settimeout(0.2)
         began = time.monotonic()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from tiers import thorough
 
 from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, evaluate, read_fixes, read_trajectory, smooth
 from pdr_graph.geometry import interpolate
@@ -137,7 +138,7 @@ def test_a_route_through_a_wall_raises():
         Scenario.of(content)
 
 
-@pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (4, 5))])
+@pytest.mark.parametrize("seed", [3, *(thorough(seed) for seed in (4, 5))])
 def test_the_plan_does_not_make_correct_fixes_outliers(seed):
     """A fix of 2 m every 40 s. Initialised by fixes alone, a walk was led 15 m off by walls and a fix lost weight."""
     scenario = Scenario.load("mall")
