@@ -12,9 +12,9 @@ from mutations import gpx
 from plans import ARCADE
 
 from pdr_graph import kalman_filter, kalman_smoother, read_trajectory, smooth
-from pdr_graph.io.loading import READERS
 from pdr_graph.walk import Options, estimate, observe, read
 
+ALIKE = ("device_motion", "movella")  # read as named_columns are
 PHONES = ("sensor_logger", "phyphox", "get_sensor_data", "gnss_logger")  # whose exports have the walk's sensors
 
 
@@ -43,7 +43,7 @@ def smoothed(path, out, *options):
 
 
 @pytest.mark.parametrize("command", ["smooth", pytest.param("replay", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in READERS])
+@pytest.mark.parametrize("recorder", [*(name for name in recorders.EXPORTS if name not in ALIKE), "ros_bags"])
 def test_one_command_makes_a_report_of_every_recorders_file(tmp_path, felt, recorder, command):
     """Without options: the last line of the output is the report, in the current folder."""
     code, printed, errors = run(command, exported(recorder, tmp_path, felt), cwd=tmp_path)

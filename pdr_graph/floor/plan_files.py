@@ -1,11 +1,18 @@
-"""Floor plans from files: recognises the format by content, and builds the floors that the file draws."""
+"""Floor plans from files: recognises the format, and builds the floors that the files draw.
+
+A plan of several files is a folder or a zip with a file or a Microsoft floor folder per floor, in one frame.
+"""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
+from itertools import takewhile
 from pathlib import Path
-from types import ModuleType
+from tempfile import TemporaryDirectory
 from typing import Self
 
 import numpy as np
@@ -13,24 +20,26 @@ import shapely
 
 from pdr_graph.errors import InputError, check_not_special
 from pdr_graph.floor import building, plan
-from pdr_graph.floor.cells import LINK, WALKABLE
-from pdr_graph.floor.formats import (
-    cad_segments,
-    dxf,
-    floor_picture,
-    geojson,
-    imdf,
-    ipin21_polygons,
-    microsoft,
-    osm_indoor,
-    pdf_page,
-    ros_map,
-    several_files,
-)
-from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
-from pdr_graph.floor.formats.geojson import features_of, read_json
+from pdr_graph.floor.cells import LINK, WALKABLE, Area
+from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours, floor_heights
+from pdr_graph.floor.formats.geojson import LARGEST_GEOJSON
 from pdr_graph.floor.formats.line_drawing import check_size
-from pdr_graph.io.source import is_zip
+from pdr_graph.frames import Frame
+from pdr_graph.io.signatures import (
+    GEOJSON,
+    HEAD,
+    MICROSOFT,
+    OTHERS,
+    PLANS,
+    RECORDINGS,
+    ROS_MAP,
+    Signature,
+    described,
+    function,
+    names,
+    recognized,
+)
+from pdr_graph.io.source import Source, is_zip
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
@@ -100,43 +109,41 @@ class Building(building.Building):
         return cls.of(*FloorPlan.load_all(path, scale))
 
 
+def format_of(path: Path) -> Signature | None:
+    """The format of a plan, by the names in a folder or the first bytes of a file; None for a folder of several plans.
+
+    Raises InputError, with advice, for a file that is no plan.
+    """
+    if path.is_dir():
+        return next((row for row in PLANS if row.is_folder(path)), None)
+    with path.open("rb") as file:
+        head = file.read(HEAD).removeprefix(b"\xef\xbb\xbf")
+    if (row := next((row for row in PLANS if row.begins(head)), None)) is not None:
+        return row
+    if head.lstrip()[:1] in (b"{", b"[") or path.suffix.lower() in (".json", ".geojson"):
+        return GEOJSON  # its reader says what is wrong with it
+    if (recorder := recognized(Source(path, "floor plan"), RECORDINGS)) is not None:
+        raise InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLANS)}")
+    other = next((row[1:] for row in OTHERS if head.startswith(row[0])), None)
+    raise InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLANS)}")))
+
+
 def root_of(path: Path) -> Path:
     """The folder of a Microsoft floor or an IMDF archive from one of its files; any other path unchanged."""
-    return imdf.root_of(microsoft.root_of(path))
-
-
-DRAWINGS = (dxf, pdf_page, floor_picture, ros_map, cad_segments)  # read with a scale, recognised by the first bytes
-UNREAD = {  # first bytes: what it is, what to do
-    b"AC10": ("a DWG drawing", "the same saved as DXF"),
-    b"P5": ("the picture of a ROS map", "its .yaml file"),
-}
-
-
-def drawing_format(path: Path) -> ModuleType | None:
-    """The module of DRAWINGS that reads a drawing or a picture; None for any other file or a folder.
-
-    Raises InputError with advice for a drawing that cannot be read.
-    """
-    if not path.is_file():
-        return None
-    with path.open("rb") as file:
-        head = file.read(4096)
-    for begin, (found, advice) in UNREAD.items():
-        if head.startswith(begin):
-            raise InputError(path, "", found, advice)
-    return next((module for module in DRAWINGS if module.recognizes(path, head)), None)
+    rows = (row for row in PLANS if path.name in row.parts)
+    return path.parent if any(row.is_folder(path.parent) for row in rows) else path
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
     """The files that `read` reads: the plan, or all files of a floor folder, of an IMDF archive or of a building."""
     root = root_of(path)
-    if not root.is_dir():
-        return (root, ros_map.picture_of(root)) if drawing_format(root) is ros_map else (root,)
-    if microsoft.recognizes(root):
-        return tuple(root / name for name in microsoft.FILES)
-    if imdf.recognizes(root):
-        return imdf.files_of(root)
-    return tuple(file for plan in several_files.files_of(root) for file in files_of(plan))
+    if is_zip(root) or not (root.is_dir() or root.is_file()):
+        return (root,)
+    if (row := format_of(root)) is None:
+        return tuple(file for plan in plans_in(root) for file in files_of(plan))
+    if row is ROS_MAP:
+        return root, function("floor.formats.ros_map:picture_of")(root)
+    return tuple(root / name for name in row.parts if (root / name).is_file()) or (root,)
 
 
 def is_file_of(file: Path, plan: Path) -> bool:
@@ -161,34 +168,16 @@ def read(path: Path, scale: float | None = None) -> Drawing:
         raise InputError(path, "", "no such file", "a floor plan")
     check_not_special(path, "a floor plan")
     if is_zip(path):
-        with several_files.unpacked(path) as folder:
+        with unpacked(path) as folder:
             return read(folder, scale)
-    if (reader := drawing_format(path)) is not None:
-        return reader.read(path, scale)
-    forms = [form for form in (microsoft, imdf) if form.recognizes(path)]
-    if path.is_dir() and not forms:
-        return several_files.read(path, partial(read, scale=scale))
+    row = format_of(path)
+    if row is None:
+        return _read_floors(path, scale)
+    if row.scaled:
+        return function(row.reader)(path, scale)
     if scale is not None:
         raise InputError("--scale", "", f"{scale:g}", f"none: the format of {path.name} states its own unit")
-    return forms[0].read(path) if forms else _read_file(path)
-
-
-def _read_file(path: Path) -> Drawing:
-    """Read a plan of one file."""
-    notes, repairs = list[str](), list[str]()
-    if osm_indoor.is_osm_xml(path):
-        features = osm_indoor.osm_features(path, notes, repairs)
-        return replace(osm_indoor.read(path, features, notes), repairs=tuple(repairs))
-    collection = read_json(path)
-    features = list(features_of(path, collection, notes, repairs))
-    if not features:
-        raise InputError(path, "features", "none with a geometry", "rooms, corridors or walls")
-    if osm_indoor.recognizes(features):
-        drawing = osm_indoor.read(path, features, notes)
-    else:
-        read_format = ipin21_polygons.read if ipin21_polygons.recognizes(features) else geojson.read
-        drawing = read_format(path, collection, features, notes)
-    return replace(drawing, repairs=tuple(repairs))
+    return function(row.reader)(path)
 
 
 MOST_CORNERS = 10_000  # of a route; one drawn by hand has some tens
@@ -208,3 +197,132 @@ def read_route(path: str | Path) -> Array:
         raise InputError(path, "", f"{len(corners)} corners", f"a line of at most {MOST_CORNERS}: simplify it")
     apart = np.hypot(*np.diff(corners, axis=0).T) > 0
     return corners[np.append(True, apart)]
+
+
+# Endings of plans, those with most detail first: what has the first is the plan, pictures beside it are not
+PLAN_ENDINGS = (
+    (".geojson", ".osm"),
+    (".json",),
+    (".dxf",),
+    (".csv",),
+    (".yaml", ".yml"),
+    (".pdf", ".png", ".jpg", ".jpeg"),
+)
+MOST_FLOOR_FILES = 200
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """A temporary folder with the files of an archive; errors name the archive instead.
+
+    Raises InputError for hostile archives: names that lead elsewhere, links, doubles, more than 200 MB of files.
+    """
+    source = Source(path, "floor plan", LARGEST_GEOJSON)
+    with TemporaryDirectory(prefix="pdr_graph-") as top:
+        folder = Path(top) / path.stem
+        try:
+            folder.mkdir()
+            for name in source.names:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(source.content(name))
+        except (OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(path, "", "member names that no folder can hold", "an archive of plain files") from None
+        try:
+            yield folder
+        except InputError as error:
+            raise error.renamed(str(folder), str(path)) from None
+
+
+def plans_in(folder: Path) -> tuple[Path, ...]:
+    """The plans in a folder, by name: files of one format, and floor folders of Microsoft.
+
+    Raises InputError if there are none.
+    """
+    floors = [child for child in sorted(folder.iterdir()) if child.is_dir() and MICROSOFT.is_folder(child)]
+    files = [child for child in sorted(folder.iterdir()) if child.is_file()]
+    files = [file for file in files if file.name not in MICROSOFT.parts and not file.name.startswith(".")]
+    for endings in PLAN_ENDINGS:
+        plans = [] if floors else [file for file in files if file.suffix.lower() in endings]
+        if plans:
+            return tuple(plans[: MOST_FLOOR_FILES + 1])
+    if not floors:
+        expected = "a floor plan, a file or folder for each floor, or an IMDF archive"
+        raise InputError(folder, "", f"a folder without {MICROSOFT.folder[0]} or any plan", expected)
+    return tuple(floors[: MOST_FLOOR_FILES + 1])
+
+
+def _read_floors(folder: Path, scale: float | None) -> Drawing:
+    """Read all plans in a folder as one building.
+
+    Floors have the labels of their plans, else the file names without what these have in common. Raises InputError if
+    two floors have one label, or the plans are not in one frame.
+    """
+    files = plans_in(folder)
+    if len(files) > MOST_FLOOR_FILES:
+        raise InputError(folder, "", f"more than {MOST_FLOOR_FILES} plans", "a file for each floor of one building")
+    drawings = [read(file, scale) for file in files]
+    if len(drawings) == 1:
+        return drawings[0]
+    drawings = [_labelled(d, name) for d, name in zip(drawings, _short_names(files), strict=True)]
+    times = Counter(label for drawing in drawings for label in drawing.floors)
+    for label, number in times.items():
+        if number > 1:
+            first, other = [f.name for f, d in zip(files, drawings, strict=True) if label in d.floors][:2]
+            raise InputError(folder, "", f"floor {label!r} in {first} and in {other}", "each floor in one file")
+    frame, floors = drawings[0].frame, dict[str, tuple[Area, ...]]()
+    for file, drawing in zip(files, drawings, strict=True):
+        floors |= {label: _in_frame(file, areas, drawing.frame, frame) for label, areas in drawing.floors.items()}
+    boxes = {label: shapely.total_bounds([area.shape for area in areas]) for label, areas in floors.items()}
+    low, high = next(iter(boxes.values())).reshape(2, 2)
+    for file, label in (
+        (file, label) for file, drawing in zip(files, drawings, strict=True) for label in drawing.floors
+    ):
+        south_west, north_east = boxes[label].reshape(2, 2)
+        apart = float(np.hypot(*np.maximum(np.maximum(south_west - high, low - north_east), 0.0)))
+        if not apart <= 200.0:  # farthest [m] between floors of one building
+            found = f"{file.name} {apart:.0f} m beside {files[0].name}"
+            raise InputError(folder, "", found, "the floors of one building, in one frame with common axes")
+    heights = {label: drawing.heights.get(label, 0.0) for drawing in drawings for label in drawing.floors}
+    # a storey each by their labels, unless the plans state different heights
+    heights = floor_heights(folder, heights, heights if len(set(heights.values())) == len(heights) else None)
+    notes = _lines(files, [drawing.notes for drawing in drawings])
+    repairs = _lines(files, [drawing.repairs for drawing in drawings])
+    floors = {label: floors[label] for label in heights}
+    return Drawing(floors, frame, notes, repairs, heights, affine=drawings[0].affine)
+
+
+def _lines(files: Sequence[Path], of_files: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Notes with the names of the files that they are about."""
+    return tuple(f"{file.name}: {line}" for file, lines in zip(files, of_files, strict=True) for line in lines)
+
+
+def _labelled(drawing: Drawing, name: str) -> Drawing:
+    """A drawing whose only floor has no label, with the name of its file; its areas are on that floor alone."""
+    names = {label: label or name for label in drawing.floors} if set(drawing.floors) == {""} else None
+    names = names or {label: label for label in drawing.floors}
+    floors = {
+        names[label]: tuple(area if area.floors else replace(area, floors=(names[label],)) for area in areas)
+        for label, areas in drawing.floors.items()
+    }
+    heights = {names.get(label, label): height for label, height in drawing.heights.items()}
+    return replace(drawing, floors=floors, heights=heights)
+
+
+def _short_names(files: Sequence[Path]) -> list[str]:
+    """The names of files without endings, and without words that all of them begin with: ``EG`` for plan_EG.geojson."""
+    words = [re.split(r"(?<=[-_. ])|(?<=[^\W\d_]{3})(?=-?\d)", file.stem) for file in files]
+    common = len(list(takewhile(lambda column: len(set(column)) == 1, zip(*words, strict=False))))
+    shared = min(common, *(len(each) - 1 for each in words))
+    return ["".join(each[shared:]) for each in words]
+
+
+def _in_frame(file: Path, areas: tuple[Area, ...], own: Frame, frame: Frame) -> tuple[Area, ...]:
+    """Areas converted to the frame of the building. Raises InputError if only one of the frames has a latitude."""
+    if own == frame:
+        return areas
+    if own.georeferenced != frame.georeferenced:
+        found = "a plan in degrees" if own.georeferenced else "a plan in metres without a georeference"
+        raise InputError(file, "", f"{found} beside others that are not", "all floors in one frame")
+    return tuple(replace(a, shape=shapely.transform(a.shape, lambda p: frame.from_frame(own, p))) for a in areas)
