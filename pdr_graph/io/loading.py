@@ -62,9 +62,8 @@ def _unknown(source: Source) -> tuple[str, str]:
         if head.startswith(mark):
             return name, instead
     # four numbers in a row may as well be samples
-    plan = next((row for row in PLANS if row.head is not SEGMENT and row.begins(head)), None)
-    if plan is not None:
-        return plan.name, "a recording (is this a floor plan? --map takes it)"
+    if plan := [row for row in PLANS if row.head is not SEGMENT and row.begins(head)]:
+        return plan[0].name, "a recording (is this a floor plan? --map takes it)"
     cells = columns_of(head)
     if "time" in cells and ({"x", "y"} <= cells or {"lat", "lon"} <= cells):
         if "sigma" in cells:

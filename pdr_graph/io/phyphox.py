@@ -33,7 +33,7 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     clock = _clock(source)
     found: dict[str, dict[str, Array]] = {}
-    for name in PHYPHOX.within(source):
+    for name in PHYPHOX.within(source, source.head):
         table = delimited.table(source.where(name), source.utf8(name))
         for sensor, chosen in _sensors(name, table).items():
             values = table.columns([*chosen, *_of_receiver(table)] if sensor == "location" else chosen)

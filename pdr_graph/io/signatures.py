@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -23,9 +24,9 @@ HEAD = 16_384  # [bytes] of a file by which it is recognised: some logs begin wi
 class Signature:
     """How the files of one format are recognised, and what reads them.
 
-    name: in messages; reader: its function, ``module:function``; head: pattern of the first HEAD bytes, or a test of
-    them. files: pattern of the name, without folders and in lower case, that one of a recording's files has; named:
-    True if the only file of a recording must have that name too.
+    name: in messages; reader: its function, ``module:function``; head: pattern that the first HEAD bytes match, or a
+    test of them. files: pattern of the name, without folders and in lower case, of a recording's files; named: True if
+    the only file of a recording must have that name too.
     folder: names that a plan's folder has; parts: of all its files that are read, any of which stands for the folder;
     scaled: True if the reader takes a scale [m per unit]; positions: True if it returns fixes at Unix times, and not a
     recording.
@@ -43,13 +44,13 @@ class Signature:
 
     def begins(self, head: bytes) -> bool:
         """True if the first bytes of a file are those of the format."""
-        return self.head(head) if callable(self.head) else re.search(self.head, head) is not None
+        return self.head(head) if callable(self.head) else re.match(self.head, head) is not None
 
-    def within(self, source: Source) -> Iterator[str]:
-        """The names of the files that have the signature, the shortest first."""
+    def within(self, source: Source, head: Callable[[str, int], bytes]) -> Iterator[str]:
+        """The names of the files that have the signature, the shortest first. head: `source.head`, or a cache of it."""
         for name in sorted(source.names, key=lambda name: (len(name), name)):
             known = re.fullmatch(self.files, PurePosixPath(name).name.lower()) is not None
-            if (known or (source.single and not self.named)) and self.begins(source.head(name, HEAD)):
+            if (known or (source.single and not self.named)) and self.begins(head(name, HEAD)):
                 yield name
 
     def is_folder(self, path: Path) -> bool:
@@ -65,7 +66,8 @@ def function(reader: str) -> Callable[..., Any]:
 
 def recognized(source: Source, table: Iterable[Signature]) -> Signature | None:
     """The first format whose signature one of the files has; None without one."""
-    return next((row for row in table if next(row.within(source), None) is not None), None)
+    head = cache(source.head)
+    return next((row for row in table if next(row.within(source, head), None) is not None), None)
 
 
 def plain(name: str) -> str:
@@ -79,7 +81,8 @@ ABOVE_HEADER = re.compile(rb'\A(?:(?!"?PacketCounter\b)[^\n]*\n)*?(?="?PacketCou
 
 def columns_of(head: bytes) -> set[str]:
     """The plain names of the columns in the header of a table."""
-    line = ABOVE_HEADER.sub(b"", head).lstrip().split(b"\n")[0].decode("utf-8", "replace")
+    above = ABOVE_HEADER.match(head)
+    line = head[above.end() if above else 0 :].lstrip().split(b"\n", 1)[0].decode("utf-8", "replace")
     return {plain(cell) for cell in re.split("[,;\t]", line)}
 
 
@@ -95,42 +98,42 @@ NAMED_COLUMNS = {
     "Movella": ("packetcounter", "accx"),
     "step counter": ("time", "steps"),
 }
-# Patterns of first bytes
+# Patterns that first bytes match
 DECIMAL = rb"[-+]?[0-9.]+(?:[eE][+-]?[0-9]+)?"
-TAGGED = rb"GetSensorData|(?m:^(?:ACCE|GYRO|MAGN|PRES|GNSS|POSI|BLE4|WIFI)([;,\t])\s*-?[0-9.]+\1)"
-ELAPSED = rb"\A[\s\S]{0,500}?seconds_elapsed"
-NANOSECONDS = ELAPSED + rb'|\A"?time"?,[^\n]*\n"?\d{18,19}"?,'  # of Sensor Logger in 2021
+TAGGED = rb"(?s:.*)GetSensorData|(?:[^\n]*\n)*?(?:ACCE|GYRO|MAGN|PRES|GNSS|POSI|BLE4|WIFI)([;,\t])\s*-?[0-9.]+\1"
+ELAPSED = rb"[\s\S]{0,500}?seconds_elapsed"
+NANOSECONDS = ELAPSED + rb'|"?time"?,[^\n]*\n"?\d{18,19}"?,'  # of Sensor Logger in 2021
 LOGGED = r"(?:(?:accelerometer|gyroscope)(?:uncalibrated)?|totalacceleration|gravity|location|barometer)\.csv"
-SECONDS = rb'\A"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t][^\n]*'  # the first columns, before one with a sensor's unit
+SECONDS = rb'"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t][^\n]*'  # the first columns, before one with a sensor's unit
 UNIT = rb"\(\s*(?i:m/s\^?(?:2|\xc2\xb2)|rad/s|\xc2\xb0(?:/s)?|[u\xc2\xb5\xce\xbc]*t|hpa)\s*\)\s*\"?\s*(?:[,;\t\n]|\Z)"
-BAG = rb"\A(?:\x89MCAP0\r\n|SQLite format 3[\s\S]*serialization_format)"
-IPIN21 = rb"\A\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)"
-IPIN21_FIXES = rb"\A\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,"
-OXFORD_WITH_ACCURACY = rb"\A[0-9]{9,19},[0-3](?:,%b){3}\r?\n" % DECIMAL  # of each sample
-OXFORD = OXFORD_WITH_ACCURACY + rb"|\A[0-9]{9,19}(?:,%b){3}(?:,[0-9]+){3}\r?\n" % DECIMAL
-GPX = rb"\A[\s\S]{0,4000}?<\0?(?:(?:[\w.-]\0?)+:\0?)?g\0?p\0?x\0?[\s>]"  # also in UTF-16
-OSM = rb"\A[\s\S]{0,2048}?<\0?o\0?s\0?m"
-DXF = rb"\A(?:AutoCAD Binary DXF|\s*(?:0\s+SECTION|999)(?!\S))"
-MAP_KEYS = rb"(?ms)\A(?=.*^[ \t]*image\s*:)(?=.*^[ \t]*resolution\s*:)(?=.*^[ \t]*origin\s*:)"
-SEGMENT = rb"\A[ \t]*%b(?:[ \t]*[,;\t][ \t]*%b){3}[ \t]*(?:\r?\n|\Z)" % (DECIMAL, DECIMAL)
+BAG = rb"(?:\x89MCAP0\r\n|SQLite format 3[\s\S]*serialization_format)"
+IPIN21 = rb"\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)"
+IPIN21_FIXES = rb"\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,"
+OXFORD_WITH_ACCURACY = rb"[0-9]{9,19},[0-3](?:,%b){3}\r?\n" % DECIMAL  # of each sample
+OXFORD = OXFORD_WITH_ACCURACY + rb"|[0-9]{9,19}(?:,%b){3}(?:,[0-9]+){3}\r?\n" % DECIMAL
+GPX = rb"[\s\S]{0,4000}?<\0?(?:(?:[\w.-]\0?)+:\0?)?g\0?p\0?x\0?[\s>]"  # also in UTF-16
+OSM = rb"[\s\S]{0,2048}?<\0?o\0?s\0?m"
+DXF = rb"(?:AutoCAD Binary DXF|\s*(?:0\s+SECTION|999)(?!\S))"
+MAP_KEYS = rb"(?ms)(?=.*^[ \t]*image\s*:)(?=.*^[ \t]*resolution\s*:)(?=.*^[ \t]*origin\s*:)"
+SEGMENT = rb"[ \t]*%b(?:[ \t]*[,;\t][ \t]*%b){3}[ \t]*(?:\r?\n|\Z)" % (DECIMAL, DECIMAL)
 
 PHYPHOX = Signature("phyphox", "io.phyphox:read", SECONDS + UNIT, r".*\.(?:csv|txt|tsv)")
-GEOLIFE = Signature("GeoLife", "io.research_recordings:geolife_fixes", rb"\AGeolife trajectory", positions=True)
+GEOLIFE = Signature("GeoLife", "io.research_recordings:geolife_fixes", rb"Geolife trajectory", positions=True)
 RECORDINGS: tuple[Signature, ...] = (
-    Signature("Indoor Location Competition 2.0", "io.indoor_location:read", rb"\A#\tstartTime:|\tTYPE_"),
+    Signature("Indoor Location Competition 2.0", "io.indoor_location:read", rb"#\tstartTime:|(?s:.*)\tTYPE_"),
     Signature("GetSensorData (IPIN, xDR)", "io.get_sensor_data:read", TAGGED),
-    Signature("GnssLogger", "io.gnss_logger:read", rb"\A(?=#)[\s\S]*?# (?:Fix|Raw|UncalAccel),"),
+    Signature("GnssLogger", "io.gnss_logger:read", rb"(?=#)[\s\S]*?# (?:Fix|Raw|UncalAccel),"),
     Signature("Sensor Logger", "io.sensor_logger:read", NANOSECONDS, LOGGED, named=True),
     Signature("Sensor Logger", "io.sensor_logger:read", ELAPSED),  # one table, renamed by its user
     PHYPHOX,
     *(Signature(name, "io.named_columns:read", has_columns(*columns)) for name, columns in NAMED_COLUMNS.items()),
     Signature("ROS 2", "io.ros_bags:read", BAG),
-    Signature("ROS 2", "io.ros_bags:read", rb"\Arosbag2_bagfile_information:", r"metadata\.yaml", named=True),
+    Signature("ROS 2", "io.ros_bags:read", rb"rosbag2_bagfile_information:", r"metadata\.yaml", named=True),
     Signature("IPIN21Data", "io.research_recordings:read_ipin21", IPIN21, r"(?:acc|gyr)\.csv", named=True),
     Signature("Oxford step counter", "io.research_recordings:read_oxford", OXFORD, r"accelerometer\.csv"),
     GEOLIFE,
     Signature("GPX", "io.gpx:read", GPX),
-    Signature("imported past", "io.past_day:read_fixes", rb"\A# pdr_graph past", positions=True),
+    Signature("imported past", "io.past_day:read_fixes", rb"# pdr_graph past", positions=True),
 )
 # Files of positions with Unix times, other than tables with a header
 FIXES: tuple[Signature, ...] = (
@@ -139,20 +142,19 @@ FIXES: tuple[Signature, ...] = (
     Signature("IPIN21Data", "io.research_recordings:ipin21_fixes", IPIN21_FIXES),
 )
 
-MICROSOFT_PARTS = ("geojson_map.json", "floor_info.json")  # areas; size of the floor
+PARTS = ("geojson_map.json", "floor_info.json")  # of Microsoft: areas; size of the floor
 IMDF_TYPES = ("level", "unit", "opening", "fixture", "kiosk", "amenity", "anchor", "occupant")
 IMDF_PARTS = ("manifest.json", *(f"{kind}.geojson" for kind in IMDF_TYPES))
-MICROSOFT_READER = "floor.formats.research_plans:read_microsoft"
-MICROSOFT = Signature("Microsoft's floors", MICROSOFT_READER, folder=MICROSOFT_PARTS[:1], parts=MICROSOFT_PARTS)
+MICROSOFT = Signature("Microsoft", "floor.formats.research_plans:read_microsoft", folder=PARTS[:1], parts=PARTS)
 ROS_MAP = Signature("a ROS map", "floor.formats.ros_map:read", MAP_KEYS, scaled=True)
-GEOJSON = Signature("GeoJSON", "floor.formats.geojson:read_plan", rb'\A\s*\{[\s\S]*"(?:FeatureCollection|features)"')
+GEOJSON = Signature("GeoJSON", "floor.formats.geojson:read_plan", rb'\s*\{[\s\S]*"(?:FeatureCollection|features)"')
 PLANS: tuple[Signature, ...] = (
     MICROSOFT,
     Signature("IMDF", "floor.formats.imdf:read", folder=IMDF_PARTS[1:3], parts=IMDF_PARTS),
     Signature("a DXF drawing", "floor.formats.cad:read_dxf", DXF, scaled=True),
-    Signature("a PDF", "floor.formats.pdf_page:read", rb"\A\s*%PDF-", scaled=True),
-    Signature("a PNG picture", "floor.formats.floor_picture:read", rb"\A\x89PNG\r\n", scaled=True),
-    Signature("a JPEG picture", "floor.formats.floor_picture:read", rb"\A\xff\xd8\xff", scaled=True),
+    Signature("a PDF", "floor.formats.pdf_page:read", rb"\s*%PDF-", scaled=True),
+    Signature("a PNG picture", "floor.formats.floor_picture:read", rb"\x89PNG\r\n", scaled=True),
+    Signature("a JPEG picture", "floor.formats.floor_picture:read", rb"\xff\xd8\xff", scaled=True),
     ROS_MAP,
     Signature("CAD lines", "floor.formats.cad:read_segments", has_columns("x1", "y1", "x2", "y2"), scaled=True),
     Signature("CAD lines", "floor.formats.cad:read_segments", SEGMENT, scaled=True),  # without a header

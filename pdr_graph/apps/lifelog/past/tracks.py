@@ -192,6 +192,6 @@ FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
 OVERLAND = lists_format("Overland", rb'"locations"\s*:\s*\[\s*\{.*"Feature"', {"locations": _overland})
 # The Recorder's .rec files: a line per message with UTC time, kind and JSON
 OWNTRACKS = Format("OwnTracks Recorder", re.compile(rb"\A\s*\d{4}-\d\d-\d\dT[\d:.]+Z\s+\S+\s+\{"), _owntracks)
-GPX_TRACKS = Format("GPX", re.compile(GPX), _gpx)
+GPX_TRACKS = Format("GPX", re.compile(rb"\A" + GPX), _gpx)
 KML = Format("KML", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?kml[\s>]"), _kml)
 TCX = Format("TCX", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?TrainingCenterDatabase[\s>]"), _tcx)
