@@ -110,22 +110,30 @@ class Building(building.Building):
 
 
 def format_of(path: Path) -> Signature | None:
-    """The format of a plan, by the names in a folder or the first bytes of a file; None for a folder of several plans.
+    """The format of a plan, by the names in a folder or the first bytes of a file.
 
-    Raises InputError, with advice, for a file that is no plan.
+    None for a folder of several plans, and for a file that is no plan.
     """
     if path.is_dir():
         return next((row for row in PLANS if row.is_folder(path)), None)
+    head = _head(path)
+    is_json = head.lstrip()[:1] in (b"{", b"[") or path.suffix.lower() in (".json", ".geojson")
+    # a reader says best what is wrong with JSON
+    return next((row for row in PLANS if row.begins(head)), GEOJSON if is_json else None)
+
+
+def _head(path: Path) -> bytes:
     with path.open("rb") as file:
-        head = file.read(HEAD).removeprefix(b"\xef\xbb\xbf")
-    if (row := next((row for row in PLANS if row.begins(head)), None)) is not None:
-        return row
-    if head.lstrip()[:1] in (b"{", b"[") or path.suffix.lower() in (".json", ".geojson"):
-        return GEOJSON  # its reader says what is wrong with it
+        return file.read(HEAD).removeprefix(b"\xef\xbb\xbf")
+
+
+def _refusal(path: Path) -> InputError:
+    """The error for a file that is no plan: what it is, and what is expected."""
     if (recorder := recognized(Source(path, "floor plan"), RECORDINGS)) is not None:
-        raise InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLANS)}")
+        return InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLANS)}")
+    head = _head(path)
     other = next((row[1:] for row in OTHERS if head.startswith(row[0])), None)
-    raise InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLANS)}")))
+    return InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLANS)}")))
 
 
 def root_of(path: Path) -> Path:
@@ -139,11 +147,12 @@ def files_of(path: Path) -> tuple[Path, ...]:
     root = root_of(path)
     if is_zip(root) or not (root.is_dir() or root.is_file()):
         return (root,)
-    if (row := format_of(root)) is None:
+    row = format_of(root)
+    if row is None and root.is_dir():
         return tuple(file for plan in plans_in(root) for file in files_of(plan))
     if row is ROS_MAP:
         return root, function("floor.formats.ros_map:picture_of")(root)
-    return tuple(root / name for name in row.parts if (root / name).is_file()) or (root,)
+    return tuple(root / name for name in (row.parts if row else ()) if (root / name).is_file()) or (root,)
 
 
 def is_file_of(file: Path, plan: Path) -> bool:
@@ -171,8 +180,10 @@ def read(path: Path, scale: float | None = None) -> Drawing:
         with unpacked(path) as folder:
             return read(folder, scale)
     row = format_of(path)
-    if row is None:
+    if row is None and path.is_dir():
         return _read_floors(path, scale)
+    if row is None:
+        raise _refusal(path)
     if row.scaled:
         return function(row.reader)(path, scale)
     if scale is not None:
