@@ -10,7 +10,8 @@ from floor.geojson_plans import HERE, feature, written
 from refusals import refused
 
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.plan_files import MOST_FLOOR_FILES, Building
+from pdr_graph.floor.formats.several_files import MOST_FLOOR_FILES
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 
 
