@@ -23,7 +23,7 @@ from pdr_graph.apps.serve.serving import Settings, build, read_inputs
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import geojson
 from pdr_graph.frames import Frame, enu, projected
-from pdr_graph.io.signatures import RECORDINGS
+from pdr_graph.io.signatures import RECORDING_FORMATS
 from pdr_graph.walk import Options, read
 
 PLACE = (48.0, 11.0)  # latitude and longitude, which are both possible in either order
@@ -211,7 +211,7 @@ def test_a_file_that_is_no_recording(tmp_path, expected, command):
     (tmp_path / name).write_bytes(content)
     line = refusal(tmp_path, command, name)
     assert expected in line
-    assert RECORDERS not in expected or all(row.name in line for row in RECORDINGS)
+    assert RECORDERS not in expected or all(row.name in line for row in RECORDING_FORMATS)
 
 
 COMMANDS = {

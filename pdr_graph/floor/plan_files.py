@@ -18,8 +18,8 @@ from pdr_graph.io.signatures import (
     GEOJSON,
     HEAD,
     OTHERS,
-    PLANS,
-    RECORDINGS,
+    PLAN_FORMATS,
+    RECORDING_FORMATS,
     ROS_MAP,
     Signature,
     described,
@@ -103,11 +103,11 @@ def format_of(path: Path) -> Signature | None:
     None for a folder of several plans, and for a file that is no plan.
     """
     if path.is_dir():
-        return next((row for row in PLANS if row.is_folder(path)), None)
+        return next((row for row in PLAN_FORMATS if row.is_folder(path)), None)
     head = _head(path)
     is_json = head.lstrip()[:1] in (b"{", b"[") or path.suffix.lower() in (".json", ".geojson")
     # a reader says best what is wrong with JSON
-    return next((row for row in PLANS if row.begins(head)), GEOJSON if is_json else None)
+    return next((row for row in PLAN_FORMATS if row.begins(head)), GEOJSON if is_json else None)
 
 
 def _head(path: Path) -> bytes:
@@ -117,16 +117,16 @@ def _head(path: Path) -> bytes:
 
 def _refusal(path: Path) -> InputError:
     """The error for a file that is no plan: what it is, and what is expected."""
-    if (recorder := recognized(Source(path, "floor plan"), RECORDINGS)) is not None:
-        return InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLANS)}")
+    if (recorder := recognized(Source(path, "floor plan"), RECORDING_FORMATS)) is not None:
+        return InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLAN_FORMATS)}")
     head = _head(path)
     other = next((row[1:] for row in OTHERS if head.startswith(row[0])), None)
-    return InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLANS)}")))
+    return InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLAN_FORMATS)}")))
 
 
 def root_of(path: Path) -> Path:
     """The folder of a Microsoft floor or an IMDF archive from one of its files; any other path unchanged."""
-    rows = (row for row in PLANS if path.name in row.parts)
+    rows = (row for row in PLAN_FORMATS if path.name in row.parts)
     return path.parent if any(row.is_folder(path.parent) for row in rows) else path
 
 

@@ -9,9 +9,9 @@ from pdr_graph.errors import InputError, expect
 from pdr_graph.io.signatures import (
     HEAD,
     OTHERS,
-    PLANS,
+    PLAN_FORMATS,
     QUOTED,
-    RECORDINGS,
+    RECORDING_FORMATS,
     SEGMENT,
     columns_of,
     described,
@@ -33,7 +33,7 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
     """
     expect("load, path", path, str, Path)
     source = Source(Path(path))
-    row = recognized(source, RECORDINGS)
+    row = recognized(source, RECORDING_FORMATS)
     if row is None:
         raise InputError(path, "", *_unknown(source))
     read, notes = function(row.reader), list[str]()
@@ -46,7 +46,7 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
 
 def _unknown(source: Source) -> tuple[str, str]:
     """What was found in files of no known recorder, and what is expected."""
-    expected = f"a recording of a supported recorder: {names(RECORDINGS)}"
+    expected = f"a recording of a supported recorder: {names(RECORDING_FORMATS)}"
     files = source.names
     if not files:
         return "an empty folder", expected
@@ -62,7 +62,7 @@ def _unknown(source: Source) -> tuple[str, str]:
         if head.startswith(mark):
             return name, instead
     # four numbers in a row may as well be samples
-    if plan := [row for row in PLANS if row.head is not SEGMENT and row.begins(head)]:
+    if plan := [row for row in PLAN_FORMATS if row.head is not SEGMENT and row.begins(head)]:
         return plan[0].name, "a recording (is this a floor plan? --map takes it)"
     cells = columns_of(head)
     if "time" in cells and ({"x", "y"} <= cells or {"lat", "lon"} <= cells):

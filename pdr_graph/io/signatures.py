@@ -1,7 +1,7 @@
 """Signatures of all formats of recordings, fixes and floor plans: the names and the first bytes by which each is known.
 
-A reader is imported when a file has its signature, and not before. A format is one row of `RECORDINGS`, `FIXES` or
-`PLANS`; the first row that matches is the format.
+A reader is imported when a file has its signature, and not before. A format is one row of `RECORDING_FORMATS`,
+`FIX_FORMATS` or `PLAN_FORMATS`; the first row that matches is the format.
 """
 
 from __future__ import annotations
@@ -104,22 +104,22 @@ TAGGED = rb"(?s:.*)GetSensorData|(?:[^\n]*\n)*?(?:ACCE|GYRO|MAGN|PRES|GNSS|POSI|
 ELAPSED = rb"[\s\S]{0,500}?seconds_elapsed"
 NANOSECONDS = ELAPSED + rb'|"?time"?,[^\n]*\n"?\d{18,19}"?,'  # of Sensor Logger in 2021
 LOGGED = r"(?:(?:accelerometer|gyroscope)(?:uncalibrated)?|totalacceleration|gravity|location|barometer)\.csv"
-SECONDS = rb'"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t][^\n]*'  # the first columns, before one with a sensor's unit
+TIME_COLUMN = rb'"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t][^\n]*'  # and more, before a sensor's unit
 UNIT = rb"\(\s*(?i:m/s\^?(?:2|\xc2\xb2)|rad/s|\xc2\xb0(?:/s)?|[u\xc2\xb5\xce\xbc]*t|hpa)\s*\)\s*\"?\s*(?:[,;\t\n]|\Z)"
 BAG = rb"(?:\x89MCAP0\r\n|SQLite format 3[\s\S]*serialization_format)"
 IPIN21 = rb"\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)"
 IPIN21_FIXES = rb"\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,"
 OXFORD_WITH_ACCURACY = rb"[0-9]{9,19},[0-3](?:,%b){3}\r?\n" % DECIMAL  # of each sample
-OXFORD = OXFORD_WITH_ACCURACY + rb"|[0-9]{9,19}(?:,%b){3}(?:,[0-9]+){3}\r?\n" % DECIMAL
-GPX = rb"[\s\S]{0,4000}?<\0?(?:(?:[\w.-]\0?)+:\0?)?g\0?p\0?x\0?[\s>]"  # also in UTF-16
-OSM = rb"[\s\S]{0,2048}?<\0?o\0?s\0?m"
+OXFORD_ROW = OXFORD_WITH_ACCURACY + rb"|[0-9]{9,19}(?:,%b){3}(?:,[0-9]+){3}\r?\n" % DECIMAL
+GPX_ROOT = rb"[\s\S]{0,4000}?<\0?(?:(?:[\w.-]\0?)+:\0?)?g\0?p\0?x\0?[\s>]"  # also in UTF-16
+OSM_ROOT = rb"[\s\S]{0,2048}?<\0?o\0?s\0?m"
 DXF = rb"(?:AutoCAD Binary DXF|\s*(?:0\s+SECTION|999)(?!\S))"
 MAP_KEYS = rb"(?ms)(?=.*^[ \t]*image\s*:)(?=.*^[ \t]*resolution\s*:)(?=.*^[ \t]*origin\s*:)"
 SEGMENT = rb"[ \t]*%b(?:[ \t]*[,;\t][ \t]*%b){3}[ \t]*(?:\r?\n|\Z)" % (DECIMAL, DECIMAL)
 
-PHYPHOX = Signature("phyphox", "io.phyphox:read", SECONDS + UNIT, r".*\.(?:csv|txt|tsv)")
+PHYPHOX = Signature("phyphox", "io.phyphox:read", TIME_COLUMN + UNIT, r".*\.(?:csv|txt|tsv)")
 GEOLIFE = Signature("GeoLife", "io.research_recordings:geolife_fixes", rb"Geolife trajectory", positions=True)
-RECORDINGS: tuple[Signature, ...] = (
+RECORDING_FORMATS: tuple[Signature, ...] = (
     Signature("Indoor Location Competition 2.0", "io.indoor_location:read", rb"#\tstartTime:|(?s:.*)\tTYPE_"),
     Signature("GetSensorData (IPIN, xDR)", "io.get_sensor_data:read", TAGGED),
     Signature("GnssLogger", "io.gnss_logger:read", rb"(?=#)[\s\S]*?# (?:Fix|Raw|UncalAccel),"),
@@ -130,25 +130,25 @@ RECORDINGS: tuple[Signature, ...] = (
     Signature("ROS 2", "io.ros_bags:read", BAG),
     Signature("ROS 2", "io.ros_bags:read", rb"rosbag2_bagfile_information:", r"metadata\.yaml", named=True),
     Signature("IPIN21Data", "io.research_recordings:read_ipin21", IPIN21, r"(?:acc|gyr)\.csv", named=True),
-    Signature("Oxford step counter", "io.research_recordings:read_oxford", OXFORD, r"accelerometer\.csv"),
+    Signature("Oxford step counter", "io.research_recordings:read_oxford", OXFORD_ROW, r"accelerometer\.csv"),
     GEOLIFE,
-    Signature("GPX", "io.gpx:read", GPX),
+    Signature("GPX", "io.gpx:read", GPX_ROOT),
     Signature("imported past", "io.past_day:read_fixes", rb"# pdr_graph past", positions=True),
 )
 # Files of positions with Unix times, other than tables with a header
-FIXES: tuple[Signature, ...] = (
-    Signature("GPX", "io.gpx:read_fixes", GPX),
+FIX_FORMATS: tuple[Signature, ...] = (
+    Signature("GPX", "io.gpx:read_fixes", GPX_ROOT),
     GEOLIFE,
     Signature("IPIN21Data", "io.research_recordings:ipin21_fixes", IPIN21_FIXES),
 )
 
-PARTS = ("geojson_map.json", "floor_info.json")  # of Microsoft: areas; size of the floor
+SITE_JSON = ("geojson_map.json", "floor_info.json")  # of Microsoft: areas; size of the floor
 IMDF_TYPES = ("level", "unit", "opening", "fixture", "kiosk", "amenity", "anchor", "occupant")
 IMDF_PARTS = ("manifest.json", *(f"{kind}.geojson" for kind in IMDF_TYPES))
-MICROSOFT = Signature("Microsoft", "floor.formats.research_plans:read_microsoft", folder=PARTS[:1], parts=PARTS)
+MICROSOFT = Signature("Microsoft", "floor.formats.research_plans:read_microsoft", folder=SITE_JSON[:1], parts=SITE_JSON)
 ROS_MAP = Signature("a ROS map", "floor.formats.ros_map:read", MAP_KEYS, scaled=True)
 GEOJSON = Signature("GeoJSON", "floor.formats.geojson:read_plan", rb'\s*\{[\s\S]*"(?:FeatureCollection|features)"')
-PLANS: tuple[Signature, ...] = (
+PLAN_FORMATS: tuple[Signature, ...] = (
     MICROSOFT,
     Signature("IMDF", "floor.formats.imdf:read", folder=IMDF_PARTS[1:3], parts=IMDF_PARTS),
     Signature("a DXF drawing", "floor.formats.cad:read_dxf", DXF, scaled=True),
@@ -158,7 +158,7 @@ PLANS: tuple[Signature, ...] = (
     ROS_MAP,
     Signature("CAD lines", "floor.formats.cad:read_segments", has_columns("x1", "y1", "x2", "y2"), scaled=True),
     Signature("CAD lines", "floor.formats.cad:read_segments", SEGMENT, scaled=True),  # without a header
-    Signature("OpenStreetMap", "floor.formats.osm_indoor:read_xml", OSM),
+    Signature("OpenStreetMap", "floor.formats.osm_indoor:read_xml", OSM_ROOT),
     GEOJSON,
 )
 

@@ -16,7 +16,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import MISSING, Table, TextRows
-from pdr_graph.io.signatures import FIXES, function, recognized
+from pdr_graph.io.signatures import FIX_FORMATS, function, recognized
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import MOST_SPEED, float_of, in_seconds, iso_time, isotropic
 from pdr_graph.types import (
@@ -128,7 +128,7 @@ def read_fixes(
     expect("read_fixes, frame", frame, Frame, None, instead="FloorPlan.load(path).frame")
     path = Path(path)
     source, notes = _one_file(path), [] if notes is None else notes
-    if (row := recognized(source, FIXES)) is None:
+    if (row := recognized(source, FIX_FORMATS)) is None:
         fixes = _tabular_fixes(path, recording)
         fixes = replace(fixes, time=fixes.time - recording.clock_origin)
     elif recording.epoch is not None:

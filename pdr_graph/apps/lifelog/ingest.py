@@ -16,7 +16,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.loading import load
-from pdr_graph.io.signatures import RECORDINGS, recognized
+from pdr_graph.io.signatures import RECORDING_FORMATS, recognized
 from pdr_graph.io.source import Source
 from pdr_graph.io.tables import beside
 from pdr_graph.plausibility import check_floors
@@ -148,7 +148,7 @@ def _find_in_folder(folder: Path) -> tuple[list[Path], int]:
 def _is_recording(path: Path) -> bool:
     """True if a reader recognises the format."""
     try:
-        return recognized(Source(path), RECORDINGS) is not None
+        return recognized(Source(path), RECORDING_FORMATS) is not None
     except InputError:
         return path.is_file()  # a damaged zip is refused by name later; a folder of several recordings is no recording
 
