@@ -13,13 +13,11 @@ from plans import ARCADE
 from tiers import thorough
 
 from pdr_graph import kalman_filter, kalman_smoother, read_trajectory, smooth
-from pdr_graph.io.loading import READERS
 from pdr_graph.walk import Options, estimate, observe, read
 
+ALIKE = ("device_motion", "movella")  # read as named_columns are
 PHONES = ("sensor_logger", "phyphox", "get_sensor_data", "gnss_logger")  # whose exports have the walk's sensors
-
-
-RECORDERS = [reader.__name__.rsplit(".", 1)[1] for reader in READERS]
+RECORDERS = [*(name for name in recorders.EXPORTS if name not in ALIKE), "ros_bags"]
 FIRST = ("sensor_logger", "gnss_logger", "ros_bags", "oxford_steps")  # tests of the readers have all
 
 

@@ -23,7 +23,7 @@ from pdr_graph.apps.serve.serving import Settings, build, read_inputs
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import geojson
 from pdr_graph.frames import Frame, enu, projected
-from pdr_graph.io.loading import READERS
+from pdr_graph.io.signatures import RECORDING_FORMATS
 from pdr_graph.walk import Options, read
 
 PLACE = (48.0, 11.0)  # latitude and longitude, which are both possible in either order
@@ -199,6 +199,7 @@ FILES = {
     "an empty file, " + RECORDERS: ("a.csv", b""),
     "a PNG picture, expected a recording (is this a floor plan": ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(50)),
     "with the header time,ax,ay,az, expected a recording; a tab": ("a.csv", b"time,ax,ay,az\n0.00,0.1,0.2,9.8\n"),
+    "a text that begins with '0.00,0.1,0.2,9.8', " + RECORDERS: ("a.csv", b"0.00,0.1,0.2,9.8\n"),
     "found 1 track points, none with a time, expected <trkpt> with": ("a.gpx", TRACK),
 }
 
@@ -210,7 +211,7 @@ def test_a_file_that_is_no_recording(tmp_path, expected, command):
     (tmp_path / name).write_bytes(content)
     line = refusal(tmp_path, command, name)
     assert expected in line
-    assert RECORDERS not in expected or all(reader.NAME in line for reader in READERS)
+    assert RECORDERS not in expected or all(row.name in line for row in RECORDING_FORMATS)
 
 
 COMMANDS = {
@@ -223,7 +224,8 @@ COMMANDS = {
     "walk": "found a path and no command, expected a command before it: pdr-graph smooth walk",
     "smooth walk --map plan.geojson --fixes nowhere.csv": "nowhere.csv",
     "smooth walk --map nowhere --out o": "nowhere: found no such file, expected a floor p",
-    "smooth walk --map fixes.csv --out o": "fixes.csv",
+    "smooth walk --map fixes.csv --out o": "header time,x,y,sigma, expected a floor plan: Microsoft, IMDF",
+    "smooth walk --map phyphox --out o": "Accelerometer.csv: found a recording of phyphox, expected a floor plan: ",
     "smooth walk --walker fixes.csv": "fixes.csv",
     "smooth walk --rate -1": "--rate",
     "replay walk --lag soon --out o": "--lag: found soon, expected a number",

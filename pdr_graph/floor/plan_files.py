@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Self
 
 import numpy as np
@@ -14,23 +11,23 @@ import shapely
 from pdr_graph.errors import InputError, check_not_special
 from pdr_graph.floor import building, plan
 from pdr_graph.floor.cells import LINK, WALKABLE
-from pdr_graph.floor.formats import (
-    cad_segments,
-    dxf,
-    floor_picture,
-    geojson,
-    imdf,
-    ipin21_polygons,
-    microsoft,
-    osm_indoor,
-    pdf_page,
-    ros_map,
-    several_files,
-)
 from pdr_graph.floor.formats.drawing import Drawing, check_floor_count, check_neighbours
-from pdr_graph.floor.formats.geojson import features_of, read_json
 from pdr_graph.floor.formats.line_drawing import check_size
-from pdr_graph.io.source import is_zip
+from pdr_graph.floor.formats.several_files import joined, plans_in, unpacked
+from pdr_graph.io.signatures import (
+    GEOJSON,
+    HEAD,
+    OTHERS,
+    PLAN_FORMATS,
+    RECORDING_FORMATS,
+    ROS_MAP,
+    Signature,
+    described,
+    function,
+    names,
+    recognized,
+)
+from pdr_graph.io.source import Source, is_zip
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
@@ -100,43 +97,50 @@ class Building(building.Building):
         return cls.of(*FloorPlan.load_all(path, scale))
 
 
+def format_of(path: Path) -> Signature | None:
+    """The format of a plan, by the names in a folder or the first bytes of a file.
+
+    None for a folder of several plans, and for a file that is no plan.
+    """
+    if path.is_dir():
+        return next((row for row in PLAN_FORMATS if row.is_folder(path)), None)
+    head = _head(path)
+    is_json = head.lstrip()[:1] in (b"{", b"[") or path.suffix.lower() in (".json", ".geojson")
+    # a reader says best what is wrong with JSON
+    return next((row for row in PLAN_FORMATS if row.begins(head)), GEOJSON if is_json else None)
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(HEAD).removeprefix(b"\xef\xbb\xbf")
+
+
+def _refusal(path: Path) -> InputError:
+    """The error for a file that is no plan: what it is, and what is expected."""
+    if (recorder := recognized(Source(path, "floor plan"), RECORDING_FORMATS)) is not None:
+        return InputError(path, "", f"a recording of {recorder.name}", f"a floor plan: {names(PLAN_FORMATS)}")
+    head = _head(path)
+    other = next((row[1:] for row in OTHERS if head.startswith(row[0])), None)
+    return InputError(path, "", *(other or (described(head), f"a floor plan: {names(PLAN_FORMATS)}")))
+
+
 def root_of(path: Path) -> Path:
     """The folder of a Microsoft floor or an IMDF archive from one of its files; any other path unchanged."""
-    return imdf.root_of(microsoft.root_of(path))
-
-
-DRAWINGS = (dxf, pdf_page, floor_picture, ros_map, cad_segments)  # read with a scale, recognised by the first bytes
-UNREAD = {  # first bytes: what it is, what to do
-    b"AC10": ("a DWG drawing", "the same saved as DXF"),
-    b"P5": ("the picture of a ROS map", "its .yaml file"),
-}
-
-
-def drawing_format(path: Path) -> ModuleType | None:
-    """The module of DRAWINGS that reads a drawing or a picture; None for any other file or a folder.
-
-    Raises InputError with advice for a drawing that cannot be read.
-    """
-    if not path.is_file():
-        return None
-    with path.open("rb") as file:
-        head = file.read(4096)
-    for begin, (found, advice) in UNREAD.items():
-        if head.startswith(begin):
-            raise InputError(path, "", found, advice)
-    return next((module for module in DRAWINGS if module.recognizes(path, head)), None)
+    rows = (row for row in PLAN_FORMATS if path.name in row.parts)
+    return path.parent if any(row.is_folder(path.parent) for row in rows) else path
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
     """The files that `read` reads: the plan, or all files of a floor folder, of an IMDF archive or of a building."""
     root = root_of(path)
-    if not root.is_dir():
-        return (root, ros_map.picture_of(root)) if drawing_format(root) is ros_map else (root,)
-    if microsoft.recognizes(root):
-        return tuple(root / name for name in microsoft.FILES)
-    if imdf.recognizes(root):
-        return imdf.files_of(root)
-    return tuple(file for plan in several_files.files_of(root) for file in files_of(plan))
+    if is_zip(root) or not (root.is_dir() or root.is_file()):
+        return (root,)
+    row = format_of(root)
+    if row is None and root.is_dir():
+        return tuple(file for plan in plans_in(root) for file in files_of(plan))
+    if row is ROS_MAP:
+        return root, function("floor.formats.ros_map:picture_of")(root)
+    return tuple(root / name for name in (row.parts if row else ()) if (root / name).is_file()) or (root,)
 
 
 def is_file_of(file: Path, plan: Path) -> bool:
@@ -161,34 +165,19 @@ def read(path: Path, scale: float | None = None) -> Drawing:
         raise InputError(path, "", "no such file", "a floor plan")
     check_not_special(path, "a floor plan")
     if is_zip(path):
-        with several_files.unpacked(path) as folder:
+        with unpacked(path) as folder:
             return read(folder, scale)
-    if (reader := drawing_format(path)) is not None:
-        return reader.read(path, scale)
-    forms = [form for form in (microsoft, imdf) if form.recognizes(path)]
-    if path.is_dir() and not forms:
-        return several_files.read(path, partial(read, scale=scale))
+    row = format_of(path)
+    if row is None and path.is_dir():
+        files = plans_in(path)
+        return joined(path, files, [read(file, scale) for file in files])
+    if row is None:
+        raise _refusal(path)
+    if row.scaled:
+        return function(row.reader)(path, scale)
     if scale is not None:
         raise InputError("--scale", "", f"{scale:g}", f"none: the format of {path.name} states its own unit")
-    return forms[0].read(path) if forms else _read_file(path)
-
-
-def _read_file(path: Path) -> Drawing:
-    """Read a plan of one file."""
-    notes, repairs = list[str](), list[str]()
-    if osm_indoor.is_osm_xml(path):
-        features = osm_indoor.osm_features(path, notes, repairs)
-        return replace(osm_indoor.read(path, features, notes), repairs=tuple(repairs))
-    collection = read_json(path)
-    features = list(features_of(path, collection, notes, repairs))
-    if not features:
-        raise InputError(path, "features", "none with a geometry", "rooms, corridors or walls")
-    if osm_indoor.recognizes(features):
-        drawing = osm_indoor.read(path, features, notes)
-    else:
-        read_format = ipin21_polygons.read if ipin21_polygons.recognizes(features) else geojson.read
-        drawing = read_format(path, collection, features, notes)
-    return replace(drawing, repairs=tuple(repairs))
+    return function(row.reader)(path)
 
 
 MOST_CORNERS = 10_000  # of a route; one drawn by hand has some tens

@@ -55,6 +55,12 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
     raise InputError(path, sensor, f"gravity of {gravity:.3f} (median of {WINDOW:.0f} s means)", expected)
 
 
+def in_g(values: Array) -> bool:
+    """True if accelerations with gravity ``(n, 3)`` of half a second or more are in g, False in m/s²."""
+    # twice as wide as over WINDOW: half a second may hold half a step
+    return GRAVITY_IN_G[0] / 2 < float(np.linalg.norm(values.mean(axis=0))) < 2 * GRAVITY_IN_G[1]
+
+
 def axis_scales(signal: Signal) -> Array | None:
     """Factors ``(3,)`` of the axes of an accelerometer whose gravity is not 9.81 m/s² in each attitude of the phone.
 

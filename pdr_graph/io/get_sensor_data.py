@@ -21,20 +21,9 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes, surveyed
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
 
-NAME = "GetSensorData (IPIN, xDR)"
 SENSOR_TAGS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
 TAGS = (*SENSOR_TAGS, "GNSS", "POSI", "BLE4", "WIFI")
-FIRST_TAGGED_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
 MAXIMUM_CLOCK_DRIFT = 1.0  # [s] between the clocks of app and sensor; up to 0.35 s on real logs
-
-
-def recognizes(source: Source) -> bool:
-    """True if the first lines look like this format."""
-    name = source.single
-    if name is None:
-        return False
-    head = source.head(name, 16_384)
-    return b"GetSensorData" in head or bool(FIRST_TAGGED_ROW.search(head))
 
 
 def read(source: Source) -> Recording:

@@ -16,7 +16,6 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "GnssLogger"
 SENSOR_ROWS = {
     "accelerometer": ("Accel", "UncalAccel"),
     "gyroscope": ("Gyro", "UncalGyro"),
@@ -24,12 +23,6 @@ SENSOR_ROWS = {
 }
 ROW_KINDS = ("Fix", *(kind for kinds in SENSOR_ROWS.values() for kind in kinds))
 PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the best first; one is used
-
-
-def recognizes(source: Source) -> bool:
-    """True if the header comment names the columns of fixes or raw measurements."""
-    head = source.head(source.single, 16_384) if source.single else b""
-    return head.startswith(b"#") and any(f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel"))
 
 
 def read(source: Source) -> Recording:

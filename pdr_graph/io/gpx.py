@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -26,39 +25,32 @@ from pdr_graph.io.validation import (
     NO_ZONE,
     build_recording,
     float_of,
-    iso_time,
     plausible_times,
     receiver_fixes,
+    unix_times,
     without_rollover,
     zoneless,
 )
 from pdr_graph.io.xml_elements import XmlElements
 from pdr_graph.types import INSTANT, Array, Fixes, Index, OneLineRepr, Recording, Steps, Trajectory, time_span
 
-NAME = "GPX"
-GPX_ROOT = re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?gpx[\s>]")
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 EXTENSION = "urn:pdr_graph"  # namespace of the accuracy and the steps of a point, for which GPX has no elements
 STEPS = "steps"
 CREATED_BY = "pdr_graph"
 
 
-def recognizes(source: Source) -> bool:
-    """True if the root element is ``gpx``, with or without a prefix."""
-    return source.single is not None and GPX_ROOT.search(source.head(source.single).replace(b"\0", b"")) is not None
-
-
 def read(source: Source) -> Recording:
     """Read a track as a recording of fixes alone, or with the steps that this program writes into a track."""
     notes: list[str] = []
     table, name = _table(source, notes), PurePosixPath(source.single or "").stem
-    fixes = receiver_fixes(table[:, :4], notes, NAME)
+    fixes = receiver_fixes(table[:, :4], notes, "GPX")
     return build_recording(str(source.path), name, {}, 0.0, fixes, notes=notes, counted=table[:, [0, 4]])
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """Read track points as fixes at Unix times [s]. Raises InputError as `read`."""
-    return receiver_fixes(_table(source, notes)[:, :4], notes, NAME)
+    return receiver_fixes(_table(source, notes)[:, :4], notes, "GPX")
 
 
 def _table(source: Source, notes: list[str]) -> Array:
@@ -83,7 +75,7 @@ def _table(source: Source, notes: list[str]) -> Array:
         notes.append(f"GPX: {len(points) - len(times)} of {len(points)} track points have no time")
     if zoneless(times):
         notes.append(f"GPX: {NO_ZONE}")
-    unix = without_rollover(_unix_times(times), "GPX", notes)
+    unix = without_rollover(unix_times(times), "GPX", notes)
     table = np.column_stack([unix, [place for time, *place in points if time]])
     damaged = ~(np.isfinite(table[:, :3]).all(axis=1) & plausible_times(table[:, 0]))
     if damaged.sum() > 0.2 * len(table):
@@ -208,15 +200,3 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
                 etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
             if points.steps is not None:
                 etree.SubElement(extensions, f"{{{EXTENSION}}}{STEPS}").text = f"{points.steps[n]}"
-
-
-# UTC times as most apps write them, which numpy parses all at once
-PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
-
-
-def _unix_times(times: list[str]) -> Array:
-    """Unix times [s] of ISO 8601 texts, UTC if they have no zone, as the format requires; NaN for others."""
-    with suppress(ValueError):
-        if PLAIN_TIMES.fullmatch(" ".join([*times, ""])):
-            return np.array([t[:-1] for t in times], dtype="datetime64[ms]").astype(float) / 1000
-    return np.array([iso_time(time) for time in times])

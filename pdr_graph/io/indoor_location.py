@@ -17,7 +17,6 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, surveyed
 from pdr_graph.types import Array, Recording, Sightings
 
-NAME = "Indoor Location Competition 2.0"
 SENSOR_TYPES = {
     "TYPE_ACCELEROMETER": "accelerometer",
     "TYPE_GYROSCOPE": "gyroscope",
@@ -26,12 +25,6 @@ SENSOR_TYPES = {
 WAYPOINT = "TYPE_WAYPOINT"
 WAYPOINT_SIGMA = 0.66 / np.sqrt(2)  # [m] per axis: surveyors tap on a map where they believe to be
 RECORD_TYPES = (*SENSOR_TYPES, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
-
-
-def recognizes(source: Source) -> bool:
-    """True if the first lines look like this format."""
-    head = source.head(source.single) if source.single else b""
-    return b"\tTYPE_" in head or head.startswith(b"#\tstartTime:")
 
 
 def read(source: Source) -> Recording:

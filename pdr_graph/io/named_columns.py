@@ -17,7 +17,7 @@ Units, spaces, dots, underscores and capitals of a name do not count. The names 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
@@ -27,12 +27,11 @@ from pdr_graph.errors import InputError
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
 from pdr_graph.io.sensor_logger import sign_by_gravity
+from pdr_graph.io.signatures import ABOVE_HEADER, NAMED_COLUMNS, plain
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, float_of, in_seconds, iso_time, receiver_fixes
 from pdr_graph.types import DAY_LENGTH, STANDARD_GRAVITY, Array, Recording
 
-NAME = "SensorLog, DeviceMotion, Movella, step counter"  # of which Xsens is a part
-NOT_IN_A_NAME = re.compile(r"\([^()]*\)|[^a-z0-9]")  # units, spaces, dots and underscores
 FIRST_DATE = 2 * 365 * DAY_LENGTH  # [s] a later time is a Unix time: a phone runs for less since it booted
 DOT, MTI = 1e-6, 1e-4  # [s] ticks of SampleTimeFine
 LARGEST_TICK = 2000  # of DOT at 120 Hz are 8333 ticks from sample to sample, of an MTi at 5 Hz 2000
@@ -49,24 +48,22 @@ def axes(name: str, names: str = "xyz") -> tuple[str, ...]:
 class Words:
     """The columns of one kind of table.
 
-    marks: columns by which it is recognised; sensors: of each the columns that have it, the best first, as the column
+    sensors: of each the columns that have it, the best first, as the column
     of its times, "" for that of the table, and those of the values, or of two vectors that are added; factor: of each
     sensor to SI units and Android's signs; counter: the times and the numbers of counted steps.
     """
 
-    marks: tuple[str, ...]
     sensors: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
     factor: dict[str, float] = field(default_factory=dict)
     counter: tuple[str, str] = ("", "")
 
 
-SENSORLOG, DEVICE_MOTION, MOVELLA, COUNTER = "SensorLog", "DeviceMotion", "Movella", "counter"
+SENSORLOG, DEVICE_MOTION, MOVELLA, COUNTER = NAMED_COLUMNS  # Movella of which Xsens is a part
 POSITIONS = "location"
 BOOT = "timestampsincereboot"
 RECEIVER_WORDS = ("latitude", "longitude", "horizontalaccuracy", "speed", "course", "speedaccuracy", "courseaccuracy")
 TABLES_OF = {
     SENSORLOG: Words(
-        ("loggingtime",),
         {
             "accelerometer": (
                 (f"accelerometer{BOOT}", axes("accelerometeracceleration")),
@@ -87,7 +84,6 @@ TABLES_OF = {
         ("pedometerenddate", "pedometernumberofsteps"),
     ),
     DEVICE_MOTION: Words(
-        ("rotationratealpha",),
         {
             "accelerometer": (("", axes("accelerationincludinggravity")),),
             "linear_acceleration": (("", axes("acceleration")),),
@@ -97,24 +93,14 @@ TABLES_OF = {
         {"gyroscope": DEGREE},
     ),
     MOVELLA: Words(
-        ("packetcounter", "accx"),
         {
             "accelerometer": (("", axes("acc")),),
             "gyroscope": (("", axes("gyr")),),
             "barometer": (("", ("pressure",)),),
         },
     ),
-    COUNTER: Words(("time", "steps"), counter=("time", "steps")),
+    COUNTER: Words(counter=("time", "steps")),
 }
-ABOVE_HEADER = re.compile(rb'\A(?:(?!"?PacketCounter\b)[^\n]*\n)*?(?="?PacketCounter\b)')  # Movella's, of the device
-
-
-def recognizes(source: Source) -> bool:
-    """True if the header has the columns of one of the kinds."""
-    if source.single is None:
-        return False
-    line = ABOVE_HEADER.sub(b"", source.head(source.single, 8192)).lstrip().split(b"\n")[0]
-    return _kind(re.split("[,;\t]", line.decode("utf-8", "replace"))) is not None
 
 
 def read(source: Source) -> Recording:
@@ -123,8 +109,9 @@ def read(source: Source) -> Recording:
     where, content = source.where(name), source.utf8(name, errors="replace")
     above = ABOVE_HEADER.match(content)
     table = delimited.table(where, content[above.end() :] if above else content)
-    kind, notes = _kind(table.header) or "", list[str]()
-    words, columns = TABLES_OF[kind], {_plain(name): k for k, name in enumerate(table.header)}
+    columns, notes = {plain(name): k for k, name in enumerate(table.header)}, list[str]()
+    kind = next(kind for kind, marks in NAMED_COLUMNS.items() if columns.keys() >= set(marks))
+    words = TABLES_OF[kind]
     logged, unit = _times(table, columns, kind, above[0].decode("utf-8", "replace") if above else "")
     tables = dict[str, Array]()
     for sensor, choices in words.sensors.items():
@@ -177,16 +164,6 @@ def _rows(table: Table, columns: Sequence[int | None], logged: Array, located: b
     if columns[0] is not None and not located and len(rows):
         rows[:, 0] += np.nanmedian(logged[: len(fresh)][fresh] - rows[:, 0])
     return rows
-
-
-def _plain(name: str) -> str:
-    return NOT_IN_A_NAME.sub("", name.lower())
-
-
-def _kind(header: Iterable[str]) -> str | None:
-    """The first kind whose marks are all in a header; None without one."""
-    names = {_plain(name) for name in header}
-    return next((kind for kind, words in TABLES_OF.items() if names.issuperset(words.marks)), None)
 
 
 def _times(table: Table, columns: Mapping[str, int], kind: str, above: str) -> tuple[Array, float]:

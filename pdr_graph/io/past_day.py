@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, receiver_fixes
-from pdr_graph.types import Fixes, Recording
+from pdr_graph.io.validation import receiver_fixes
+from pdr_graph.types import Fixes
 
-NAME = "imported past"
 # time: Unix time [ms]; lat, lon: [1e-7 deg]; accuracy: 68 % radius [cm], NO_ACCURACY if unknown; source: in SOURCES
 POSITION = np.dtype([("time", "i8"), ("lat", "i4"), ("lon", "i4"), ("accuracy", "i4"), ("source", "u1")])
 # time: Unix time [ms]; mac: address of an access point as a number; rssi: received power [dBm]
@@ -40,18 +39,6 @@ TEXT_ROW = [("time", "i8"), ("lat", "i8"), ("lon", "i8"), ("accuracy", "i8"), ("
 SIGHTING_ROW = [("time", "i8"), ("mac", "i8"), ("rssi", "i8")]
 
 
-def recognizes(source: Source) -> bool:
-    """True if the first line has the format's mark."""
-    return source.single is not None and source.head(source.single).startswith(MARK.encode())
-
-
-def read(source: Source) -> Recording:
-    """Read the positions as a recording of fixes alone; the receptions have become positions already."""
-    notes: list[str] = []
-    fixes = read_fixes(source, notes)
-    return build_recording(str(source.path), source.path.stem, {}, 0.0, fixes, notes=notes)
-
-
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """Read the positions as fixes at Unix times [s]; of several at one time, the most accurate."""
     name = source.single or ""
@@ -60,7 +47,8 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     rows = rows[np.append(True, np.diff(rows["time"]) > 0)[: len(rows)]]
     accuracy = np.where(rows["accuracy"] == NO_ACCURACY, np.nan, rows["accuracy"] / CM)
     time = rows["time"] / MS
-    fixes = receiver_fixes(np.column_stack([time, rows["lat"] / E7, rows["lon"] / E7, accuracy]), notes, NAME)
+    table = np.column_stack([time, rows["lat"] / E7, rows["lon"] / E7, accuracy])
+    fixes = receiver_fixes(table, notes, "imported past")
     sources = rows["source"][np.searchsorted(time, fixes.time)].tolist()
     return Fixes(fixes.time, fixes.position, fixes.sigma, fixes.floor, fixes.epsg, tuple(SOURCES[n] for n in sources))
 

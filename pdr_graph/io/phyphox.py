@@ -8,7 +8,6 @@ seconds from the start of the experiment, *without its pauses*; ``meta/time.csv`
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
@@ -17,22 +16,16 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
+from pdr_graph.io.signatures import PHYPHOX
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
+from pdr_graph.io.validation import build_recording, fullest, in_seconds, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "phyphox"
 SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyroscope", "t": "magnetometer"}
 SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
 WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column
-TIME_HEADER = re.compile(rb'^"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
 UNIT_PATTERN = re.compile(r"\(([^()]*)\)\s*$")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
-
-
-def recognizes(source: Source) -> bool:
-    """True if one of the files is a phyphox table."""
-    return any(True for _ in _tables_named(source))
 
 
 def read(source: Source) -> Recording:
@@ -40,7 +33,7 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     clock = _clock(source)
     found: dict[str, dict[str, Array]] = {}
-    for name in _tables_named(source):
+    for name in PHYPHOX.within(source, source.head):
         table = delimited.table(source.where(name), source.utf8(name))
         for sensor, chosen in _sensors(name, table).items():
             values = table.columns([*chosen, *_of_receiver(table)] if sensor == "location" else chosen)
@@ -65,16 +58,6 @@ def _chosen(sensor: str, tables: dict[str, Array], fixes: Fixes | None, notes: l
         used, left_out = (f"{PurePosixPath(n).name} ({len(tables[n])} rows)" for n in (name, other))
         notes.append(f"{sensor}: a second table, {left_out}, was left out; {used} is used")
     return tables[name]
-
-
-def _tables_named(source: Source) -> Iterator[str]:
-    """The names of the files that look like tables of sensors, the shortest first."""
-    for name in sorted(source.names, key=lambda n: (len(n), n)):
-        if name.lower().endswith((".csv", ".txt", ".tsv")) or source.single:
-            head = source.head(name)
-            header = head.split(b"\n", 1)[0].decode("utf-8", "replace")
-            if TIME_HEADER.match(head) and any(_unit(cell) in SENSOR_OF_UNIT for cell in re.split("[,;\t]", header)):
-                yield name
 
 
 @dataclass(frozen=True)
@@ -106,8 +89,7 @@ def _clock(source: Source) -> ExperimentClock:
     starts = starts[np.isfinite(starts).all(axis=1)]
     if not len(starts):
         raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
-    unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # a larger system time is in milliseconds
-    return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
+    return ExperimentClock(starts[:, 0], in_seconds(starts[:, 1]) - starts[:, 0], unix=True)
 
 
 def _sensors(name: str, table: Table) -> dict[str, list[int]]:

@@ -24,25 +24,8 @@ from pdr_graph.io.source import MOST_LINES, Source
 from pdr_graph.io.validation import RADIUS_68, build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Recording, Trajectory
 
-NAME = "ROS 2"
-MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3"
 UNAVAILABLE = -1.0  # first value of the covariance of a quantity that an Imu does not have
 EXTRA = "the extra ros: pip install '.[ros]' in a clone"
-
-
-def recognizes(source: Source) -> bool:
-    """True for a file of MCAP, a SQLite file with topics, or a folder with metadata.yaml and one of these."""
-    return any(_is_bag(source, name) for name in ([source.single] if source.single else _bags(source)))
-
-
-def _bags(source: Source) -> list[str]:
-    """The bag files of a folder with rosbag2's metadata."""
-    return [n for n in source.names if n.endswith((".mcap", ".db3"))] if "metadata.yaml" in source.names else []
-
-
-def _is_bag(source: Source, name: str) -> bool:
-    head = source.head(name, 16_384)
-    return head.startswith(MCAP) or (head.startswith(SQLITE) and b"serialization_format" in head)
 
 
 def read(source: Source) -> Recording:

@@ -9,7 +9,6 @@ Source: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sens
 
 from __future__ import annotations
 
-import re
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -21,7 +20,6 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
 from pdr_graph.types import Array, Recording, Sightings
 
-NAME = "Sensor Logger"
 XYZ = ("x", "y", "z")
 NANOSECOND = 1e-9  # [s]
 PLAIN_FILES = {
@@ -29,17 +27,6 @@ PLAIN_FILES = {
     "magnetometer": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
 }
 LOCATIONS = "Location.csv", "LocationGps.csv", "LocationNetwork.csv"
-NANOSECONDS_FIRST = re.compile(rb'\A"?time"?,[^\n]*\n"?\d{18,19}"?,')  # the header, the first row
-KNOWN_FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
-
-
-def recognizes(source: Source) -> bool:
-    """True if one of the files has a header of Sensor Logger; in 2021 that was ``time`` in nanoseconds alone."""
-    candidates = (*(f"{name}.csv" for name in KNOWN_FILES), *PLAIN_FILES["gyroscope"])
-    names = {name for file in candidates for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
-    heads = [source.head(name, 512) for name in names]
-    alone = source.head(source.single, 512) if source.single else b""
-    return b"seconds_elapsed" in alone or any(b"seconds_elapsed" in h or NANOSECONDS_FIRST.match(h) for h in heads)
 
 
 def read(source: Source) -> Recording:

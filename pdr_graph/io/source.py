@@ -17,8 +17,6 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, cast
 
-from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
-
 from pdr_graph.errors import InputError, check_not_special, count
 from pdr_graph.types import OneLineRepr
 
@@ -325,20 +323,3 @@ def _without_top_folder(entries: dict[str, str]) -> dict[str, str]:
     if len(tops) == 1 and all("/" in name for name in entries):
         return {name.split("/", 1)[1]: entry for name, entry in entries.items()}
     return entries
-
-
-def parsed_xml(where: str, data: bytes, expected: str) -> etree._Element:
-    """The root element of an XML document, without comments. where, expected: name of the file and what it should be.
-
-    Raises InputError if the XML is broken, or has a document type definition, by which it could read other files or
-    grow without end.
-    """
-    if b"<!DOCTYPE" in data.replace(b"\0", b""):  # also of UTF-16
-        raise InputError(where, "", "a document type definition", "plain XML, which has none")
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
-    )
-    try:
-        return etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(where, "", f"broken XML ({str(error)[:120]})", expected) from None

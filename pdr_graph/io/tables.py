@@ -14,8 +14,9 @@ import shapely
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.io import delimited, geolife, gpx, ipin21
+from pdr_graph.io import delimited
 from pdr_graph.io.delimited import MISSING, Table, TextRows
+from pdr_graph.io.signatures import FIX_FORMATS, function, recognized
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import MOST_SPEED, float_of, in_seconds, iso_time, isotropic
 from pdr_graph.types import (
@@ -127,16 +128,11 @@ def read_fixes(
     expect("read_fixes, frame", frame, Frame, None, instead="FloorPlan.load(path).frame")
     path = Path(path)
     source, notes = _one_file(path), [] if notes is None else notes
-    if (reader := next((each for each in (gpx, geolife) if each.recognizes(source)), None)) is not None:
-        fixes = reader.read_fixes(source, notes)
-    elif ipin21.is_fixes(source.head(source.single or "")):
-        fixes = ipin21.read_fixes(path, source.text(source.single or ""))
-    else:
-        fixes = None
-    if fixes is None:
+    if (row := recognized(source, FIX_FORMATS)) is None:
         fixes = _tabular_fixes(path, recording)
         fixes = replace(fixes, time=fixes.time - recording.clock_origin)
     elif recording.epoch is not None:
+        fixes = function(row.reader)(source, notes)
         fixes = replace(fixes, time=fixes.time - recording.epoch)
     else:
         raise InputError(path, "time", "Unix times", f"a recording with a clock: {recording.source} has none")

@@ -10,6 +10,7 @@ import math
 import re
 import time as clock
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, TypeVar
@@ -341,6 +342,24 @@ def iso_time(value: Any) -> float:
         return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+def unix_time(value: Any) -> float:
+    """Unix time [s] of one number in s, ms, µs or ns, or of an ISO 8601 text (UTC without an offset); else NaN."""
+    number = float_of(value)
+    return float(in_seconds(np.array([number]))[0]) if math.isfinite(number) else iso_time(value)
+
+
+# UTC times as most programs write them, which numpy parses all at once
+PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
+
+
+def unix_times(values: Sequence[Any]) -> Array:
+    """`unix_time` of each ``(n,)`` [s]."""
+    with suppress(ValueError, TypeError):
+        if PLAIN_TIMES.fullmatch(" ".join([*values, ""])):
+            return np.array([text[:-1] for text in values], dtype="datetime64[ms]").astype(float) / 1000
+    return np.array([unix_time(value) for value in values], dtype=float)
 
 
 ROLLOVER = 1024 * 7 * 86400.0  # [s] after which GPS counts its weeks anew: some receivers then lose them

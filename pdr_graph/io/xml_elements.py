@@ -154,3 +154,17 @@ class XmlElements:
 def _without_comments(text: str) -> str:
     """`text` with the line breaks of its comments alone."""
     return COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text) if "<!--" in text else text
+
+
+def parsed_xml(where: str, data: bytes, expected: str) -> etree._Element:
+    """The root element of an XML document, without comments. where, expected: name of the file and what it should be.
+
+    Raises InputError if the XML is broken, or has a document type definition, by which it could read other files or
+    grow without end.
+    """
+    if b"<!DOCTYPE" in data.replace(b"\0", b""):  # also of UTF-16
+        raise InputError(where, "", "a document type definition", "plain XML, which has none")
+    try:
+        return etree.fromstring(data, etree.XMLParser(remove_comments=True, remove_pis=True, **SAFE))
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise InputError(where, "", f"broken XML ({str(error)[:120]})", expected) from None

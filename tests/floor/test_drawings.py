@@ -238,10 +238,10 @@ def test_blocks_in_blocks_without_end_are_refused(tmp_path, monkeypatch):
     """Of 10¹¹ insertions those up to the limit are followed, here a lower one."""
     import ezdxf
 
-    from pdr_graph.floor.formats import dxf
+    from pdr_graph.floor.formats import cad
 
-    assert dxf.MOST_BLOCKS <= 100_000, "some seconds"
-    monkeypatch.setattr(dxf, "MOST_BLOCKS", 2000)
+    assert cad.MOST_BLOCKS <= 100_000, "some seconds"
+    monkeypatch.setattr(cad, "MOST_BLOCKS", 2000)
     document = ezdxf.new()
     for n in range(12):
         block = document.blocks.new(f"B{n}")

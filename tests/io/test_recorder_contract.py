@@ -1,6 +1,8 @@
 """What holds for the files of every recorder: harmless differences change nothing, and damage is one line."""
 
 import random
+import subprocess
+import sys
 from functools import cache
 
 import pytest
@@ -10,6 +12,8 @@ from refusals import refused
 
 from pdr_graph import InputError
 from pdr_graph.io.loading import load
+from pdr_graph.io.signatures import FIX_FORMATS, PLAN_FORMATS, RECORDING_FORMATS, recognized
+from pdr_graph.io.source import Source
 
 
 @cache
@@ -38,6 +42,22 @@ def shuffled(text):
     rows = text.splitlines(keepends=True)
     random.Random(1).shuffle(rows)
     return "".join(rows)
+
+
+def test_every_signature_has_a_sample_whose_first_match_it_is(tmp_path):
+    """But for bags and step counters, which have tests of their own."""
+    for name in EXPORTS:
+        (tmp_path / name).mkdir()
+    known = [recognized(Source(written(tmp_path / name, name)), RECORDING_FORMATS) for name in EXPORTS]
+    assert {row.name for row in known if row} == {row.name for row in RECORDING_FORMATS} - {"ROS 2", "step counter"}
+
+
+def test_a_reader_is_imported_for_its_files_alone(tmp_path):
+    path = written(tmp_path, "gpx")
+    code = f"import sys; from pdr_graph.io.loading import load; load({str(path)!r}); print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    readers = {f"pdr_graph.{row.reader.partition(':')[0]}" for row in (*RECORDING_FORMATS, *FIX_FORMATS, *PLAN_FORMATS)}
+    assert readers & set(modules) == {"pdr_graph.io.gpx"}
 
 
 HARMLESS = {

@@ -7,7 +7,7 @@ import numpy as np
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.frames import enu
-from pdr_graph.io.geolife import EPOCH_1899
+from pdr_graph.io.research_recordings import EPOCH_1899
 from pdr_graph.types import DAY_LENGTH
 
 MORNING = datetime(2024, 5, 1, 8, tzinfo=UTC).timestamp()  # [s] Unix time

@@ -15,7 +15,8 @@ from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.io.loading import READERS, load
+from pdr_graph.io.loading import load
+from pdr_graph.io.signatures import RECORDING_FORMATS, recognized
 from pdr_graph.io.source import Source
 from pdr_graph.io.tables import beside
 from pdr_graph.plausibility import check_floors
@@ -147,8 +148,7 @@ def _find_in_folder(folder: Path) -> tuple[list[Path], int]:
 def _is_recording(path: Path) -> bool:
     """True if a reader recognises the format."""
     try:
-        source = Source(path)
-        return any(reader.recognizes(source) for reader in READERS)
+        return recognized(Source(path), RECORDING_FORMATS) is not None
     except InputError:
         return path.is_file()  # a damaged zip is refused by name later; a folder of several recordings is no recording
 

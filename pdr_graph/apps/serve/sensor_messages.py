@@ -24,9 +24,9 @@ import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
-from pdr_graph.inertial.units import GRAVITY_IN_G, unit_of
+from pdr_graph.inertial.units import in_g
 from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_gravity
-from pdr_graph.io.validation import float_of, iso_time, plausible_times, receiver_fixes
+from pdr_graph.io.validation import float_of, iso_time, plausible_times, receiver_fixes, unix_time
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
 from pdr_graph.priors import FIXES
 from pdr_graph.types import INERTIAL, LONLAT, STANDARD_GRAVITY, Array, Fixes, Recording, Sightings, Signal
@@ -173,13 +173,12 @@ def receptions(payload: Sequence[Sample]) -> Sightings | None:
 class Signs:
     """How the accelerations of a session are read; decided once, from its first samples.
 
-    acceleration: factor to m/s² with Android's signs, 0 while unknown; barometer: factor to hPa, 0 while unknown;
-    kind: of acceleration, "" while unknown; plain: which of calibrated and uncalibrated is used, by sensor;
-    gravity: its last row ``(1, 4)`` time and values; notes: assumptions, a line each.
+    acceleration: factor to m/s² with Android's signs, 0 while unknown; kind: of acceleration, "" while unknown;
+    plain: which of calibrated and uncalibrated is used, by sensor; gravity: its last row ``(1, 4)`` time and values;
+    notes: assumptions, a line each.
     """
 
     acceleration: float = 0.0
-    barometer: float = 0.0
     kind: str = ""
     plain: dict[str, str] = field(default_factory=dict)
     gravity: Array = field(default_factory=lambda: np.empty((0, 4)))
@@ -190,10 +189,10 @@ TOTAL, RAW, LINEAR = "accelerometer and gravity", "accelerometeruncalibrated", "
 
 
 def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", android: bool = False) -> dict[str, Array]:
-    """The rows ``(n, 1 + k)`` of each sensor as of ``Recording.signals``, SI units, Android's signs.
+    """The rows ``(n, 1 + k)`` of each sensor as of ``Recording.signals``, with Android's signs.
 
-    platform: "ios" or "android" if the user stated it; android: of `from_android`. Rows with a
-    missing value stay, NaN, and are counted where they are used.
+    Accelerations are in m/s²; the navigator recognises the other units. platform: "ios" or "android" if the user
+    stated it; android: of `from_android`. Rows with a missing value stay, NaN, and are counted where they are used.
     """
     signals = _acceleration(tables, signs, platform, android)
     for sensor, names in PLAIN_NAMES.items():
@@ -203,11 +202,7 @@ def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", andro
             if name in tables:
                 signals[sensor] = tables[name]
     if "barometer" in tables:
-        table = tables["barometer"]
-        finite = table[np.isfinite(table).all(axis=1)]
-        if not signs.barometer and len(finite):
-            signs.barometer = unit_of("barometer", "barometer", Signal(finite[:, 0], finite[:, 1:]), signs.notes)[1]
-        signals["barometer"] = table * [1.0, signs.barometer or 1.0]
+        signals["barometer"] = tables["barometer"]
     return signals
 
 
@@ -240,18 +235,17 @@ def _decide(with_gravity: Array, signs: Signs, platform: str, android: bool) -> 
     values = with_gravity[np.isfinite(with_gravity).all(axis=1), 1:]
     if not len(values):
         return
-    magnitude = float(np.linalg.norm(values.mean(axis=0)))
-    in_g = GRAVITY_IN_G[0] / 2 < magnitude < 2 * GRAVITY_IN_G[1]  # half a second may hold half a step
+    is_in_g = in_g(values)
     if platform:
         sign = -1.0 if platform == "ios" else 1.0
     elif android:
         sign = 1.0
-    elif in_g:
+    elif is_in_g:
         sign = -1.0  # only iOS has g, and only with its own signs
     else:
         sign, system = sign_by_gravity(values[:, 2])
         signs.notes.append(f"accelerometer: {system} assumed from gravity's sign; platform=ios or android states it")
-    signs.acceleration = sign * (STANDARD_GRAVITY if in_g else 1.0)
+    signs.acceleration = sign * (STANDARD_GRAVITY if is_in_g else 1.0)
 
 
 def fixes_of(tables: dict[str, Array], notes: list[str]) -> Fixes | None:
@@ -484,7 +478,7 @@ def osmand(body: bytes) -> tuple[str, list[Row]]:
     lat, _, lon = (
         fields["location"].partition(",") if "location" in fields else (fields.get("lat"), "", fields.get("lon"))
     )
-    time = _time(fields.get("timestamp"))
+    time = unix_time(fields.get("timestamp"))
     row = _row(time, float_of(lat), float_of(lon), float_of(fields.get("accuracy")))
     if row is None:
         raise InputError("message", "lat, lon, timestamp", "not all of them", "numbers: degrees, Unix seconds")
@@ -499,7 +493,7 @@ def _traccar(message: Mapping[str, Any]) -> tuple[str, list[Row]]:
     if not isinstance(location, dict) or not isinstance(coordinates, dict):
         raise InputError("message", "location", "no coords", "a position of Traccar Client")
     place = (coordinates.get("latitude"), coordinates.get("longitude"), coordinates.get("accuracy"))
-    row = _row(_time(location.get("timestamp")), *place, invalid=True)
+    row = _row(unix_time(location.get("timestamp")), *place, invalid=True)
     if row is None:
         raise InputError("message", "location", "no latitude, longitude and timestamp", "numbers and an ISO time")
     return name, [row]
@@ -529,12 +523,3 @@ def _row(time: Any, lat: Any, lon: Any, accuracy: Any, invalid: bool = False) ->
 
 def _text(value: Any) -> str:
     return value if isinstance(value, str) else ""
-
-
-def _time(value: Any) -> float:
-    """Unix time [s] of OsmAnd's timestamp: seconds, milliseconds or ISO 8601."""
-    number = float_of(value)
-    if np.isnan(number):
-        return iso_time(value)
-    # OsmAnd's timestamps from 2³¹ on are milliseconds
-    return number / 1000 if number >= 2**31 else number

@@ -17,11 +17,6 @@ from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
 
-def recognizes(path: Path, head: bytes) -> bool:
-    """True for a PNG or a JPEG."""
-    return head.startswith((b"\x89PNG\r\n", b"\xff\xd8\xff"))
-
-
 def read(path: Path, scale: float | None) -> Drawing:
     """Trace the walls of a picture. scale: metres per pixel; the format states none."""
     picture, factor = opened(path, ("PNG", "JPEG"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import CELL_KINDS, Area
 from pdr_graph.floor.formats.drawing import Drawing, check_crossings, check_file_size, floor_heights, frame_about
 from pdr_graph.frames import Frame, enu
+from pdr_graph.io.signatures import function, geojson_reader
 from pdr_graph.whole_files import write_file
 
 # Limits of an untrusted file
@@ -132,6 +134,17 @@ def area_of(kind: str, feature: Feature, frame: Frame | None) -> Area:
 
 
 LOCAL_FRAME = "local"  # value of the member ``pdr_graph.frame``
+
+
+def read_plan(path: Path) -> Drawing:
+    """Read a GeoJSON plan of our own format, of OpenStreetMap's indoor tags, or of IPIN21Data."""
+    notes, repairs = list[str](), list[str]()
+    collection = read_json(path)
+    features = list(features_of(path, collection, notes, repairs))
+    if not features:
+        raise InputError(path, "features", "none with a geometry", "rooms, corridors or walls")
+    reader = geojson_reader([properties for _, _, properties in features])
+    return replace(function(reader)(path, collection, features, notes), repairs=tuple(repairs))
 
 
 def read(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:

@@ -20,10 +20,9 @@ from pdr_graph.floor.cells import CLOSED, DOOR, ENTRANCE, OPEN, OUTLINE, WALL, A
 from pdr_graph.floor.formats.drawing import DOOR_SLACK, STOREY, Drawing, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees, features_of, read_json
 from pdr_graph.frames import Frame
+from pdr_graph.io.signatures import IMDF_PARTS
 
-LEAST_FILES = ("level.geojson", "unit.geojson")  # without them an archive has no floor
-OPTIONAL_TYPES = ("opening", "fixture", "kiosk", "amenity", "anchor", "occupant")  # further feature types that are read
-MANIFEST = "manifest.json"
+MANIFEST, *LEAST_FILES = IMDF_PARTS[:3]
 # Categories of units; all others are rooms
 KIND_OF_UNIT = {
     **dict.fromkeys(("walkway", "walkway.island", "footbridge", "movingwalkway", "lobby", "platform"), "corridor"),
@@ -34,22 +33,6 @@ KIND_OF_UNIT = {
     **dict.fromkeys(("nonpublic", "opentobelow", "swimmingpool", "vegetation"), WALL),
 }
 SLOPES = ("steps", "ramp")  # within a floor or between two: stairs where one on another floor overlaps
-
-
-def root_of(path: Path) -> Path:
-    """The folder of an archive from one of its main files; any other path unchanged."""
-    return path.parent if path.name in (*LEAST_FILES, MANIFEST) and recognizes(path.parent) else path
-
-
-def recognizes(folder: Path) -> bool:
-    """True for the folder of an unpacked archive."""
-    return all((folder / name).is_file() for name in LEAST_FILES)
-
-
-def files_of(folder: Path) -> tuple[Path, ...]:
-    """The files of an archive that `read` reads."""
-    named = (MANIFEST, *LEAST_FILES, *(f"{kind}.geojson" for kind in OPTIONAL_TYPES))
-    return tuple(folder / name for name in named if (folder / name).is_file())
 
 
 def read(folder: Path) -> Drawing:

@@ -23,8 +23,9 @@ from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, CONNECTING, DOOR, OPEN, OUTLINE, SOLID, WALL, Area
 from pdr_graph.floor.formats.drawing import STOREY, Drawing, check_file_size, frame_about, open_doorless_rooms
 from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
-from pdr_graph.io.source import parsed_xml
+from pdr_graph.io.signatures import tags_of
 from pdr_graph.io.validation import float_of
+from pdr_graph.io.xml_elements import parsed_xml
 from pdr_graph.priors import PLANS
 from pdr_graph.types import Array
 
@@ -34,19 +35,14 @@ MOST_LEVEL_AREAS = 100_000  # features times the levels on which each is
 LEVEL_NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
-def recognizes(features: Iterable[Feature]) -> bool:
-    """True for features with the tags of Simple Indoor Tagging, and none of a plan of our own."""
-    tags = [tags_of(properties) for _, _, properties in features]
-    return any("indoor" in t for t in tags) and not any("kind" in t and "indoor" not in t for t in tags)
+def read_xml(path: Path) -> Drawing:
+    """Read an ``.osm`` file. Raises InputError for broken or hostile XML, or if nothing in it is a room."""
+    notes, repairs = list[str](), list[str]()
+    features = osm_features(path, notes, repairs)
+    return replace(read(path, {}, features, notes), repairs=tuple(repairs))
 
 
-def tags_of(properties: dict[str, Any]) -> dict[str, Any]:
-    """The tags of a feature: its properties, or their member ``tags``."""
-    tags = properties.get("tags")
-    return tags if isinstance(tags, dict) else properties
-
-
-def read(path: Path, features: Sequence[Feature], notes: list[str]) -> Drawing:
+def read(path: Path, collection: dict[str, Any], features: Sequence[Feature], notes: list[str]) -> Drawing:
     """Read features with longitudes and latitudes [deg]. Raises InputError if none is a room, corridor or area."""
     tagged = [(shape, tags_of(properties)) for _, shape, properties in features]
     indoor = [(shape, tags, kind) for shape, tags in tagged if (kind := _kind(shape, tags))]
@@ -243,12 +239,6 @@ def _on_walls(door: Area, rings: Sequence[shapely.Geometry], tree: shapely.STRtr
 
 
 AREAS = ("area", "building", "building:part", "indoor", "room")  # tags of closed ways that are polygons
-
-
-def is_osm_xml(path: Path) -> bool:
-    """True if the root element is ``osm``."""
-    with path.open("rb") as stream:
-        return b"<osm" in stream.read(2048).replace(b"\0", b"")
 
 
 def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Feature]:

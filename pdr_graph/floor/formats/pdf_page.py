@@ -25,11 +25,6 @@ LARGEST_PAGE = 15_000  # [point] 5 m of paper
 BEZIER = np.array([[(1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3] for t in np.linspace(0, 1, 9)[1:]])
 
 
-def recognizes(path: Path, head: bytes) -> bool:
-    """True for a PDF file."""
-    return head.lstrip()[:5] == b"%PDF-"
-
-
 def read(path: Path, scale: float | None) -> Drawing:
     """Read the first page of a PDF file, in points of 1/72 inch from its lower left corner.
 

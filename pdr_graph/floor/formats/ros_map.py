@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,6 @@ from pdr_graph.types import Array, Mask
 PICTURE_FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
 LARGEST_NUMBER = 1e7  # in the file: metres of an origin far away
 MAP_MODES = ("trinary", "scale", "raw")
-
-
-def recognizes(path: Path, head: bytes) -> bool:
-    """True for the YAML file of a map."""
-    text = head.decode("utf-8", "replace")
-    return all(re.search(rf"(?m)^\s*{key}\s*:", text) for key in ("image", "resolution", "origin"))
 
 
 def picture_of(path: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import takewhile
@@ -16,10 +16,10 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.formats import microsoft
 from pdr_graph.floor.formats.drawing import Drawing, floor_heights
 from pdr_graph.floor.formats.geojson import LARGEST_GEOJSON
 from pdr_graph.frames import Frame
+from pdr_graph.io.signatures import MICROSOFT
 from pdr_graph.io.source import Source
 
 # Endings of plans, those with most detail first: what has the first is the plan, pictures beside it are not
@@ -32,7 +32,6 @@ PLAN_ENDINGS = (
     (".pdf", ".png", ".jpg", ".jpeg"),
 )
 MOST_FLOOR_FILES = 200
-Reader = Callable[[Path], Drawing]
 
 
 @contextmanager
@@ -59,34 +58,30 @@ def unpacked(path: Path) -> Iterator[Path]:
             raise error.renamed(str(folder), str(path)) from None
 
 
-def files_of(folder: Path) -> tuple[Path, ...]:
+def plans_in(folder: Path) -> tuple[Path, ...]:
     """The plans in a folder, by name: files of one format, and floor folders of Microsoft.
 
-    Raises InputError if there are none.
+    Raises InputError if there are none, or more than MOST_FLOOR_FILES.
     """
-    floors = [child for child in sorted(folder.iterdir()) if child.is_dir() and microsoft.recognizes(child)]
+    floors = [child for child in sorted(folder.iterdir()) if child.is_dir() and MICROSOFT.is_folder(child)]
     files = [child for child in sorted(folder.iterdir()) if child.is_file()]
-    files = [file for file in files if file.name not in microsoft.FILES and not file.name.startswith(".")]
+    files = [file for file in files if file.name not in MICROSOFT.parts and not file.name.startswith(".")]
     for endings in PLAN_ENDINGS:
-        plans = [] if floors else [file for file in files if file.suffix.lower() in endings]
-        if plans:
-            return tuple(plans[: MOST_FLOOR_FILES + 1])
+        floors = floors or [file for file in files if file.suffix.lower() in endings]
     if not floors:
         expected = "a floor plan, a file or folder for each floor, or an IMDF archive"
-        raise InputError(folder, "", f"a folder without {microsoft.FILES[0]} or any plan", expected)
-    return tuple(floors[: MOST_FLOOR_FILES + 1])
+        raise InputError(folder, "", f"a folder without {MICROSOFT.folder[0]} or any plan", expected)
+    if len(floors) > MOST_FLOOR_FILES:
+        raise InputError(folder, "", f"more than {MOST_FLOOR_FILES} plans", "a file for each floor of one building")
+    return tuple(floors)
 
 
-def read(folder: Path, read_file: Reader) -> Drawing:
-    """Read all plans in a folder as one building.
+def joined(folder: Path, files: Sequence[Path], drawings: Sequence[Drawing]) -> Drawing:
+    """All plans in a folder as one building. drawings: of each of its files.
 
     Floors have the labels of their plans, else the file names without what these have in common. Raises InputError if
     two floors have one label, or the plans are not in one frame.
     """
-    files = files_of(folder)
-    if len(files) > MOST_FLOOR_FILES:
-        raise InputError(folder, "", f"more than {MOST_FLOOR_FILES} plans", "a file for each floor of one building")
-    drawings = [read_file(file) for file in files]
     if len(drawings) == 1:
         return drawings[0]
     drawings = [_labelled(d, name) for d, name in zip(drawings, _short_names(files), strict=True)]

@@ -17,10 +17,9 @@ import shapely
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.formats.geojson import features_of, read_json
-from pdr_graph.floor.formats.osm_indoor import tags_of
-from pdr_graph.io.source import parsed_xml
+from pdr_graph.io.signatures import tags_of
 from pdr_graph.io.validation import float_of
-from pdr_graph.io.xml_elements import XmlElements
+from pdr_graph.io.xml_elements import XmlElements, parsed_xml
 from pdr_graph.priors import WAYS
 from pdr_graph.types import Array
 

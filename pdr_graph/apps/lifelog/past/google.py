@@ -22,12 +22,10 @@ from pdr_graph.apps.lifelog.past.past_rows import (
     Point,
     batch_of,
     guess,
-    unix_time,
-    unix_times,
     valid_positions,
 )
 from pdr_graph.io.past_day import E7, GOOGLE_CELL, GOOGLE_PATH, GOOGLE_WIFI, GPS, MS, PHONE, SIGHTING, Rows
-from pdr_graph.io.validation import float_of, plausible_times
+from pdr_graph.io.validation import float_of, plausible_times, unix_time, unix_times
 from pdr_graph.types import Array
 
 SEMANTIC, TIMELINE = "Google Semantic Location History", "Google Timeline"

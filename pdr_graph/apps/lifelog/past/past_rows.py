@@ -33,8 +33,9 @@ from pdr_graph.io.validation import (
     RECEIVER,
     float_of,
     in_seconds,
-    iso_time,
     plausible_times,
+    unix_time,
+    unix_times,
     without_rollover,
     zoneless,
 )
@@ -106,24 +107,6 @@ def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source
     rows["accuracy"] = np.where(stated[valid], radius, NO_ACCURACY)
     rows["source"] = source[valid] if isinstance(source, np.ndarray) else source
     return Batch(rows, left_out=left_out)
-
-
-def unix_times(texts: Sequence[Any]) -> Array:
-    """Unix times ``(n,)`` [s] of ISO 8601 texts (UTC without an offset), or numbers in s, ms, µs or ns; else NaN."""
-    try:  # UTC as Google writes it, all at once
-        if {text[-1] for text in texts} == {"Z"}:
-            return np.array([text[:-1] for text in texts], "datetime64[ms]").astype(float) / MS
-    except (ValueError, TypeError, LookupError):
-        pass
-    return np.array([unix_time(text) for text in texts], float)
-
-
-def unix_time(value: Any) -> float:
-    """Unix time [s] of one ISO 8601 text or number; NaN if it is neither."""
-    number = float_of(value)
-    if math.isfinite(number):
-        return float(in_seconds(np.array([number]))[0])
-    return iso_time(value)
 
 
 Point = tuple[Any, tuple[float, float], float, int]  # time, latitude and longitude [deg], accuracy [m], source

@@ -19,8 +19,9 @@ from pdr_graph.apps.lifelog.facts import Guess
 from pdr_graph.apps.lifelog.past.past_json import NO_POSITION, as_utf8, at, items, lists_format
 from pdr_graph.apps.lifelog.past.past_rows import Batch, Format, Point, batch_of, guess
 from pdr_graph.errors import InputError, install
-from pdr_graph.io.gpx import GPX_ROOT, track_points
+from pdr_graph.io.gpx import track_points
 from pdr_graph.io.past_day import PHONE, TRACKED
+from pdr_graph.io.signatures import GPX_ROOT
 from pdr_graph.io.validation import float_of
 from pdr_graph.io.xml_elements import XmlElements
 
@@ -191,6 +192,6 @@ FIT = Format("FIT", re.compile(rb"\A.{8}\.FIT", re.DOTALL), _fit)
 OVERLAND = lists_format("Overland", rb'"locations"\s*:\s*\[\s*\{.*"Feature"', {"locations": _overland})
 # The Recorder's .rec files: a line per message with UTC time, kind and JSON
 OWNTRACKS = Format("OwnTracks Recorder", re.compile(rb"\A\s*\d{4}-\d\d-\d\dT[\d:.]+Z\s+\S+\s+\{"), _owntracks)
-GPX_TRACKS = Format("GPX", GPX_ROOT, _gpx)
+GPX_TRACKS = Format("GPX", re.compile(rb"\A" + GPX_ROOT), _gpx)
 KML = Format("KML", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?kml[\s>]"), _kml)
 TCX = Format("TCX", re.compile(rb"(?s)\A.{0,4000}?<(?:[\w.-]+:)?TrainingCenterDatabase[\s>]"), _tcx)

@@ -1,10 +1,13 @@
-"""DXF drawings: lines, polylines, arcs, circles and blocks of the model space, by layer."""
+"""CAD drawings: DXF, and CSV of line segments ``x1,y1,x2,y2`` as exported from others.
+
+Of a DXF drawing the lines, polylines, arcs, circles and blocks of the model space are read, by layer.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,8 @@ from pdr_graph.floor.formats.line_drawing import (
     drawing_of_lines,
     holds,
 )
+from pdr_graph.io import delimited
+from pdr_graph.io.source import Source
 from pdr_graph.types import Array
 
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
@@ -31,13 +36,7 @@ INSERT_UNITS = {  # $INSUNITS: metres per unit
 }
 
 
-def recognizes(path: Path, head: bytes) -> bool:
-    """True for a DXF file, text or binary."""
-    text = head.removeprefix(b"\xef\xbb\xbf").split()
-    return head.startswith(b"AutoCAD Binary DXF") or text[:2] in ([b"0", b"SECTION"], [b"999", *text[1:2]])
-
-
-def read(path: Path, scale: float | None) -> Drawing:
+def read_dxf(path: Path, scale: float | None) -> Drawing:
     """Read the model space of a DXF drawing in its own axes.
 
     scale: metres per unit; None: that of ``$INSUNITS``. Raises InputError if neither is known, or for a damaged file.
@@ -139,3 +138,28 @@ def _points(entity: Any, kind: str) -> Array:
         return np.array([(p.x, p.y) for p in path.flattening(sagitta)], dtype=float).reshape(-1, 2)
     except DEGENERATE:
         return np.empty((0, 2))
+
+
+SEGMENT_COLUMNS = ("x1", "y1", "x2", "y2")
+LAYER = "layer"
+
+
+def read_segments(path: Path, scale: float | None) -> Drawing:
+    """Read segments in the drawing's own axes. scale: metres per unit, which the format does not state."""
+    check_file_size(path, 50_000_000)  # [bytes]
+    source = Source(path, "floor plan")
+    table = delimited.table(str(path), source.utf8(path.name))
+    header, rows = [name.casefold() for name in table.header], table.rows
+    named = set(SEGMENT_COLUMNS) <= set(header)
+    if not named:  # the first row is a segment
+        rows = replace(rows, content=source.utf8(path.name), first=1)
+    if len(rows) > MOST_SEGMENTS:
+        raise InputError(path, "", f"more than {MOST_SEGMENTS} segments", "the lines of one floor")
+    ends = rows.floats([header.index(name) if named else n for n, name in enumerate(SEGMENT_COLUMNS)], False)
+    for row in np.flatnonzero(~np.isfinite(ends).all(axis=1))[:1]:
+        raise InputError(path, f"line {rows.numbers[row]}", rows.lines[row][:60], "finite numbers")
+    if not (np.abs(ends) < LARGEST_COORDINATE).all():
+        raise InputError(path, "", "coordinates that are too large", f"numbers below {LARGEST_COORDINATE:g}")
+    layers = [holds(name) for name in rows.words(header.index(LAYER))] if named and LAYER in header else []
+    notes = [f"{count(len(ends), 'segment')} of lines without thickness"]
+    return drawing_of_lines(path, ends.reshape(-1, 2, 2), layers or [UNCLEAR] * len(ends), scale, None, notes)
