@@ -90,7 +90,7 @@ SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 class StepPriors(Table):
     """Durations of steps."""
 
-    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 1))
+    shortest: float = number(0.25, "s", "shortest duration of a step", still=(0.5, 2))
     longest: float = number(2.2, "s", "longest duration of a step", "strides: 1.0 to 1.6 s at 0.3 to 0.5 m/s")
     pause: float = number(
         2.2, "steps", "interval between landings from which it is a stop: 1.2 s at a usual pace", still=(1, 1)
@@ -107,9 +107,9 @@ class CandidatePriors(Table):
     usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
     usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
     smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(1, 1))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(0.5, 2))
     window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
-    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 1))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 2))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(0.23, "share", "least amplitude among the steps around: feet shuffle", still=(1, 1))
@@ -138,7 +138,7 @@ class CandidatePriors(Table):
         0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings", still=(0.5, 2)
     )
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
-    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 1))
+    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 2))
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
     jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
@@ -187,8 +187,10 @@ class StridePriors(Table):
     """Lengths of steps."""
 
     shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(1, 2))
-    sigma: float = number(0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS)
+    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(0.5, 2))
+    sigma: float = number(
+        0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS, still=(1, 2)
+    )
     turn_shortens: float = number(
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
@@ -197,7 +199,7 @@ class StridePriors(Table):
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
     run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS, still=(1, 1))
     run_duration: float = number(0.40, "s", "duration of that step", RUNS, still=(1, 1))
-    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 1))
+    run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 2))
     run_period: tuple[float, float] = number(
         (0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS, still=(1, 1)
     )
@@ -206,7 +208,7 @@ class StridePriors(Table):
         "m/s²",
         "hardly and surely of a run",
         "simulated runs; walkers who hurry have up to 10 at such a rhythm",
-        still=(1, 1),
+        still=(0.5, 1),
     )
 
 
@@ -214,10 +216,14 @@ class StridePriors(Table):
 class IrregularityPriors(Table):
     """How irregular a gait is, by the durations of its steps, and how much more irregular steps err."""
 
-    usual: float = number(0.03, "log", "mean change of the duration from step to step: strolls in malls", LEGS)
-    steps: float = number(8.0, "steps", "over which that mean is taken, with exponential weights", LEGS)
-    largest: float = number(0.1, "log", "largest change that counts: a hesitation is not ten times an irregular step")
-    exponent: float = number(0.8, "exponent", "with which the sigma of a step grows with it", LEGS)
+    usual: float = number(
+        0.03, "log", "mean change of the duration from step to step: strolls in malls", LEGS, still=(0.5, 1)
+    )
+    steps: float = number(8.0, "steps", "over which that mean is taken, with exponential weights", LEGS, still=(0.5, 2))
+    largest: float = number(
+        0.1, "log", "largest change that counts: a hesitation is not ten times an irregular step", still=(0.5, 2)
+    )
+    exponent: float = number(0.8, "exponent", "with which the sigma of a step grows with it", LEGS, still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -411,8 +417,8 @@ class NorthPriors(Table):
     drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
     fastest: float = number(0.2, "rad/s", "largest drift of a gyroscope that is sought: REST.largest_bias")
     undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
-    alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(0.5, 2))
-    disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 2))
+    alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(1, 2))
+    disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 1))
     weakest: float = number(
         0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", still=(0.5, 2)
     )
@@ -471,7 +477,7 @@ class LossPriors(Table):
         "σ",
         "full weight up to here: 95 % of inliers in the plane; beyond it outliers lose most of theirs",
         "χ² of 2 degrees: 5.99",
-        still=(0.5, 1),
+        still=(1, 1),
     )
     closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres")
 
@@ -488,7 +494,7 @@ class WalkerPriors(Table):
         "-, -, rad/s",
         "of an unknown walker; b covers all phones but the share ``drifting``",
         "fit of b: docs/results/drift.md; JUDGEMENT",
-        still=(0.5, 2),
+        still=(1, 1),
     )
     drifting: float = number(
         0.05, "share", "of gyroscopes that drift by ``far``", "fit: docs/results/drift.md", still=(0.5, 2)
@@ -665,7 +671,7 @@ class FixPriors(Table):
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
-    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(0.5, 2))
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(1, 2))
     along: float = number(30.0, "m", "distance walked over which they are correlated", still=(0.5, 2))
     still: float = number(1.0, "m", "within which a frozen receiver stays")
     away: float = number(10.0, "m", "to which the steps must lead meanwhile")
