@@ -3,7 +3,8 @@
 One table for each subject, a class with one instance; code reads ``WALLS.body`` where it uses it, so that
 ``scripts/reproduce settings`` can halve and double each number. That script measures the ranges; its figures are in
 docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or, if none is
-stated, JUDGEMENT. Constants of nature, sizes of caches and numerical tolerances stay in their modules.
+stated, JUDGEMENT. Constants of nature, sizes of caches, numerical tolerances, grids and limits of loops stay in their
+modules, and so does what is part of one formula: halved or doubled, it changes no walk.
 """
 
 from __future__ import annotations
@@ -103,12 +104,8 @@ class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
     sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(1, 2))
-    slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
     usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
-    usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(0.5, 2))
-    window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock; others are multiples", still=(1, 1))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 2))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
@@ -123,28 +120,17 @@ class CandidatePriors(Table):
     run_bounce: float = number(
         0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988", still=(1, 2)
     )
-    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e", still=(0.5, 2))
-    slow_factor: float = number(
-        2.0, "factor", "length of the filters for slow steps, of those for usual ones", still=(0.5, 2)
-    )
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
     bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
     bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
     rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps", still=(0.5, 1))
-    sway_weight: float = number(0.8, "correlation", "weight of the sway from foot to foot, in slow steps", SWAYS)
+    sway_weight: float = number(0.8, "correlation", "weight of the sway of a body, and of that of a limb", SWAYS)
     sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
-    limb_weight: float = number(
-        0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings", still=(0.5, 2)
-    )
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
-    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 2))
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
     jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
-    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows landings jar", still=(0.5, 2))
-    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", still=(0.5, 2))
-    tilt_window: float = number(1.5, "s", "over which that direction is averaged", still=(0.5, 2))
     steadiest_tilt: float = number(
         0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.5, 1)
     )
@@ -164,9 +150,6 @@ class BoutPriors(Table):
         0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
-    late: float = number(6.0, "s", "after which it is too late to report a step")
-    past: float = number(9.0, "s", "samples before a landing on which it may depend")
-    future: float = number(4.5, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
 
 
 @dataclass(frozen=True)
@@ -186,19 +169,15 @@ class ConfidencePriors(Table):
 class StridePriors(Table):
     """Lengths of steps."""
 
-    shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(0.5, 2))
     sigma: float = number(
         0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS, still=(1, 2)
     )
     turn_shortens: float = number(
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
-    largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps", still=(1, 1))
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
-    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS, still=(1, 1))
-    run_duration: float = number(0.40, "s", "duration of that step", RUNS, still=(1, 1))
+    run: float = number(0.97, "m", "step of a run, of 0.4 s", RUNS, still=(1, 1))
     run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 2))
     run_period: tuple[float, float] = number(
         (0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS, still=(1, 1)
@@ -277,9 +256,6 @@ class ForwardPriors(Table):
         "fit: docs/results/seeds.md",
         still=(1, 2),
     )
-    band: float = number(
-        0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", still=(0.5, 2)
-    )
     window_steps: int = number(16, "steps", "length of a window", still=(0.5, 2))
     least_windows: int = number(3, "windows", "least number of windows of walking", still=(0.5, 2))
     least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait")
@@ -288,10 +264,8 @@ class ForwardPriors(Table):
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
     steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 1))
     opposed: float = number(0.6, "rad", "of gait axis and y axis from which the phone is not read", still=(0.5, 2))
-    early_steps: int = number(8, "steps", "length of a window live", still=(0.5, 2))
     early_coherence: float = number(0.45, "share", "least coherence in such a window", still=(0.5, 2))
     surely_facing_up: float = number(0.55, "share", "``facing_up`` where the gait does not confirm it", still=(0.5, 2))
-    overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis")
     early_sigma: float = number(
         0.4,
         "rad",
@@ -302,6 +276,11 @@ class ForwardPriors(Table):
     unconfirmed: float = number(
         0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.5, 2)
     )
+
+    @property
+    def half_window(self) -> int:
+        """Steps of a window live, and beside a turn of the phone: few enough to know the axis soon."""
+        return self.window_steps // 2
 
     @property
     def early_spread(self) -> float:
@@ -316,9 +295,6 @@ class GripPriors(Table):
     tilting: float = number(0.25, "rad/s", "rate of the vertical in the device above that of a carried phone")
     new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change")
     fast: float = number(0.8, "rad", "turn of the phone for which a clear axis of the gait is waited for")
-    steps_beside: int = number(
-        8, "steps", "before and after a turn, and in a window, to determine the forward axis", still=(0.5, 2)
-    )
     noise: float = number(
         0.5,
         "rad",
@@ -327,7 +303,6 @@ class GripPriors(Table):
         still=(0.5, 2),
     )
     clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
-    windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
     coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(1, 2))
     weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
@@ -348,7 +323,6 @@ class CompassPriors(Table):
     longest_stretch: float = number(
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
-    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(0.5, 2))
     least_certain: float = number(
         0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.5, 2)
     )
@@ -359,13 +333,8 @@ class CompassPriors(Table):
 class LiveCompassPriors(Table):
     """The live compass."""
 
-    sampling: float = number(0.04, "s", "interval of the stored samples")
-    early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations")
-    evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch")
-    out_of_reach: float = number(40.0, "s", "age at which a heading has left the window: a new stretch begins")
     unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags")
     least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported")
-    offsets: int = number(3, "results", "earlier ones of a stretch whose differences widen the sigma")
 
 
 # Sensors
@@ -379,28 +348,15 @@ class RestPriors(Table):
     rate: float = number(0.012, "rad/s", "largest spread at rest: twice the noise of cheap sensors")
     acceleration: float = number(0.10, "m/s²", "the same of the acceleration")
     shortest: float = number(1.5, "s", "least duration of a rest: any phone is at rest for a moment")
-    largest_bias: float = number(0.2, "rad/s", "largest mean rate at rest: else a turntable or a car")
+    largest_bias: float = number(0.2, "rad/s", "of a gyroscope, largest mean rate at rest: else a turntable or a car")
     drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature")
     longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two")
-    bias_sigma: float = number(
-        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", still=(0.5, 2)
-    )
-    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: phones warm up in minutes", still=(0.5, 2))
-
-    @property
-    def vqf(self) -> dict[str, float]:
-        """VQF's options."""
-        return {"biasSigmaInit": self.bias_sigma, "biasForgettingTime": self.bias_forgetting}
 
 
 @dataclass(frozen=True)
 class MagnetometerPriors(Table):
     """Calibration of the magnetometer, and tests of the field."""
 
-    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait", still=(0.5, 2))
-    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field", still=(0.5, 2))
-    fit_samples: int = number(600, "samples", "most of a calibration fit")
-    fit_rounds: int = number(30, "iterations", "of a fit from any start")
     hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration")
     soft_spread: float = number(0.1, "share", "sigma of its soft iron")
     field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss")
@@ -413,9 +369,7 @@ class MagnetometerPriors(Table):
 class NorthPriors(Table):
     """The filter of north."""
 
-    interval: float = number(1.0, "s", "between observations", still=(0.5, 2))
     drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
-    fastest: float = number(0.2, "rad/s", "largest drift of a gyroscope that is sought: REST.largest_bias")
     undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
     alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(1, 2))
     disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 1))
@@ -425,7 +379,6 @@ class NorthPriors(Table):
     disagree: float = number(
         0.5, "rad", "residual (rms) of those that measure no drift", "0.06 to 0.41 in 46 real walks", still=(0.5, 1)
     )
-    huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", still=(0.5, 2))
 
 
@@ -433,8 +386,6 @@ class NorthPriors(Table):
 class ClimbPriors(Table):
     """Climbs in a barometer's height; docs/results/floors.md scores them."""
 
-    grid: float = number(0.5, "s", "interval of the height samples")
-    longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long")
     gust: float = number(4.5, "s", "longest spike that is removed: a lift takes four seconds for a storey")
     rate: float = number(2.0, "s", "least width of the Gaussian over which a rate is taken")
     slow: float = number(0.03, "m/s", "low threshold of the rate: weather has 0.002")

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_graph.geometry import row_times, viterbi
-from pdr_graph.inertial.barometer import DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs, goings_of
+from pdr_graph.inertial.barometer import CELL, DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs, goings_of
 from pdr_graph.priors import CLIMB, LIVE_FLOORS, STOREYS
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
@@ -238,7 +238,7 @@ class LiveFloors:
         self.begin, self.end = np.nan, np.nan  # [s] start of the window, end of the certain steps
         self.looked = -np.inf  # [s] time of the last estimate
         self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps in the window [s]
-        self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
+        self.pressure = np.empty((0, 2))  # means over CELL: time [s] and pressure [hPa]
         self.open = np.empty((0, 2))  # samples of the cell that is not complete
         self.fixes = Fixes.none()  # with floor labels
         self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
@@ -254,12 +254,12 @@ class LiveFloors:
         for sample in rows:
             if sample[0] <= max(self.pressure[-1:, 0].max(initial=-np.inf), self.open[-1:, 0].max(initial=-np.inf)):
                 continue  # repeated sample, or clock reset
-            if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
+            if len(self.open) and sample[0] // CELL > self.open[0, 0] // CELL:
                 self.pressure, self.open = np.vstack([self.pressure, self.open.mean(axis=0)]), self.open[:0]
             if len(self.open) < MOST_IN_CELL:
                 self.open = np.vstack([self.open, sample])
         longest = LIVE_FLOORS.longest * (LIVE_FLOORS.too_long if np.isfinite(self.end) else 1.0)
-        self.pressure = self.pressure[-round(longest / CLIMB.grid) :]
+        self.pressure = self.pressure[-round(longest / CELL) :]
 
     def add_fixes(self, fixes: Fixes) -> None:
         """Append fixes; only those with a floor label are used."""
