@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 JUDGEMENT = "judgement"
 SEARCHED = "set on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the densest"
@@ -758,32 +757,24 @@ class InitialPriors(Table):
 
     joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
     change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 2))
-    any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
-    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", still=(0.5, 2))
-    huber: float = number(2.0, "σ", "width of Huber's weight", still=(0.5, 2))
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
-    beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", still=(0.5, 2))
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
     window: float = number(8.0, "s", "sigma of the weights of fixes about a pose without a gyroscope", still=(0.5, 1.5))
-    dense: float = number(3.0, "fixes", "about a pose, from which it follows them without a gyroscope")
 
 
 @dataclass(frozen=True)
 class SearchPriors(Table):
     """The search for other walks that explain the measurements."""
 
-    directions: int = number(8, "directions", "hypotheses of an unknown direction")
     alike: float = number(30.0, "steps", "with the same position error, between fixes")
-    longest_move: float = number(
-        2.0, "m", "of a pose in an iteration with walls, whose gradients are local", still=(0.5, 2)
-    )
     dropped: float = number(12.0, "nats", "above the best at which a solution is dropped")
     usual: float = number(1.5, "ratio", "usual cost with walls to that without")
     strained: float = number(3.0, "nats", "above the usual at which further paths are searched")
-    attempts: int = number(2, "runs", "of the particle filter")
     unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed")
-    same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing")
+    same_path: float = number(
+        4.0, "m", "mean distance of solutions on one path, largest of particles in one mode: half an aisle's spacing"
+    )
 
 
 @dataclass(frozen=True)
@@ -838,8 +829,6 @@ class DoubtPriors(Table):
     """Which hypotheses about sources are solved, carried on, adopted and reported."""
 
     unlikely: float = number(5.0, "nats", "above the best from which a hypothesis is not carried on: 0.7 %")
-    probable: float = number(0.5, "probability", "above which a user is told what a source gets wrong")
-    different: float = number(0.5, "m", "largest distance at some step above which two solutions differ")
     older: float = number(
         8.0,
         "nats",
@@ -848,25 +837,14 @@ class DoubtPriors(Table):
     lead: float = number(1.0, "nats", "by which other hypotheses must be better than the adopted ones")
     misplaced: float = number(6.0, "m", "sigma of the displacement of a plan or of the only position on it, per axis")
     span: float = number(120.0, "s", "of the walk in which sources are compared: twice the usual lag")
-    spacing: float = number(10.0, "s", "between the times at which the covariance of a review is computed")
     least_sigma: float = number(1.0, "m", "of a place that is certain: the walls that tell it count again")
     least_sigma_heading: float = number(0.2, "rad", "of the heading there")
-    nowhere_else: float = number(1e-3, "probability", "below which no other place is kept")
 
 
 @dataclass(frozen=True)
 class PathPriors(Table):
     """Distinct paths of a walk on a plan."""
 
-    most_modes: int = number(8, "modes", "largest number that is solved")
-    most_sought: int = number(
-        300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan"
-    )
-    apart: float = number(4.0, "m", "largest distance between two modes: nearer ones lead the search to the same walk")
-    moments: int = number(60, "keyframes", "at which paths are compared")
-    live_moments: int = number(8, "keyframes", "the same for a walk under way")
-    live_modes: int = number(5, "modes", "largest number for a walk under way")
-    neglected: float = number(0.01, "share", "of the particles that need not belong to any mode")
     largest_sigma: float = number(
         2.7, "m", "in the worst direction, of a path that fixes determine: aisles lie three times as far apart"
     )
@@ -882,14 +860,9 @@ class AnywherePriors(Table):
     most_density: float = number(50.0, "1/m²", "the same in small plans", SEARCHED)
     fewest: int = number(2000, "particles", "least number", SEARCHED)
     fewest_at_first: int = number(50_000, "particles", "least number at first", SEARCHED)
-    most: int = number(200_000, "particles", "largest number", SEARCHED)
-    kept: int = number(5000, "paths", "of a run", SEARCHED)
     per_bin: float = number(
         0.1, "m²", "particles per occupied bin of place and direction, times their density at first", SEARCHED
     )
-    drawn: int = number(2000, "paths", "among which modes are sought")
-    places: int = number(2000, "places", "that stand for all of a plan")
-    runs: int = number(2, "runs", "independent ones: a run may lose the right place", SEARCHED)
 
 
 @dataclass(frozen=True)
@@ -901,10 +874,6 @@ class ParticlePriors(Table):
     per_bin: int = number(
         20, "particles", "per occupied bin of position and direction; scales with the most", still=(0.5, 2)
     )
-    bin: float = number(1.0, "m", "of position", still=(0.5, 2))
-    bin_angle: float = number(np.pi / 8, "rad", "of direction", still=(0.5, 2))
-    resample: float = number(0.5, "share", "effective share below which they are resampled", still=(0.5, 2))
-    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", still=(0.5, 2))
     wide: tuple[float, ...] = number(
         (1.5, 1.5, 2.0), "factor", "of the prior's sigmas: rare calibrations", still=(0.5, 2)
     )
@@ -912,30 +881,19 @@ class ParticlePriors(Table):
         (0.7, 0.7, 1.0), "factor", "of length, sway, turn: parts are common errors", still=(0.5, 2)
     )
     least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2))
-    least_sigma_direction: float = number(0.1, "rad", "at the start", still=(0.5, 2))
-    sought: int = number(5, "particles", "of which one moves to such a fix")
     outlier_price: float = number(8.0, "log-odds", "largest of an outlier", still=(0.5, 2))
     doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
-    rare: int = number(4, "particles", "of which one draws any turn then", still=(0.5, 2))
-    tries: int = number(4, "draws", "further ones of a step that would cross a wall", still=(0.5, 2))
     clear_price: float = number(0.1, "log-odds", "of a step along a wall", still=(0.5, 2))
     stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough")
-
-    @property
-    def odds(self) -> NDArray[np.float64]:
-        """Log-odds of a step, by how many of its tries are free ``(tries + 1,)``."""
-        return np.log((self.tries + 1) / np.maximum(np.arange(self.tries + 1), 1))
 
 
 @dataclass(frozen=True)
 class KalmanPriors(Table):
     """The causal Kalman filter."""
 
-    hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
     same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
     patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
     left_out: float = number(0.01, "probability", "of a wrong fix, above which a hypothesis goes on without it too")
-    most: int = number(24, "hypotheses", "largest number")
 
 
 @dataclass(frozen=True)
@@ -1077,24 +1035,12 @@ class Schedule(Table):
     """When the live smoother refines, reviews, searches and restarts its estimate."""
 
     late: float = number(3.0, "s", "by which fixes may come late while the direction is open")
-    rounds: int = number(4, "rounds", "most updates of iSAM2 after a keyframe")
-    wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe")
-    final_rounds: int = number(30, "rounds", "most updates at the end of the walk")
-    batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again")
-    batch_share: float = number(0.2, "share", "of the walk's duration, the same")
-    batch_time: float = number(1.0, "s", "after which the batch's solution is adopted")
-    batch_rounds: int = number(12, "rounds", "most of a path of the batch before it is compared")
     longest_ambiguous: float = number(180.0, "s", "after which the best path is accepted, with three fixes")
-    longest_open: float = number(900.0, "s", "window from which keyframes leave although the direction is open")
-    comparison_interval: float = number(30.0, "s", "most time until the sources are compared again")
-    comparison_share: float = number(0.5, "share", "of the walk's duration until then")
-    comparison_time: float = number(2.0, "s", "after which the result is adopted")
+    longest_open: float = number(
+        900.0, "s", "of a walk without position or direction, after which keyframes leave and the search is given up"
+    )
     review_after: float = number(50.0, "s", "after which the batch solves a walk on a plan once more")
     search_after: float = number(20.0, "s", "from which a walk without position is sought on the plan")
-    search_interval: float = number(20.0, "s", "least time until it is sought again")
-    search_share: float = number(0.4, "share", "of the walk's duration, the same")
-    search_time: float = number(10.0, "s", "after which the result is adopted")
-    longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept")
     least_duration: float = number(
         25.0,
         "s",
@@ -1104,21 +1050,6 @@ class Schedule(Table):
     most_sigma_on_plan: float = number(0.35, "rad", "the same on a plan")
     doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked")
     doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall")
-    covariance_interval: float = number(
-        5.0, "s", "between departures of keyframes from the window; covariances of rows are interpolated between"
-    )
-
-    def batch_delay(self, duration: float) -> float:
-        """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
-        return max(self.batch_interval, self.batch_share * duration)
-
-    def comparison_delay(self, duration: float) -> float:
-        """Time [s] until the sources of a walk of this duration [s] are compared again."""
-        return min(max(5.0, self.comparison_share * duration), self.comparison_interval)
-
-    def search_delay(self, duration: float) -> float:
-        """Time [s] until a walk of this duration [s] is sought on the plan again."""
-        return max(self.search_interval, self.search_share * duration)
 
 
 @dataclass(frozen=True)
@@ -1133,7 +1064,6 @@ class LivePathPriors(Table):
     least_share: float = number(0.02, "share", "of the particles, in a mode that counts")
     wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls")
     least_probability: float = number(0.1, "probability", "of the graph's way, however few particles are there")
-    least_gain: float = number(0.1, "nats", "by which an alternative must cost less: else it is the same path")
 
 
 @dataclass(frozen=True)
