@@ -436,9 +436,6 @@ class LossPriors(Table):
 class WalkerPriors(Table):
     """The walker's calibration (R_s, R_d, b)."""
 
-    mean: tuple[float, float, float] = number(
-        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", still=(1, 1)
-    )
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
@@ -480,10 +477,6 @@ class WallPriors(Table):
     )
     sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 1))
     body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
-    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
-    loose: float = number(
-        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(0.5, 2)
-    )
 
 
 @dataclass(frozen=True)
@@ -565,15 +558,12 @@ class WayPriors(Table):
     )
     side: float = number(0.6, "share", "of half a width, sigma of a walker across it: 0.58 if uniformly distributed")
     drawn: float = number(1.5, "m", "sigma of the line of a way, as it is drawn from pictures")
-    spacing: float = number(4.0, "m", "between the points of ways that a walk can be at")
     station: float = number(12.0, "m", "of the walk between two points at which its way is sought")
     alike: float = number(150.0, "m", "of the walk over which its error, and its place across a way, are the same")
     moved: float = number(2.5, "m", "sigma of the move between two such points: corners are cut, sides changed")
     askew: float = number(0.5, "rad", "sigma of the direction of a walk at most")
     detour: float = number(1.3, "share", "of the walk, longest way between two points beside `slack`")
     slack: float = number(8.0, "m", "the same for every move")
-    reach: float = number(2.5, "σ", "of the walk, within which its ways are sought")
-    farthest: float = number(120.0, "m", "the same at most")
     off: float = number(0.8, "nats", "per station off every way: more than a walk along one costs")
     leave: float = number(3.0, "nats", "of leaving or entering the ways")
     apart: float = number(8.0, "m", "across the walk, between ways that are told apart")
@@ -612,8 +602,6 @@ class FixPriors(Table):
     suspicious: float = number(
         0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small"
     )
-    same_scatter: float = number(0.2, "log", "of a factor of sigmas, within which it stays as it is")
-    fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least")
     seconds: float = number(3.0, "s", "longest time of such a triple")
 
 
@@ -633,10 +621,8 @@ class ReceiverPriors(Table):
         "0.55 of ten museum logs, 0.4 to 0.7 without one of them",
         still=(0.5, 2),
     )
-    node: float = number(5.0, "s", "between nodes of the offset", still=(0.5, 2))
     lag: float = number(1.0, "s", "sigma of the lag", still=(0.5, 2))
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
-    lately: float = number(2.0, "s", "over which the velocity is averaged", still=(0.5, 2))
     velocity: float = number(
         0.05,
         "1/s",
@@ -654,7 +640,6 @@ class ReceiverPriors(Table):
         "museum, IPIN 2023",
         still=(1, 2),
     )
-    slowest: float = number(0.3, "m/s", "of the steps, below which a course says nothing", still=(0.5, 2))
     behind: float = number(
         0.3,
         "share",
@@ -696,13 +681,9 @@ class BeaconPriors(Table):
     most_evidence: float = number(
         4.5, "log-odds", "of one level or silence at most", "ten museum logs: silences for other reasons 0.5 to 2 %"
     )
-    grid: float = number(5.0, "m", "spacing of candidate positions")
-    beside: float = number(20.0, "m", "of their area beside the walk")
-    longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live")
     stretch: float = number(2.0, "m", "of the walk over which levels are averaged")
     path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone")
     path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)")
-    bin: float = number(15.0, "s", "between rough fixes")
     nearest: float = number(2.0, "m", "least sigma of a rough fix")
     range: float = number(
         60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
@@ -710,7 +691,6 @@ class BeaconPriors(Table):
     anywhere: float = number(
         30.0, "m", "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list"
     )
-    most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved")
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
     )
@@ -725,9 +705,6 @@ class RangePriors(Table):
     detour: float = number(3.0, "m", "mean length of a detour")
     bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
     lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's")
-    near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
-    bin: float = number(5.0, "s", "of ranges that make a rough position")
-    fewest: int = number(3, "anchors", "or beacons that determine a position")
 
 
 @dataclass(frozen=True)
@@ -900,11 +877,9 @@ class KalmanPriors(Table):
 class LinePriors(Table):
     """A calibration walk along a known line."""
 
-    most_laps: int = number(5, "laps", "on a closed line")
     farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4")
     strays: float = number(2.0, "m", "along the line by which a step may move from round to round")
     sway: float = number(0.3, "m", "lateral sigma of people who follow a line")
-    spacing: float = number(3.0, "m", "along the line between the fixes on it")
     usual: tuple[float, float, float] = number(
         (0.4, 0.05, 0.01), "-, -, rad/m", "sigmas of E_length, E_corner, E_straight"
     )
@@ -938,7 +913,6 @@ class ScanPriors(Table):
     """Radio maps, and places recognised by them."""
 
     window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels")
-    interval: int = number(1, "s", "from one scan to the next")
     faintest: float = number(-100.0, "dBm", "level that counts as not received")
     fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places")
     neighbours: int = number(8, "fingerprints", "averaged for a position")
@@ -953,7 +927,6 @@ class ScanPriors(Table):
     finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds")
     apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out")
     shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out")
-    enough: int = number(20, "scans", "at mapped places, to estimate the errors of a map")
     scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds")
     along: float = number(30.0, "m", "in which closures to the same other walk have the same error")
     later: float = number(60.0, "s", "after which a return to a place is a revisit")
@@ -965,7 +938,6 @@ class ScanPriors(Table):
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(15.0, "s", "between samples, and least window of a speed: shorter ones add up noise")
     path: float = number(100.0, "m", "of path for walks")
     ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     errors: float = number(2.0, "errors", "of a receiver, least path: shorter ones are straight by chance")
@@ -974,7 +946,6 @@ class TravelPriors(Table):
     percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands")
     lag: float = number(60.0, "s", "over which the wander is measured")
     widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
-    epoch: float = number(10.0, "s", "of the hidden Markov model")
     window: float = number(40.0, "s", "over which net speeds are computed for the modes")
     lasts: float = number(300.0, "s", "usual duration of a mode")
     shuffling: float = number(0.05, "m/s", "speed while standing")
@@ -1023,8 +994,6 @@ class TrackPriors(Table):
     speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis")
     keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity")
     free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
-    first_scales: tuple[float, ...] = number((8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass")
-    final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second")
 
 
 # Live
@@ -1099,12 +1068,6 @@ class MovementPriors(Table):
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
-    interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two")
-    longest: float = number(200.0, "s", "longest window")
-    shortest: float = number(60.0, "s", "length of the window after a cut")
-    most_climbs: int = number(3, "climbs", "in the window")
-    too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb")
-    remembered: float = number(90.0, "s", "labels stored from before the window")
     silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone")
     apart: float = number(120.0, "s", "between a sample and the steps at which its time stamp is wrong")
 
@@ -1135,15 +1098,11 @@ class VerdictPriors(Table):
     doubtful: float = number(
         0.3, "share", "of rejected fixes of a doubtful walk; 0.3 still determine it", VERDICT_SEEDS
     )
-    fix_median: float = number(1.18, "σ", "median distance of honest fixes", "Rayleigh's distribution")
-    heading_median: float = number(0.67, "σ", "median of the residuals of honest headings", "normal distribution")
-    heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
     distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
     jump: float = number(
         3.0, "σ", "of a receiver from the way of the steps; sound ones to 2.1", "36 walks, 3 of them real"
     )
-    beside_jump: int = number(5, "fixes", "before and after a jump, whose medians are compared")
     widest: float = number(
         12.0,
         "m",
