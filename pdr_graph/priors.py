@@ -3,8 +3,8 @@
 One table for each subject, a class with one instance; code reads ``WALLS.body`` where it uses it, so that
 ``scripts/reproduce settings`` can halve and double each number. That script measures the ranges; its figures are in
 docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or, if none is
-stated, JUDGEMENT. Constants of nature, sizes of caches, numerical tolerances, grids and limits of loops stay in their
-modules, and so does what is part of one formula: halved or doubled, it changes no walk.
+stated, JUDGEMENT. Constants of nature, sizes of caches, numerical tolerances, grids, limits of loops and when a live
+estimate does its work stay in their modules, and so do numbers of one formula that change no walk that was measured.
 """
 
 from __future__ import annotations
@@ -155,13 +155,13 @@ class BoutPriors(Table):
 class ConfidencePriors(Table):
     """The probability that what was accepted as a step is one: a logistic regression."""
 
-    usual: float = number(2.6, "log odds", "of a usual step", LABELLED)
-    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED)
+    usual: float = number(2.6, "log odds", "of a usual step", LABELLED, still=(0.5, 2))
+    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED, still=(0.5, 2))
     slow_jar: float = number(0.38, "share", "the same, of slow steps", LABELLED)
-    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED)
-    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED)
-    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED)
-    sure: float = number(0.9, "probability", "from which a step is as long as the model says")
+    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED, still=(0.5, 2))
+    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED, still=(0.5, 2))
+    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED, still=(0.5, 2))
+    sure: float = number(0.9, "probability", "from which a step is as long as the model says", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -588,9 +588,14 @@ class FixPriors(Table):
     longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording")
     walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows")
     outlier: float = number(
-        5.0, "σ", "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter"
+        5.0,
+        "σ",
+        "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter",
+        still=(0.5, 1),
     )
-    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say, or shorter")
+    stretched: float = number(
+        1.5, "ratio", "by which a walk may be longer than its strides say, or shorter", still=(1, 1)
+    )
     driven: float = number(30.0, "m/s", "reached during a gap in the recording")
     patience: int = number(
         4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged"
@@ -600,7 +605,10 @@ class FixPriors(Table):
         0.3, "probability", "that the farthest of honest fixes is as far off, below which one may be wrong"
     )
     suspicious: float = number(
-        0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small"
+        0.7,
+        "share",
+        "of a receiver's sigma that changes in a second, above which its sigmas are too small",
+        still=(1, 2),
     )
     seconds: float = number(3.0, "s", "longest time of such a triple")
 
@@ -701,10 +709,10 @@ class BeaconPriors(Table):
 class RangePriors(Table):
     """Ranges to anchors."""
 
-    nlos: float = number(0.2, "share", "of ranges without line of sight")
-    detour: float = number(3.0, "m", "mean length of a detour")
-    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
-    lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's")
+    nlos: float = number(0.2, "share", "of ranges without line of sight", still=(0.5, 2))
+    detour: float = number(3.0, "m", "mean length of a detour", still=(0.5, 2))
+    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not", still=(0.5, 2))
+    lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -712,17 +720,17 @@ class LearnedPriors(Table):
     """Velocities by a network of the user's own, and what they and the step direction get wrong."""
 
     sigma: float = number(0.3, "m/s", "of a velocity of which the network says none, per axis", "RIDI: 0.19 to 0.39")
-    least: float = number(0.1, "m/s", "of every velocity, beside what the network says")
+    least: float = number(0.1, "m/s", "of every velocity, beside what the network says", still=(1, 1))
     lasts: float = number(
-        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7"
+        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7", still=(1, 1)
     )
     apart: float = number(
-        0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted"
+        0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted", still=(1, 1)
     )
-    agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used")
-    wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50")
-    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)")
-    wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10")
+    agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used", still=(0.5, 1))
+    wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50", still=(1, 1))
+    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)", still=(1, 1))
+    wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10", still=(0.5, 1))
 
 
 # Initialisation and search

@@ -175,7 +175,8 @@ def decimation(period: float) -> int:
 
 def _wave(level: Array, slow_level: Array, which: Index, sampling: float) -> Array:
     """The analytic signal of |a| ``(n,)`` at the durations of a step with the indices ``which (n,)`` in DURATIONS."""
-    wave, kernels = np.zeros(len(which), dtype=complex), _kernels(sampling)
+    wave = np.zeros(len(which), dtype=complex)
+    kernels = _kernels(sampling, CANDIDATE.kernel, CANDIDATE.slow_kernel)
     for number in np.flatnonzero(np.bincount(which)):
         rows, kernel = np.flatnonzero(which == number), kernels[number]
         padded = np.pad(level if number < len(USUAL) else slow_level, kernel.shape[1] // 2)
@@ -186,11 +187,14 @@ def _wave(level: Array, slow_level: Array, which: Index, sampling: float) -> Arr
 
 
 @lru_cache(maxsize=64)
-def _kernels(sampling: float) -> list[Array]:
-    """Gabor kernels ``(2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part."""
+def _kernels(sampling: float, usual: float, slow: float) -> list[Array]:
+    """Gabor kernels ``(2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part.
+
+    usual, slow: widths for usual and slow steps, in steps.
+    """
     kernels = []
     for number, duration in enumerate(DURATIONS.tolist()):
-        width = CANDIDATE.kernel if number < len(USUAL) else CANDIDATE.slow_kernel
+        width = usual if number < len(USUAL) else slow
         reach = round(2.5 * width * duration / sampling)
         at = np.arange(-reach, reach + 1) * sampling / duration
         window = np.exp(-((at / width) ** 2) / 2)
