@@ -672,32 +672,45 @@ class BeaconPriors(Table):
         "dB",
         "of a mean level, as if they were independent: 3 dB that last for 6 m of the walk, and 2 dB",
         "ten museum logs, residuals at surveyed places: 7.7; by set 5.7 and 11",
+        still=(1, 1),
     )
     within_sigma: float = number(
-        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1"
+        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1", still=(0.5, 1)
     )
-    height: float = number(1.5, "m", "of a beacon above the phone")
+    height: float = number(1.5, "m", "of a beacon above the phone", still=(1, 1))
     power_sigma: float = number(
         6.0,
         "dB",
         "of a beacon's power; 6 to 10 alike",
         "ten museum logs: residuals at surveyed places, by beacon and log",
+        still=(0.5, 2),
     )
     weakest: float = number(
-        -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB"
+        -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB", still=(0.5, 2)
     )
     most_evidence: float = number(
-        4.5, "log-odds", "of one level or silence at most", "ten museum logs: silences for other reasons 0.5 to 2 %"
+        4.5,
+        "log-odds",
+        "of one level or silence at most",
+        "ten museum logs: silences for other reasons 0.5 to 2 %",
+        still=(0.5, 2),
     )
-    stretch: float = number(2.0, "m", "of the walk over which levels are averaged")
-    path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone")
-    path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)")
+    stretch: float = number(2.0, "m", "of the walk over which levels are averaged", still=(1, 1))
+    path_loss: tuple[float, float, float] = number(
+        (-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", still=(0.5, 2)
+    )
+    path_loss_sigma: tuple[float, float, float] = number(
+        (8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", still=(1, 1)
+    )
     nearest: float = number(2.0, "m", "least sigma of a rough fix")
     range: float = number(
         60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
     )
     anywhere: float = number(
-        30.0, "m", "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list"
+        30.0,
+        "m",
+        "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list",
+        still=(0.5, 2),
     )
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
@@ -727,10 +740,16 @@ class LearnedPriors(Table):
     apart: float = number(
         0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted", still=(1, 1)
     )
-    agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used", still=(0.5, 1))
+    agree: float = number(
+        0.6, "share", "of the time on foot that is less apart, below which a network is not used", still=(0.5, 1)
+    )
     wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50", still=(1, 1))
-    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)", still=(1, 1))
-    wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10", still=(0.5, 1))
+    turned: float = number(
+        4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)", still=(1, 1)
+    )
+    wrong_steps: float = number(
+        2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10", still=(0.5, 1)
+    )
 
 
 # Initialisation and search
@@ -796,7 +815,11 @@ class PricePriors(Table):
         "none of 21 real headings: mean of Beta(1/2, 1/2) after them",
     )
     wrong_plan: float = number(
-        6.0, "nats", "a plan does not fit, at least", "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks"
+        6.0,
+        "nats",
+        "a plan does not fit, at least",
+        "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks",
+        still=(0.5, 1),
     )
     added_by_walls: float = number(
         0.25,
