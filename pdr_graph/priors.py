@@ -106,7 +106,7 @@ class CandidatePriors(Table):
     usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
     smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock; others are multiples", still=(1, 1))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 2))
-    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
+    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", still=(0.5, 1))
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(0.23, "share", "least amplitude among the steps around: feet shuffle", still=(1, 1))
     highest_bounce: float = number(
@@ -124,7 +124,9 @@ class CandidatePriors(Table):
     bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
     bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
     rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps", still=(0.5, 1))
-    sway_weight: float = number(0.8, "correlation", "weight of the sway of a body, and of that of a limb", SWAYS)
+    sway_weight: float = number(
+        0.8, "correlation", "weight of the sway of a body, and of that of a limb", SWAYS, still=(0.5, 2)
+    )
     sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
