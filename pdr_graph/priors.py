@@ -3,7 +3,8 @@
 One table for each subject, a class with one instance; code reads ``WALLS.body`` where it uses it, so that
 ``scripts/reproduce settings`` can halve and double each number. That script measures the ranges; its figures are in
 docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or, if none is
-stated, JUDGEMENT. Constants of nature, sizes of caches and numerical tolerances stay in their modules.
+stated, JUDGEMENT. Constants of nature, sizes of caches, numerical tolerances, grids, limits of loops and when a live
+estimate does its work stay in their modules, and so do numbers of one formula that change no walk that was measured.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 JUDGEMENT = "judgement"
 SEARCHED = "set on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the densest"
@@ -103,14 +103,10 @@ class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
     sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(1, 2))
-    slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step")
     usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
-    usual_weight: float = number(0.3, "correlation", "weight of that prior", still=(0.5, 2))
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", still=(1, 1))
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", still=(0.5, 2))
-    window: float = number(4.0, "s", "over which |a| is correlated with itself", still=(0.5, 2))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock; others are multiples", still=(1, 1))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 2))
-    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps")
+    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", still=(0.5, 1))
     weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
     weakest_share: float = number(0.23, "share", "least amplitude among the steps around: feet shuffle", still=(1, 1))
     highest_bounce: float = number(
@@ -123,28 +119,19 @@ class CandidatePriors(Table):
     run_bounce: float = number(
         0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988", still=(1, 2)
     )
-    run_weight: float = number(1.0, "correlation", "cost of a motion larger than that by a factor of e", still=(0.5, 2))
-    slow_factor: float = number(
-        2.0, "factor", "length of the filters for slow steps, of those for usual ones", still=(0.5, 2)
-    )
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
     bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
     bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
     rhythm_weight: float = number(0.75, "correlation", "weight of |a| repeating itself, in slow steps", still=(0.5, 1))
-    sway_weight: float = number(0.8, "correlation", "weight of the sway from foot to foot, in slow steps", SWAYS)
-    sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
-    limb_weight: float = number(
-        0.8, "correlation", "cost of a stride that looks like a slow step: a limb swings", still=(0.5, 2)
+    sway_weight: float = number(
+        0.8, "correlation", "weight of the sway of a body, and of that of a limb", SWAYS, still=(0.5, 2)
     )
+    sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
-    finest: float = number(0.015, "s", "Gaussian below ``smoothing``, between which landings jar", still=(0.5, 2))
     least_jar: float = number(0.05, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
     jar_share: float = number(0.05, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     slow_jar_share: float = number(0.065, "share", "the same, of slow steps", JARS)
-    slowest_jar: float = number(0.025, "s", "longest interval between samples that shows landings jar", still=(0.5, 2))
-    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", still=(0.5, 2))
-    tilt_window: float = number(1.5, "s", "over which that direction is averaged", still=(0.5, 2))
     steadiest_tilt: float = number(
         0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.5, 1)
     )
@@ -164,41 +151,34 @@ class BoutPriors(Table):
         0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
     fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", still=(1, 1))
-    late: float = number(6.0, "s", "after which it is too late to report a step")
-    past: float = number(9.0, "s", "samples before a landing on which it may depend")
-    future: float = number(4.5, "s", "samples after a landing, beyond the look-ahead, on which it may depend")
 
 
 @dataclass(frozen=True)
 class ConfidencePriors(Table):
     """The probability that what was accepted as a step is one: a logistic regression."""
 
-    usual: float = number(2.6, "log odds", "of a usual step", LABELLED)
-    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED)
+    usual: float = number(2.6, "log odds", "of a usual step", LABELLED, still=(0.5, 2))
+    jar: float = number(0.19, "share", "by which usual landings jar, of the amplitude", LABELLED, still=(0.5, 2))
     slow_jar: float = number(0.38, "share", "the same, of slow steps", LABELLED)
-    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED)
-    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED)
-    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED)
-    sure: float = number(0.9, "probability", "from which a step is as long as the model says")
+    off: float = number(1.9, "log odds", "for the square of a jar off by a factor of e", LABELLED, still=(0.5, 2))
+    regular: float = number(0.6, "correlation", "below which steps are irregular", LABELLED, still=(0.5, 2))
+    irregular: float = number(5.6, "log odds", "for a regularity of 0 instead of 1", LABELLED, still=(0.5, 2))
+    sure: float = number(0.9, "probability", "from which a step is as long as the model says", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
 class StridePriors(Table):
     """Lengths of steps."""
 
-    shortest: float = number(0.2, "m", "shortest length of a step, by any model", still=(0.5, 2))
-    longest: float = number(1.8, "m", "longest length of a step, by any model", still=(0.5, 2))
     sigma: float = number(
         0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS, still=(1, 2)
     )
     turn_shortens: float = number(
         1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
     )
-    largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more")
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps", still=(1, 1))
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
-    run: float = number(0.97, "m", "step of a run of ``run_duration``", RUNS, still=(1, 1))
-    run_duration: float = number(0.40, "s", "duration of that step", RUNS, still=(1, 1))
+    run: float = number(0.97, "m", "step of a run, of 0.4 s", RUNS, still=(1, 1))
     run_cadence: float = number(1.5, "exponent", "with which it grows with the cadence", RUNS, still=(0.5, 2))
     run_period: tuple[float, float] = number(
         (0.39, 0.43), "s", "a step that is surely and hardly of a run", RUNS, still=(1, 1)
@@ -277,9 +257,6 @@ class ForwardPriors(Table):
         "fit: docs/results/seeds.md",
         still=(1, 2),
     )
-    band: float = number(
-        0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", still=(0.5, 2)
-    )
     window_steps: int = number(16, "steps", "length of a window", still=(0.5, 2))
     least_windows: int = number(3, "windows", "least number of windows of walking", still=(0.5, 2))
     least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait")
@@ -288,10 +265,8 @@ class ForwardPriors(Table):
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading")
     steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", still=(0.5, 1))
     opposed: float = number(0.6, "rad", "of gait axis and y axis from which the phone is not read", still=(0.5, 2))
-    early_steps: int = number(8, "steps", "length of a window live", still=(0.5, 2))
     early_coherence: float = number(0.45, "share", "least coherence in such a window", still=(0.5, 2))
     surely_facing_up: float = number(0.55, "share", "``facing_up`` where the gait does not confirm it", still=(0.5, 2))
-    overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis")
     early_sigma: float = number(
         0.4,
         "rad",
@@ -302,6 +277,11 @@ class ForwardPriors(Table):
     unconfirmed: float = number(
         0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", still=(0.5, 2)
     )
+
+    @property
+    def half_window(self) -> int:
+        """Steps of a window live, and beside a turn of the phone: few enough to know the axis soon."""
+        return self.window_steps // 2
 
     @property
     def early_spread(self) -> float:
@@ -316,9 +296,6 @@ class GripPriors(Table):
     tilting: float = number(0.25, "rad/s", "rate of the vertical in the device above that of a carried phone")
     new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change")
     fast: float = number(0.8, "rad", "turn of the phone for which a clear axis of the gait is waited for")
-    steps_beside: int = number(
-        8, "steps", "before and after a turn, and in a window, to determine the forward axis", still=(0.5, 2)
-    )
     noise: float = number(
         0.5,
         "rad",
@@ -327,7 +304,6 @@ class GripPriors(Table):
         still=(0.5, 2),
     )
     clear: float = number(0.7, "rad", "deviation that is clear; less counts in part")
-    windows: int = number(60, "windows", "each a step after the other, of the usual axis")
     off_sigma: float = number(0.2, "rad", "sigma of a deviation", "0.14 to 0.26: RIDI")
     coherent: float = number(0.7, "share", "least coherence of a window that shows a deviation", still=(1, 2))
     weak: float = number(0.13, "share", "least level acceleration in it, of the vertical", "RIDI: 0.27 to 0.64")
@@ -348,7 +324,6 @@ class CompassPriors(Table):
     longest_stretch: float = number(
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
-    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", still=(0.5, 2))
     least_certain: float = number(
         0.7, "rad", "sigma of north or forward axis beyond which there is no heading", still=(0.5, 2)
     )
@@ -359,13 +334,8 @@ class CompassPriors(Table):
 class LiveCompassPriors(Table):
     """The live compass."""
 
-    sampling: float = number(0.04, "s", "interval of the stored samples")
-    early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations")
-    evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch")
-    out_of_reach: float = number(40.0, "s", "age at which a heading has left the window: a new stretch begins")
     unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags")
     least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported")
-    offsets: int = number(3, "results", "earlier ones of a stretch whose differences widen the sigma")
 
 
 # Sensors
@@ -379,28 +349,15 @@ class RestPriors(Table):
     rate: float = number(0.012, "rad/s", "largest spread at rest: twice the noise of cheap sensors")
     acceleration: float = number(0.10, "m/s²", "the same of the acceleration")
     shortest: float = number(1.5, "s", "least duration of a rest: any phone is at rest for a moment")
-    largest_bias: float = number(0.2, "rad/s", "largest mean rate at rest: else a turntable or a car")
+    largest_bias: float = number(0.2, "rad/s", "of a gyroscope, largest mean rate at rest: else a turntable or a car")
     drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature")
     longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two")
-    bias_sigma: float = number(
-        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", still=(0.5, 2)
-    )
-    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: phones warm up in minutes", still=(0.5, 2))
-
-    @property
-    def vqf(self) -> dict[str, float]:
-        """VQF's options."""
-        return {"biasSigmaInit": self.bias_sigma, "biasForgettingTime": self.bias_forgetting}
 
 
 @dataclass(frozen=True)
 class MagnetometerPriors(Table):
     """Calibration of the magnetometer, and tests of the field."""
 
-    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait", still=(0.5, 2))
-    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field", still=(0.5, 2))
-    fit_samples: int = number(600, "samples", "most of a calibration fit")
-    fit_rounds: int = number(30, "iterations", "of a fit from any start")
     hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration")
     soft_spread: float = number(0.1, "share", "sigma of its soft iron")
     field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss")
@@ -413,9 +370,7 @@ class MagnetometerPriors(Table):
 class NorthPriors(Table):
     """The filter of north."""
 
-    interval: float = number(1.0, "s", "between observations", still=(0.5, 2))
     drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", still=(0.5, 2))
-    fastest: float = number(0.2, "rad/s", "largest drift of a gyroscope that is sought: REST.largest_bias")
     undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", still=(0.5, 2))
     alike: float = number(2.5, "s", "for which a walker stays in one disturbance: about three metres", still=(1, 2))
     disturbed: float = number(0.35, "rad", "largest error in either test; others are not used", still=(0.5, 1))
@@ -425,7 +380,6 @@ class NorthPriors(Table):
     disagree: float = number(
         0.5, "rad", "residual (rms) of those that measure no drift", "0.06 to 0.41 in 46 real walks", still=(0.5, 1)
     )
-    huber: float = number(2.0, "σ", "deviation at which an innovation is clipped")
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", still=(0.5, 2))
 
 
@@ -433,8 +387,6 @@ class NorthPriors(Table):
 class ClimbPriors(Table):
     """Climbs in a barometer's height; docs/results/floors.md scores them."""
 
-    grid: float = number(0.5, "s", "interval of the height samples")
-    longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long")
     gust: float = number(4.5, "s", "longest spike that is removed: a lift takes four seconds for a storey")
     rate: float = number(2.0, "s", "least width of the Gaussian over which a rate is taken")
     slow: float = number(0.03, "m/s", "low threshold of the rate: weather has 0.002")
@@ -486,9 +438,6 @@ class LossPriors(Table):
 class WalkerPriors(Table):
     """The walker's calibration (R_s, R_d, b)."""
 
-    mean: tuple[float, float, float] = number(
-        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", still=(1, 1)
-    )
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
@@ -530,10 +479,6 @@ class WallPriors(Table):
     )
     sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 1))
     body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
-    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", still=(0.5, 2))
-    loose: float = number(
-        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", still=(0.5, 2)
-    )
 
 
 @dataclass(frozen=True)
@@ -615,15 +560,12 @@ class WayPriors(Table):
     )
     side: float = number(0.6, "share", "of half a width, sigma of a walker across it: 0.58 if uniformly distributed")
     drawn: float = number(1.5, "m", "sigma of the line of a way, as it is drawn from pictures")
-    spacing: float = number(4.0, "m", "between the points of ways that a walk can be at")
     station: float = number(12.0, "m", "of the walk between two points at which its way is sought")
     alike: float = number(150.0, "m", "of the walk over which its error, and its place across a way, are the same")
     moved: float = number(2.5, "m", "sigma of the move between two such points: corners are cut, sides changed")
     askew: float = number(0.5, "rad", "sigma of the direction of a walk at most")
     detour: float = number(1.3, "share", "of the walk, longest way between two points beside `slack`")
     slack: float = number(8.0, "m", "the same for every move")
-    reach: float = number(2.5, "σ", "of the walk, within which its ways are sought")
-    farthest: float = number(120.0, "m", "the same at most")
     off: float = number(0.8, "nats", "per station off every way: more than a walk along one costs")
     leave: float = number(3.0, "nats", "of leaving or entering the ways")
     apart: float = number(8.0, "m", "across the walk, between ways that are told apart")
@@ -648,9 +590,14 @@ class FixPriors(Table):
     longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording")
     walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows")
     outlier: float = number(
-        5.0, "σ", "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter"
+        5.0,
+        "σ",
+        "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter",
+        still=(0.5, 1),
     )
-    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say, or shorter")
+    stretched: float = number(
+        1.5, "ratio", "by which a walk may be longer than its strides say, or shorter", still=(1, 1)
+    )
     driven: float = number(30.0, "m/s", "reached during a gap in the recording")
     patience: int = number(
         4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged"
@@ -660,10 +607,11 @@ class FixPriors(Table):
         0.3, "probability", "that the farthest of honest fixes is as far off, below which one may be wrong"
     )
     suspicious: float = number(
-        0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small"
+        0.7,
+        "share",
+        "of a receiver's sigma that changes in a second, above which its sigmas are too small",
+        still=(1, 2),
     )
-    same_scatter: float = number(0.2, "log", "of a factor of sigmas, within which it stays as it is")
-    fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least")
     seconds: float = number(3.0, "s", "longest time of such a triple")
 
 
@@ -683,10 +631,8 @@ class ReceiverPriors(Table):
         "0.55 of ten museum logs, 0.4 to 0.7 without one of them",
         still=(0.5, 2),
     )
-    node: float = number(5.0, "s", "between nodes of the offset", still=(0.5, 2))
     lag: float = number(1.0, "s", "sigma of the lag", still=(0.5, 2))
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
-    lately: float = number(2.0, "s", "over which the velocity is averaged", still=(0.5, 2))
     velocity: float = number(
         0.05,
         "1/s",
@@ -704,7 +650,6 @@ class ReceiverPriors(Table):
         "museum, IPIN 2023",
         still=(1, 2),
     )
-    slowest: float = number(0.3, "m/s", "of the steps, below which a course says nothing", still=(0.5, 2))
     behind: float = number(
         0.3,
         "share",
@@ -729,38 +674,46 @@ class BeaconPriors(Table):
         "dB",
         "of a mean level, as if they were independent: 3 dB that last for 6 m of the walk, and 2 dB",
         "ten museum logs, residuals at surveyed places: 7.7; by set 5.7 and 11",
+        still=(1, 1),
     )
     within_sigma: float = number(
-        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1"
+        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1", still=(0.5, 1)
     )
-    height: float = number(1.5, "m", "of a beacon above the phone")
+    height: float = number(1.5, "m", "of a beacon above the phone", still=(1, 1))
     power_sigma: float = number(
         6.0,
         "dB",
         "of a beacon's power; 6 to 10 alike",
         "ten museum logs: residuals at surveyed places, by beacon and log",
+        still=(0.5, 2),
     )
     weakest: float = number(
-        -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB"
+        -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB", still=(0.5, 2)
     )
     most_evidence: float = number(
-        4.5, "log-odds", "of one level or silence at most", "ten museum logs: silences for other reasons 0.5 to 2 %"
+        4.5,
+        "log-odds",
+        "of one level or silence at most",
+        "ten museum logs: silences for other reasons 0.5 to 2 %",
+        still=(0.5, 2),
     )
-    grid: float = number(5.0, "m", "spacing of candidate positions")
-    beside: float = number(20.0, "m", "of their area beside the walk")
-    longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live")
-    stretch: float = number(2.0, "m", "of the walk over which levels are averaged")
-    path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone")
-    path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)")
-    bin: float = number(15.0, "s", "between rough fixes")
+    stretch: float = number(2.0, "m", "of the walk over which levels are averaged", still=(1, 1))
+    path_loss: tuple[float, float, float] = number(
+        (-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", still=(0.5, 2)
+    )
+    path_loss_sigma: tuple[float, float, float] = number(
+        (8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", still=(1, 1)
+    )
     nearest: float = number(2.0, "m", "least sigma of a rough fix")
     range: float = number(
         60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest"
     )
     anywhere: float = number(
-        30.0, "m", "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list"
+        30.0,
+        "m",
+        "sigma of an unsurveyed beacon about its strongest level, and of the displacement of a whole list",
+        still=(0.5, 2),
     )
-    most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved")
     suspicious: float = number(
         3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
     )
@@ -771,13 +724,10 @@ class BeaconPriors(Table):
 class RangePriors(Table):
     """Ranges to anchors."""
 
-    nlos: float = number(0.2, "share", "of ranges without line of sight")
-    detour: float = number(3.0, "m", "mean length of a detour")
-    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not")
-    lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's")
-    near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient")
-    bin: float = number(5.0, "s", "of ranges that make a rough position")
-    fewest: int = number(3, "anchors", "or beacons that determine a position")
+    nlos: float = number(0.2, "share", "of ranges without line of sight", still=(0.5, 2))
+    detour: float = number(3.0, "m", "mean length of a detour", still=(0.5, 2))
+    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not", still=(0.5, 2))
+    lag: float = number(0.5, "s", "sigma of the lag of their clock, which may be another device's", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -785,17 +735,23 @@ class LearnedPriors(Table):
     """Velocities by a network of the user's own, and what they and the step direction get wrong."""
 
     sigma: float = number(0.3, "m/s", "of a velocity of which the network says none, per axis", "RIDI: 0.19 to 0.39")
-    least: float = number(0.1, "m/s", "of every velocity, beside what the network says")
+    least: float = number(0.1, "m/s", "of every velocity, beside what the network says", still=(1, 1))
     lasts: float = number(
-        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7"
+        5.0, "s", "for which an error lasts; walks take wiggles from shorter ones", "RIDI: 0.4 to 1.7", still=(1, 1)
     )
     apart: float = number(
-        0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted"
+        0.6, "ratio", "of velocities and steps, from the usual one, from which one of both is doubted", still=(1, 1)
     )
-    agree: float = number(0.6, "share", "of the time on foot that is less apart, below which a network is not used")
-    wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50")
-    turned: float = number(4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)")
-    wrong_steps: float = number(2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10")
+    agree: float = number(
+        0.6, "share", "of the time on foot that is less apart, below which a network is not used", still=(0.5, 1)
+    )
+    wrong: float = number(4.0, "nats", "the network is wrong along a stretch: 1 in 50", still=(1, 1))
+    turned: float = number(
+        4.5, "nats", "it is turned by any angle at the end of a stretch: log(2π / 0.07 rad)", still=(1, 1)
+    )
+    wrong_steps: float = number(
+        2.3, "nats", "the direction of the steps is wrong along a stretch: 1 in 10", still=(0.5, 1)
+    )
 
 
 # Initialisation and search
@@ -807,32 +763,24 @@ class InitialPriors(Table):
 
     joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", still=(0.5, 2))
     change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", still=(0.5, 2))
-    any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown")
-    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", still=(0.5, 2))
-    huber: float = number(2.0, "σ", "width of Huber's weight", still=(0.5, 2))
     ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used")
-    beyond: float = number(20.0, "m", "margin of that distance")
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", still=(0.5, 2))
     heading_sigma: float = number(0.2, "rad", "of the start heading of a user")
     window: float = number(8.0, "s", "sigma of the weights of fixes about a pose without a gyroscope", still=(0.5, 1.5))
-    dense: float = number(3.0, "fixes", "about a pose, from which it follows them without a gyroscope")
 
 
 @dataclass(frozen=True)
 class SearchPriors(Table):
     """The search for other walks that explain the measurements."""
 
-    directions: int = number(8, "directions", "hypotheses of an unknown direction")
     alike: float = number(30.0, "steps", "with the same position error, between fixes")
-    longest_move: float = number(
-        2.0, "m", "of a pose in an iteration with walls, whose gradients are local", still=(0.5, 2)
-    )
     dropped: float = number(12.0, "nats", "above the best at which a solution is dropped")
     usual: float = number(1.5, "ratio", "usual cost with walls to that without")
     strained: float = number(3.0, "nats", "above the usual at which further paths are searched")
-    attempts: int = number(2, "runs", "of the particle filter")
     unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed")
-    same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing")
+    same_path: float = number(
+        4.0, "m", "mean distance of solutions on one path, largest of particles in one mode: half an aisle's spacing"
+    )
 
 
 @dataclass(frozen=True)
@@ -869,7 +817,11 @@ class PricePriors(Table):
         "none of 21 real headings: mean of Beta(1/2, 1/2) after them",
     )
     wrong_plan: float = number(
-        6.0, "nats", "a plan does not fit, at least", "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks"
+        6.0,
+        "nats",
+        "a plan does not fit, at least",
+        "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks",
+        still=(0.5, 1),
     )
     added_by_walls: float = number(
         0.25,
@@ -887,8 +839,6 @@ class DoubtPriors(Table):
     """Which hypotheses about sources are solved, carried on, adopted and reported."""
 
     unlikely: float = number(5.0, "nats", "above the best from which a hypothesis is not carried on: 0.7 %")
-    probable: float = number(0.5, "probability", "above which a user is told what a source gets wrong")
-    different: float = number(0.5, "m", "largest distance at some step above which two solutions differ")
     older: float = number(
         8.0,
         "nats",
@@ -897,25 +847,14 @@ class DoubtPriors(Table):
     lead: float = number(1.0, "nats", "by which other hypotheses must be better than the adopted ones")
     misplaced: float = number(6.0, "m", "sigma of the displacement of a plan or of the only position on it, per axis")
     span: float = number(120.0, "s", "of the walk in which sources are compared: twice the usual lag")
-    spacing: float = number(10.0, "s", "between the times at which the covariance of a review is computed")
     least_sigma: float = number(1.0, "m", "of a place that is certain: the walls that tell it count again")
     least_sigma_heading: float = number(0.2, "rad", "of the heading there")
-    nowhere_else: float = number(1e-3, "probability", "below which no other place is kept")
 
 
 @dataclass(frozen=True)
 class PathPriors(Table):
     """Distinct paths of a walk on a plan."""
 
-    most_modes: int = number(8, "modes", "largest number that is solved")
-    most_sought: int = number(
-        300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan"
-    )
-    apart: float = number(4.0, "m", "largest distance between two modes: nearer ones lead the search to the same walk")
-    moments: int = number(60, "keyframes", "at which paths are compared")
-    live_moments: int = number(8, "keyframes", "the same for a walk under way")
-    live_modes: int = number(5, "modes", "largest number for a walk under way")
-    neglected: float = number(0.01, "share", "of the particles that need not belong to any mode")
     largest_sigma: float = number(
         2.7, "m", "in the worst direction, of a path that fixes determine: aisles lie three times as far apart"
     )
@@ -931,14 +870,9 @@ class AnywherePriors(Table):
     most_density: float = number(50.0, "1/m²", "the same in small plans", SEARCHED)
     fewest: int = number(2000, "particles", "least number", SEARCHED)
     fewest_at_first: int = number(50_000, "particles", "least number at first", SEARCHED)
-    most: int = number(200_000, "particles", "largest number", SEARCHED)
-    kept: int = number(5000, "paths", "of a run", SEARCHED)
     per_bin: float = number(
         0.1, "m²", "particles per occupied bin of place and direction, times their density at first", SEARCHED
     )
-    drawn: int = number(2000, "paths", "among which modes are sought")
-    places: int = number(2000, "places", "that stand for all of a plan")
-    runs: int = number(2, "runs", "independent ones: a run may lose the right place", SEARCHED)
 
 
 @dataclass(frozen=True)
@@ -950,10 +884,6 @@ class ParticlePriors(Table):
     per_bin: int = number(
         20, "particles", "per occupied bin of position and direction; scales with the most", still=(0.5, 2)
     )
-    bin: float = number(1.0, "m", "of position", still=(0.5, 2))
-    bin_angle: float = number(np.pi / 8, "rad", "of direction", still=(0.5, 2))
-    resample: float = number(0.5, "share", "effective share below which they are resampled", still=(0.5, 2))
-    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", still=(0.5, 2))
     wide: tuple[float, ...] = number(
         (1.5, 1.5, 2.0), "factor", "of the prior's sigmas: rare calibrations", still=(0.5, 2)
     )
@@ -961,41 +891,28 @@ class ParticlePriors(Table):
         (0.7, 0.7, 1.0), "factor", "of length, sway, turn: parts are common errors", still=(0.5, 2)
     )
     least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", still=(0.5, 2))
-    least_sigma_direction: float = number(0.1, "rad", "at the start", still=(0.5, 2))
-    sought: int = number(5, "particles", "of which one moves to such a fix")
     outlier_price: float = number(8.0, "log-odds", "largest of an outlier", still=(0.5, 2))
     doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's")
-    rare: int = number(4, "particles", "of which one draws any turn then", still=(0.5, 2))
-    tries: int = number(4, "draws", "further ones of a step that would cross a wall", still=(0.5, 2))
     clear_price: float = number(0.1, "log-odds", "of a step along a wall", still=(0.5, 2))
     stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough")
-
-    @property
-    def odds(self) -> NDArray[np.float64]:
-        """Log-odds of a step, by how many of its tries are free ``(tries + 1,)``."""
-        return np.log((self.tries + 1) / np.maximum(np.arange(self.tries + 1), 1))
 
 
 @dataclass(frozen=True)
 class KalmanPriors(Table):
     """The causal Kalman filter."""
 
-    hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped")
     same: float = number(1.0, "σ", "from the best within which hypotheses are merged")
     patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised")
     left_out: float = number(0.01, "probability", "of a wrong fix, above which a hypothesis goes on without it too")
-    most: int = number(24, "hypotheses", "largest number")
 
 
 @dataclass(frozen=True)
 class LinePriors(Table):
     """A calibration walk along a known line."""
 
-    most_laps: int = number(5, "laps", "on a closed line")
     farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4")
     strays: float = number(2.0, "m", "along the line by which a step may move from round to round")
     sway: float = number(0.3, "m", "lateral sigma of people who follow a line")
-    spacing: float = number(3.0, "m", "along the line between the fixes on it")
     usual: tuple[float, float, float] = number(
         (0.4, 0.05, 0.01), "-, -, rad/m", "sigmas of E_length, E_corner, E_straight"
     )
@@ -1029,7 +946,6 @@ class ScanPriors(Table):
     """Radio maps, and places recognised by them."""
 
     window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels")
-    interval: int = number(1, "s", "from one scan to the next")
     faintest: float = number(-100.0, "dBm", "level that counts as not received")
     fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places")
     neighbours: int = number(8, "fingerprints", "averaged for a position")
@@ -1044,7 +960,6 @@ class ScanPriors(Table):
     finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds")
     apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out")
     shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out")
-    enough: int = number(20, "scans", "at mapped places, to estimate the errors of a map")
     scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds")
     along: float = number(30.0, "m", "in which closures to the same other walk have the same error")
     later: float = number(60.0, "s", "after which a return to a place is a revisit")
@@ -1056,7 +971,6 @@ class ScanPriors(Table):
 class TravelPriors(Table):
     """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
 
-    grid: float = number(15.0, "s", "between samples, and least window of a speed: shorter ones add up noise")
     path: float = number(100.0, "m", "of path for walks")
     ride_path: float = number(600.0, "m", "of path for rides: about a street block")
     errors: float = number(2.0, "errors", "of a receiver, least path: shorter ones are straight by chance")
@@ -1065,7 +979,6 @@ class TravelPriors(Table):
     percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands")
     lag: float = number(60.0, "s", "over which the wander is measured")
     widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
-    epoch: float = number(10.0, "s", "of the hidden Markov model")
     window: float = number(40.0, "s", "over which net speeds are computed for the modes")
     lasts: float = number(300.0, "s", "usual duration of a mode")
     shuffling: float = number(0.05, "m/s", "speed while standing")
@@ -1114,8 +1027,6 @@ class TrackPriors(Table):
     speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis")
     keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity")
     free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
-    first_scales: tuple[float, ...] = number((8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass")
-    final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second")
 
 
 # Live
@@ -1126,24 +1037,12 @@ class Schedule(Table):
     """When the live smoother refines, reviews, searches and restarts its estimate."""
 
     late: float = number(3.0, "s", "by which fixes may come late while the direction is open")
-    rounds: int = number(4, "rounds", "most updates of iSAM2 after a keyframe")
-    wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe")
-    final_rounds: int = number(30, "rounds", "most updates at the end of the walk")
-    batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again")
-    batch_share: float = number(0.2, "share", "of the walk's duration, the same")
-    batch_time: float = number(1.0, "s", "after which the batch's solution is adopted")
-    batch_rounds: int = number(12, "rounds", "most of a path of the batch before it is compared")
     longest_ambiguous: float = number(180.0, "s", "after which the best path is accepted, with three fixes")
-    longest_open: float = number(900.0, "s", "window from which keyframes leave although the direction is open")
-    comparison_interval: float = number(30.0, "s", "most time until the sources are compared again")
-    comparison_share: float = number(0.5, "share", "of the walk's duration until then")
-    comparison_time: float = number(2.0, "s", "after which the result is adopted")
+    longest_open: float = number(
+        900.0, "s", "of a walk without position or direction, after which keyframes leave and the search is given up"
+    )
     review_after: float = number(50.0, "s", "after which the batch solves a walk on a plan once more")
     search_after: float = number(20.0, "s", "from which a walk without position is sought on the plan")
-    search_interval: float = number(20.0, "s", "least time until it is sought again")
-    search_share: float = number(0.4, "share", "of the walk's duration, the same")
-    search_time: float = number(10.0, "s", "after which the result is adopted")
-    longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept")
     least_duration: float = number(
         25.0,
         "s",
@@ -1153,21 +1052,6 @@ class Schedule(Table):
     most_sigma_on_plan: float = number(0.35, "rad", "the same on a plan")
     doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked")
     doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall")
-    covariance_interval: float = number(
-        5.0, "s", "between departures of keyframes from the window; covariances of rows are interpolated between"
-    )
-
-    def batch_delay(self, duration: float) -> float:
-        """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
-        return max(self.batch_interval, self.batch_share * duration)
-
-    def comparison_delay(self, duration: float) -> float:
-        """Time [s] until the sources of a walk of this duration [s] are compared again."""
-        return min(max(5.0, self.comparison_share * duration), self.comparison_interval)
-
-    def search_delay(self, duration: float) -> float:
-        """Time [s] until a walk of this duration [s] is sought on the plan again."""
-        return max(self.search_interval, self.search_share * duration)
 
 
 @dataclass(frozen=True)
@@ -1182,7 +1066,6 @@ class LivePathPriors(Table):
     least_share: float = number(0.02, "share", "of the particles, in a mode that counts")
     wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls")
     least_probability: float = number(0.1, "probability", "of the graph's way, however few particles are there")
-    least_gain: float = number(0.1, "nats", "by which an alternative must cost less: else it is the same path")
 
 
 @dataclass(frozen=True)
@@ -1217,12 +1100,6 @@ class MovementPriors(Table):
 class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
-    interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two")
-    longest: float = number(200.0, "s", "longest window")
-    shortest: float = number(60.0, "s", "length of the window after a cut")
-    most_climbs: int = number(3, "climbs", "in the window")
-    too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb")
-    remembered: float = number(90.0, "s", "labels stored from before the window")
     silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone")
     apart: float = number(120.0, "s", "between a sample and the steps at which its time stamp is wrong")
 
@@ -1253,15 +1130,11 @@ class VerdictPriors(Table):
     doubtful: float = number(
         0.3, "share", "of rejected fixes of a doubtful walk; 0.3 still determine it", VERDICT_SEEDS
     )
-    fix_median: float = number(1.18, "σ", "median distance of honest fixes", "Rayleigh's distribution")
-    heading_median: float = number(0.67, "σ", "median of the residuals of honest headings", "normal distribution")
-    heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
     distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
     alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
     jump: float = number(
         3.0, "σ", "of a receiver from the way of the steps; sound ones to 2.1", "36 walks, 3 of them real"
     )
-    beside_jump: int = number(5, "fixes", "before and after a jump, whose medians are compared")
     widest: float = number(
         12.0,
         "m",

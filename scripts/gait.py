@@ -16,7 +16,7 @@ from pdr_graph.gait import walker
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.steps import gait_signals
-from pdr_graph.gait.walker import StepFeatures, Walker
+from pdr_graph.gait.walker import LARGEST_BEND, StepFeatures, Walker
 from pdr_graph.geometry import REGION_90, interpolate, wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.papers.gait_methods import peak_pairs, trough_to_peak
@@ -342,7 +342,7 @@ def chain_of(walk):
 
 def in_bends(walk):
     """Share of its length that each step has in a bend."""
-    turned = np.minimum(np.degrees(np.abs(walk.features.bend)), STRIDES.largest_turn)
+    turned = np.minimum(np.degrees(np.abs(walk.features.bend)), LARGEST_BEND)
     return 1 - STRIDES.turn_shortens / 100 * turned
 
 

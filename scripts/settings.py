@@ -12,12 +12,22 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from conditions import recordings, scattered, simulated_recording, walks_given, with_steps
+from conditions import (
+    INDOORS,
+    OUTDOORS,
+    measured,
+    recordings,
+    scattered,
+    simulated_recording,
+    simulated_walk,
+    walks_given,
+    with_steps,
+)
 from live import THINNED
 from tables import publish, published, table
 
 from pdr_graph import priors
-from pdr_graph.apps.bench.data_sets import given
+from pdr_graph.apps.bench.data_sets import BenchWalk, given
 from pdr_graph.apps.bench.matrix import places
 from pdr_graph.apps.bench.methods import OURS
 from pdr_graph.lab.simulation.scenario import Scenario
@@ -80,6 +90,46 @@ def on_outliers(data):
         )
 
 
+def simulated(*cases):
+    """Simulated walks, each of a setting, a seed and its sources, which may err as `conditions.measured` has it."""
+    for setting, seed, *sources in cases:
+        walk = walk_of(setting, seed)
+        yield scored(BenchWalk(measured(walk, sources), walk.truth))
+
+
+walk_of = cache(simulated_walk)
+
+
+def on_beacons(data):
+    """Museum logs with their beacons and receivers, and simulated walks with a wrong list."""
+    yield from (scored(walk) for walk in walks_given(data, "ipin2023", "recorded").values())
+    yield from simulated((INDOORS, 4, "start", "beacons: a pair swapped"), (INDOORS, 5, "GNSS", "beacons: one moved"))
+
+
+def on_ranges(data):
+    """Simulated walks with ranges to anchors, a fifth of them without line of sight."""
+    yield from simulated(*((OUTDOORS, seed, "start", "ranges") for seed in range(4)))
+
+
+def on_velocities(data):
+    """Simulated walks with the velocities of a network, which is wrong on some of them."""
+    wrong = "", ": turned for 20 s", ": of another walk", ": half"
+    yield from simulated(*((OUTDOORS, n, "start", "end", f"network{lie}") for n, lie in enumerate(wrong)))
+
+
+def on_lies(data):
+    """Simulated walks with a source that errs, each beside another."""
+    yield from simulated(
+        (OUTDOORS, 0, "GNSS: 20 m off from half-way on", "user fixes"),
+        (OUTDOORS, 1, "GNSS and speed: not following", "user fixes"),
+        (OUTDOORS, 2, "GNSS: 3 times as sure", "compass"),
+        (OUTDOORS, 3, "user fixes: of two people"),
+        (INDOORS, 4, "start", "beacons: a pair swapped"),
+        (INDOORS, 5, "GNSS", "beacons: of another building"),
+        (INDOORS, 6, "user fixes", "plan: 5 m shifted"),
+    )
+
+
 SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
 CASES = {
     by_steps: (
@@ -94,9 +144,14 @@ CASES = {
         "REST",
         "MAGNETOMETER",
         "NORTH",
+        "CONFIDENCE",
     ),
     on_fixes: ("MOTION", "WALKER"),
-    on_outliers: ("LOSSES", "INITIAL"),
+    on_outliers: ("LOSSES", "INITIAL", "FIXES"),
+    on_beacons: ("BEACONS",),
+    on_ranges: ("RANGES",),
+    on_velocities: ("LEARNED",),
+    on_lies: ("PRICES", "DOUBTS"),
     lambda data: on_fixes(data, "filter"): ("KALMAN",),
     on_plans: SLOW,
     on_receivers: ("RECEIVERS",),
@@ -131,7 +186,7 @@ def is_same(before, after):
     return bool(np.all(change <= SAME))
 
 
-def measured(name, data):
+def rows_of(name, data):
     """Rows of the table ``name`` by number: its cells from `halved` on, and the range."""
     case = next(case for case, of in CASES.items() if name in of)
     instance, before = tables()[name], score(case, data)
@@ -161,7 +216,7 @@ def settings(data, names=()):
     """The page's tables, with the figures of the tables ``names``, by default of all that have a case."""
     figures, ranges = kept(), {}
     for name in names or [name for of in CASES.values() for name in of]:
-        for entry, cells, ends in measured(name, data):
+        for entry, cells, ends in rows_of(name, data):
             figures[str(entry)], ranges[str(entry)] = cells, ends
     if "--write" in sys.argv:
         write_ranges(ranges)

@@ -72,6 +72,7 @@ def _with_covariance(covariance: Array, **others: Any) -> Prior:
     return Prior(sigma=tuple(sigma.tolist()), correlation=tuple(correlation.tolist()), **others)
 
 
+FIXES_EVERY = 3.0  # [m] along the line
 ROUNDS = 12  # of fitting the walk and matching it to the line
 
 
@@ -96,7 +97,7 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     if len(steps) < 20:
         raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
     closes = np.hypot(*(route[-1] - route[0])) < LINE.strays
-    reached, most = steps.length.sum() / _line(route, 1).length, LINE.most_laps if closes else 1
+    reached, most = steps.length.sum() / _line(route, 1).length, 5 if closes else 1
     likely = [n for n in range(1, most + 1) if reached / FIXES.stretched < n < reached * FIXES.stretched]
     if not likely:
         expected = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
@@ -106,7 +107,7 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
         expected = f"a walk from its first to its last point, within {LINE.farthest} m"
         raise InputError(source, "", f"steps that leave the route by {best.apart:.1f} m (rms)", expected)
     line = _line(route, best.laps)
-    along = np.linspace(0, line.length, max(4, round(line.length / LINE.spacing)))
+    along = np.linspace(0, line.length, max(4, round(line.length / FIXES_EVERY)))
     time = np.interp(along, best.along, np.append(steps.time[0] - steps.duration[0], steps.time))
     fixes = Fixes(time, _at(line, along), np.full(len(along), LINE.sway), ("",) * len(along))
     estimate = smooth(WalkGraph(steps, fixes))
@@ -125,7 +126,7 @@ def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     line = _line(route, laps)
     walked = np.append(0.0, np.cumsum(steps.length))
     along = walked * line.length / walked[-1]
-    first = _at(line, np.array([0.0, min(LINE.spacing, line.length)]))
+    first = _at(line, np.array([0.0, min(FIXES_EVERY, line.length)]))
     scale = np.clip(line.length / walked[-1] - 1, -0.5, 0.5)
     fit = np.array([*first[0], np.arctan2(*(first[1] - first[0])[::-1]), scale, 0.0, 0.0])
     widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * np.array(LINE.usual)[1], 3 * np.array(LINE.usual)[2]])

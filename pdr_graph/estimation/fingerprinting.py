@@ -30,13 +30,14 @@ from pdr_graph.priors import SCANS
 from pdr_graph.types import Array, Closures, Fixes, Index, Mask, Recording, Sightings, Trajectory, appended, take
 from pdr_graph.whole_files import write_file
 
+FEWEST_SCANS = 20  # at mapped places, by which the errors of a map are estimated
 MOST_LEVELS = 20_000  # that are stored: some minutes where 100 transmitters are heard
 LONGEST_SPAN = 600.0  # [s] of the walk whose levels are stored: the scans are a table of windows times transmitters
 
 
 @dataclass(frozen=True)
 class Scans:
-    """Received levels in windows of `SCANS.window` seconds.
+    """Received levels in windows of `SCANS.window` seconds, one a second.
 
     time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `SCANS.faintest`, 0 if not
     received.
@@ -76,14 +77,14 @@ def scans_in(parts: Sequence[Sightings]) -> Scans:
     if not len(rows):
         return Scans(np.empty(0), (), np.empty((0, 0)))
     transmitters, column = np.unique([names[n] for n in rows], return_inverse=True)
-    first = np.floor(time[rows] / SCANS.interval).astype(int)
+    first = np.floor(time[rows]).astype(int)
     begin, windows = first.min() - SCANS.window + 1, int(np.ptp(first)) + SCANS.window
     total, count = np.zeros((2, windows, len(transmitters)))
-    for earlier in range(0, SCANS.window, SCANS.interval):
+    for earlier in range(SCANS.window):
         np.add.at(total, (first - earlier - begin, column), level[rows])
         np.add.at(count, (first - earlier - begin, column), 1)
     scans = Scans(
-        (begin + np.arange(windows)) * SCANS.interval + SCANS.window / 2,
+        begin + np.arange(windows) + SCANS.window / 2,
         tuple(transmitters.tolist()),
         total / count.clip(1),
     )
@@ -165,8 +166,8 @@ class RadioMap:
         floor = tuple(label for _, _, labels in placed for label in labels)
         walk = np.repeat(np.arange(len(placed)), [len(scans) for scans, _, _ in placed])
         time = np.concatenate([np.empty(0), *(scans.time for scans, _, _ in placed)])
-        if len(level) < SCANS.enough:
-            raise ValueError(f"found {len(level)} scans along the walks, expected at least {SCANS.enough}")
+        if len(level) < FEWEST_SCANS:
+            raise ValueError(f"found {len(level)} scans along the walks, expected at least {FEWEST_SCANS}")
         limits, variance = _calibrated(level, position, floor, walk, time)
         described = Frame().describe() if frame is None else frame
         return cls(tuple(transmitters), level, position, floor, described, limits, variance)
@@ -253,7 +254,7 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
     for left_out in (same, same & (np.abs(time[some, None] - time) < SCANS.apart)):
         without = np.where(left_out, 1.0, distance)
         near = np.where(left_out, np.inf, apart).min(axis=1) < SCANS.near
-        if near.sum() >= SCANS.enough:
+        if near.sum() >= FEWEST_SCANS:
             break
     else:
         near = without.min(axis=1) < 1  # a walk that visits no place twice: all scans with something in common
@@ -360,7 +361,7 @@ def _accepted(distance: Array, apart: Array) -> tuple[Mask, Array]:
     distance: ``(p,)`` between their scans, 0 to 1; apart: ``(p, 2)`` between their positions by the estimates [m].
     """
     near = np.hypot(*apart.T) < SCANS.near
-    if near.sum() < SCANS.enough:
+    if near.sum() < FEWEST_SCANS:
         accepted = distance < SCANS.usually_alike
         return accepted, np.full(np.count_nonzero(accepted), SCANS.near)
     least, most = np.quantile(distance[near], [1 - SCANS.accepted_pairs, SCANS.accepted_pairs])
@@ -419,7 +420,7 @@ class ScanCollector:
         """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""
         self.forget(max((self._block + 0.5) * SCANS.window, until - LONGEST_SPAN))
         # Its last scan ends half a window after it
-        complete = (until - 1.5 * SCANS.window + SCANS.interval) // SCANS.window
+        complete = (until - 1.5 * SCANS.window + 1) // SCANS.window
         if complete <= self._block or not len(self._received):
             return
         scans = scans_in([self._received])

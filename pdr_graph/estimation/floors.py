@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_graph.geometry import row_times, viterbi
-from pdr_graph.inertial.barometer import DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs, goings_of
+from pdr_graph.inertial.barometer import CELL, DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs, goings_of
 from pdr_graph.priors import CLIMB, LIVE_FLOORS, STOREYS
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
@@ -221,6 +221,10 @@ def _nearest(heights: Array, at: Array) -> Index:
 
 
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
+ESTIMATED_EVERY = 3.0  # [s] between estimates; a climb is assumed to go on for two
+LONGEST_WINDOW, KEPT_WINDOW = 200.0, 60.0  # [s] of the window, and of what is left after a cut
+TOO_LONG = 1.5  # times the longest window, when it is cut even within a climb
+REMEMBERED = 90.0  # [s] before the window, of which labels are stored
 STORED_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
 
 
@@ -228,7 +232,7 @@ class LiveFloors:
     """The floors of a walk under way. building: see `floors_of`; start: label of the first floor, or "".
 
     goings: ``(k, 3)`` of the stairs in the window, see `goings_of`; a climb that may go on ends 2 *
-    LIVE_FLOORS.interval after its last sample.
+    ESTIMATED_EVERY seconds after its last sample.
     """
 
     def __init__(self, building: Building | None = None, start: str = ""):
@@ -238,7 +242,7 @@ class LiveFloors:
         self.begin, self.end = np.nan, np.nan  # [s] start of the window, end of the certain steps
         self.looked = -np.inf  # [s] time of the last estimate
         self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps in the window [s]
-        self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
+        self.pressure = np.empty((0, 2))  # means over CELL: time [s] and pressure [hPa]
         self.open = np.empty((0, 2))  # samples of the cell that is not complete
         self.fixes = Fixes.none()  # with floor labels
         self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
@@ -254,12 +258,12 @@ class LiveFloors:
         for sample in rows:
             if sample[0] <= max(self.pressure[-1:, 0].max(initial=-np.inf), self.open[-1:, 0].max(initial=-np.inf)):
                 continue  # repeated sample, or clock reset
-            if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
+            if len(self.open) and sample[0] // CELL > self.open[0, 0] // CELL:
                 self.pressure, self.open = np.vstack([self.pressure, self.open.mean(axis=0)]), self.open[:0]
             if len(self.open) < MOST_IN_CELL:
                 self.open = np.vstack([self.open, sample])
-        longest = LIVE_FLOORS.longest * (LIVE_FLOORS.too_long if np.isfinite(self.end) else 1.0)
-        self.pressure = self.pressure[-round(longest / CLIMB.grid) :]
+        longest = LONGEST_WINDOW * (TOO_LONG if np.isfinite(self.end) else 1.0)
+        self.pressure = self.pressure[-round(longest / CELL) :]
 
     def add_fixes(self, fixes: Fixes) -> None:
         """Append fixes; only those with a floor label are used."""
@@ -276,21 +280,21 @@ class LiveFloors:
         self.end = steps.end
 
     def advance(self, tail: Steps | None = None) -> bool:
-        """Estimate floors and stairs again after LIVE_FLOORS.interval; False if not due. tail: provisional steps."""
+        """Estimate floors and stairs again after ESTIMATED_EVERY; False if not due. tail: provisional steps."""
         now = self.end if tail is None else tail.end
-        if not (now > self.begin and abs(now - self.looked) >= LIVE_FLOORS.interval):
+        if not (now > self.begin and abs(now - self.looked) >= ESTIMATED_EVERY):
             return False
         measured = self._is_measured(now)
         named = self.building is None or bool(self.start) or len(self.fixes) > 0
         if named and (measured or self.heard) and now > self.begin:
             self._estimate(now, tail, measured)
-        elif now - self.begin > LIVE_FLOORS.longest:
-            self._cut(now - LIVE_FLOORS.shortest)
+        elif now - self.begin > LONGEST_WINDOW:
+            self._cut(now - KEPT_WINDOW)
         self.looked = now
         return True
 
     def labels(self, time: Array) -> tuple[str, ...]:
-        """Labels of the present estimate at times ``(n,)`` [s] within LIVE_FLOORS.remembered of the window; "" where
+        """Labels of the present estimate at times ``(n,)`` [s] within REMEMBERED seconds of the window; "" where
         unknown.
         """
         if not len(self.row_time):
@@ -320,7 +324,7 @@ class LiveFloors:
         nothing, some = np.zeros(len(time)), np.ones(len(time))
         steps = Steps(self.begin, end, time, duration, some, nothing, nothing, some, some)
         floors = floors_along(steps, barometer, self.start, self.fixes, self.building)
-        before = (self.row_time < self.begin) & (self.row_time > now - LIVE_FLOORS.remembered)
+        before = (self.row_time < self.begin) & (self.row_time > now - REMEMBERED)
         self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
         self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
         self.label, self.heard = floors.labels[-1], False
@@ -328,16 +332,16 @@ class LiveFloors:
         self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
         self.goings = goings_of(steps, floors.climbs, floors.kinds)
         if self.climbing:
-            self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + 2 * LIVE_FLOORS.interval
-        if now - self.begin > LIVE_FLOORS.longest or len(floors.climbs) > LIVE_FLOORS.most_climbs:
-            level = now - LIVE_FLOORS.shortest  # or the last time before, that is CLIMB.level away from any climb
+            self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + 2 * ESTIMATED_EVERY
+        if now - self.begin > LONGEST_WINDOW or len(floors.climbs) > 3:
+            level = now - KEPT_WINDOW  # or the last time before, that is CLIMB.level away from any climb
             for start, end in zip(floors.climbs.start[::-1].tolist(), floors.climbs.end[::-1].tolist(), strict=True):
                 if start - CLIMB.level < level < end + CLIMB.level:
                     level = start - CLIMB.level
             if level > self.begin + CLIMB.level:
                 self._cut(level)
-            elif now - self.begin > LIVE_FLOORS.too_long * LIVE_FLOORS.longest:
-                self._cut(now - LIVE_FLOORS.shortest)
+            elif now - self.begin > TOO_LONG * LONGEST_WINDOW:
+                self._cut(now - KEPT_WINDOW)
 
     def _cut(self, time: float) -> None:
         """Let the window start at ``time`` [s], or at the end of the certain steps if that is earlier."""

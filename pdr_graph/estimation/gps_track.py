@@ -48,6 +48,8 @@ from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, RIDING, TRACK, TRAVEL
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Steps, Trajectory
 
 SHORTEST_INTERVAL = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
+PATH_EVERY = 15.0  # [s] between samples of the path, and least window of a speed: shorter ones add up noise
+EPOCH = 10.0  # [s] of the hidden Markov model
 FIRST_INFORMATION = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
 BLOCK_ROW, BLOCK_COLUMN = np.indices((3, 3)).reshape(2, 9)  # of a block
@@ -194,7 +196,7 @@ class Straightness:
 def straightness(knots: GpsKnots, way: Array, begins: Array, ends: Array) -> Straightness:
     """Straightness of a path ``way (n, 2)`` [m] through knots, in recorded stretches ``(s,)`` [s]."""
     time, error = knots.time, np.hypot(knots.slow, knots.white)
-    at = np.concatenate([np.arange(a, b, TRAVEL.grid) for a, b in zip(begins, ends, strict=True)])
+    at = np.concatenate([np.arange(a, b, PATH_EVERY) for a, b in zip(begins, ends, strict=True)])
     way = interpolate(at, time, way)
     along = length_along(way) + 1e-6 * np.arange(len(at))  # strictly increasing even where nobody moves
     # A line between two fixes is straight by construction: a path leads at least over the intervals beside it too
@@ -206,9 +208,9 @@ def straightness(knots: GpsKnots, way: Array, begins: Array, ends: Array) -> Str
     )
     # The difference over TRAVEL.lag of a Gauss–Markov error of variance σ² is Rayleigh distributed with
     # 2σ² (1 − e^(−TRAVEL.lag/RECEIVERS.standing)); where most of the path leads somewhere, no error is seen
-    half, context = int(TRAVEL.lag / 2 / TRAVEL.grid), int(TRAVEL.context / 2 / TRAVEL.grid)
+    half, context = int(TRAVEL.lag / 2 / PATH_EVERY), int(TRAVEL.context / 2 / PATH_EVERY)
     before, after = (np.clip(np.arange(len(at)) + k, 0, len(at) - 1) for k in (-half, half))
-    nowhere = (walk < TRAVEL.crooked) & (at[after] - at[before] < TRAVEL.lag + TRAVEL.grid)  # not over a gap
+    nowhere = (walk < TRAVEL.crooked) & (at[after] - at[before] < TRAVEL.lag + PATH_EVERY)  # not over a gap
     apart = np.hypot(*(way[after] - way[before]).T) * nowhere
     usual = percentile_filter(apart, TRAVEL.percentile, 1 + 2 * context, mode="nearest")
     wander = usual / np.sqrt(2 * np.log(2) * 2 * (1 - np.exp(-TRAVEL.lag / RECEIVERS.standing)))
@@ -247,7 +249,7 @@ class Epochs:
     @classmethod
     def of(cls, begins: Array, ends: Array) -> Epochs:
         """The epochs of stretches from ``begins (s,)`` to ``ends (s,)`` [s]."""
-        count = np.maximum(np.round((ends - begins) / TRAVEL.epoch), 1).astype(int)
+        count = np.maximum(np.round((ends - begins) / EPOCH), 1).astype(int)
         within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         first, last = np.repeat(begins, count), np.repeat(ends, count)
         each = (last - first) / np.repeat(count, count)
@@ -265,8 +267,8 @@ def moves(knots: GpsKnots, way: Array, begins: Array, ends: Array, straight: Str
 
     # The times of changes, by speeds over a shorter window around each change
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
-    open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / TRAVEL.epoch / 2))
-    cost = _by_speed(epochs, knots, way, TRAVEL.grid) + lead
+    open_ = maximum_filter1d(changed, 1 + 2 * round(TRAVEL.window / EPOCH / 2))
+    cost = _by_speed(epochs, knots, way, PATH_EVERY) + lead
     decided = np.where(np.array(MODES) == state[:, None], 0.0, np.inf)
     state = _most_probable(np.where(open_[:, None], cost, decided), change)
 
@@ -295,9 +297,9 @@ def _changes(epochs: Epochs, time: Array) -> Array:
     """
     after = np.searchsorted(time[1:-1], epochs.middle, side="right")
     since, fix = np.diff(time)[after], np.diff(after) > 0
-    since = np.where(fix, np.maximum(since[1:], since[:-1]), TRAVEL.epoch)
+    since = np.where(fix, np.maximum(since[1:], since[:-1]), EPOCH)
     states = len(MODES)
-    kept = np.exp(-np.maximum(since, TRAVEL.epoch) / TRAVEL.lasts * states / (states - 1))
+    kept = np.exp(-np.maximum(since, EPOCH) / TRAVEL.lasts * states / (states - 1))
     return np.log((1 + (states - 1) * kept) / (1 - kept)) * ~epochs.begins[1:]
 
 
@@ -329,7 +331,7 @@ def _by_speed(epochs: Epochs, knots: GpsKnots, way: Array, window: float) -> Arr
     large = np.hypot(TRAVEL.outlier_scale * noise[:, None], [0.0, TRAVEL.walk, TRAVEL.ride])
     density = (1 - rare) * usual + rare * _rayleigh(speed[:, None], large)
     # Windows overlap: each counts once
-    return -np.log(density + UNLIKELY) * np.minimum(TRAVEL.epoch / span, 1.0)[:, None]
+    return -np.log(density + UNLIKELY) * np.minimum(EPOCH / span, 1.0)[:, None]
 
 
 def _of_rides(speed: Array, noise: Array) -> Array:
@@ -351,7 +353,7 @@ def _by_straightness(epochs: Epochs, straight: Straightness) -> Array:
         -np.log(TRAVEL.exceptions + (1 - TRAVEL.exceptions) * 5 * net[at] ** 4)
         for net in (straight.walk, straight.ride)
     )
-    counts = TRAVEL.epoch / np.maximum(straight.lasts[at], TRAVEL.window)
+    counts = EPOCH / np.maximum(straight.lasts[at], TRAVEL.window)
     return np.stack([np.zeros(len(at)), walk, walk + ride], axis=1) * counts[:, None]
 
 
@@ -402,16 +404,16 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     fixes = fixes[used]
     knots, lost = _knots(fixes), _lost(fixes)
 
-    # First pass: everything is a ride
+    # First pass: everything is a ride, and the loss is as wide as eight sigmas at first
     kind = np.where(lost, LOST, RIDES)
-    first = smooth_track(knots, _motion(knots, kind), TRACK.first_scales)
+    first = smooth_track(knots, _motion(knots, kind), (8.0, 2.0, 1.0))
 
     # Second pass: the motion model of each transport mode, with rows in gaps
     kind, knots = _classified(knots, first.position, lost, stated)
     kind, jumps = _with_stated(knots.time, kind, stated)
     rows, of = _with_rows_in_gaps(knots, kind)
     motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
-    way = smooth_track(rows, motion.of(of), TRACK.final_scales, weight)
+    way = smooth_track(rows, motion.of(of), (1.0, 1.0), weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
     return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])])
 
@@ -465,7 +467,7 @@ def _lost(fixes: Fixes) -> Mask:
     flown = np.hypot(*np.diff(fixes.position, axis=0).T) > TRACK.fastest * (span + TRACK.longest)
     lost = (flown & ~_by_fast_train(fixes)) | without_data(fixes.time)
     for begin, end in _stretches(lost):
-        if time[end] - time[begin] < TRAVEL.epoch:
+        if time[end] - time[begin] < EPOCH:
             lost[begin:end] = True
     return lost
 
@@ -519,12 +521,12 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
         mean[number < 3] = np.nan
         return mean[:, :2], 2 / np.e * mean[:, 2] + mean[:, 3] / np.maximum(number, 1), mean[:, 2] + mean[:, 3]
 
-    middle = np.arange(time[0] + lasts, time[-1] - lasts, TRAVEL.epoch)
+    middle = np.arange(time[0] + lasts, time[-1] - lasts, EPOCH)
     before, error, scatter = means(middle - 1.5 * lasts, middle - 0.5 * lasts)
     after, other, scattered = means(middle + 0.5 * lasts, middle + 1.5 * lasts)
     apart = after - before
     gain = np.einsum("ij,ij->i", apart, apart) / (2 * (error + other))
-    price = 2 * np.log(lasts / TRAVEL.epoch) + np.log((time[-1] - time[0]) / lasts)
+    price = 2 * np.log(lasts / EPOCH) + np.log((time[-1] - time[0]) / lasts)
     taken = list[int]()
     for k in np.argsort(-np.nan_to_num(gain)).tolist():
         # Windows beside a change end at 1.5 of their length from it

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors import Directions, Positions
 
 REWEIGHTINGS = 5
+OPEN_DIRECTIONS = 8  # in which a walk may begin that has no direction
+WEAK = 3.0  # sigma of scale and rotation about 0, which keeps them finite, and of a change at a turn of over 1 rad
+ROBUST = 2.0  # [σ] width of Huber's weight
 
 
 def align(
@@ -57,14 +60,14 @@ def align(
     move = np.diff(track[starts])
     gap = np.zeros(len(move)) if gap is None else gap
     lost = np.zeros(len(move)) if lost is None else lost
-    change = np.where(lost < INITIAL.any_turn, np.hypot(INITIAL.change, lost), INITIAL.scale)
+    change = np.where(lost < 1.0, np.hypot(INITIAL.change, lost), WEAK)
     joints = np.hypot(INITIAL.joint, gap) ** -2, change**-2
     p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0)
     for _ in range(REWEIGHTINGS):
         residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
-        if np.all(residual < INITIAL.huber):
+        if np.all(residual < ROBUST):
             break
-        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, INITIAL.huber))
+        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, ROBUST))
     return p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a)
 
 
@@ -85,7 +88,7 @@ def _solve(
     band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
     pp, aa, ap = band[0, 0::2], band[0, 1::2], band[1, 0::2]
     pp += per_segment(weight)
-    aa += per_segment(weight * np.abs(z) ** 2) + INITIAL.scale**-2
+    aa += per_segment(weight * np.abs(z) ** 2) + WEAK**-2
     ap += per_segment(weight * z.conj())
     pp[:-1] += joint
     pp[1:] += joint
@@ -196,7 +199,7 @@ def blind(steps: Steps, time: Array) -> Mask:
 def along_fixes(time: Array, fix_time: Array, fix: Complex, weight: Array) -> tuple[Complex, Array]:
     """Positions [m] and headings [rad] at times ``(n,)`` [s], on the straight line through the fixes about each.
 
-    fix_time, fix, weight: ``(f,)`` of the fixes. NaN where there are fewer than INITIAL.dense about a time.
+    fix_time, fix, weight: ``(f,)`` of the fixes. NaN where there are fewer than three about a time.
     """
     begin = min(time[0], fix_time[0])
     second = np.rint(fix_time - begin).astype(np.intp)
@@ -206,7 +209,7 @@ def along_fixes(time: Array, fix_time: Array, fix: Complex, weight: Array) -> tu
     about = gaussian_filter1d(moments, INITIAL.window, axis=1, mode="constant", truncate=3)
     grid = np.arange(moments.shape[1])
     one, first, square, place, rise, number = (np.interp(time - begin, grid, row) for row in about)
-    many = number.real * INITIAL.window * np.sqrt(2 * np.pi) > INITIAL.dense
+    many = number.real * INITIAL.window * np.sqrt(2 * np.pi) > 3
     determinant = np.where(many, (one * square - first**2).real, 1.0)
     slope = np.where(many, (one * rise - first * place) / determinant, np.nan)
     return (square * place - first * rise) / determinant + slope * (time - begin), np.angle(slope)
@@ -225,5 +228,5 @@ def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
     at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])
     to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
     gaps = float(np.sum(steps.sigma_length[steps.is_gap]))
-    far = FIXES.stretched * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
+    far = FIXES.stretched * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + 20.0  # [m] a margin
     return place.min(axis=0) - far, place.max(axis=0) + far

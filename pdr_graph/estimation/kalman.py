@@ -46,7 +46,7 @@ from pdr_graph.estimation.factors.chain import DECIMALS, SIGMA_STILL, Pieces, in
 from pdr_graph.estimation.factors.fixes import drift_of
 from pdr_graph.estimation.factors.start import FRAME_SIGMA, Prior, change_sigma
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.initialization import OPEN_DIRECTIONS, lay_dead_reckoning
 from pdr_graph.estimation.results import (
     calibration_of,
     movement_contradictions,
@@ -57,9 +57,10 @@ from pdr_graph.estimation.results import (
 )
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
-from pdr_graph.priors import FIXES, KALMAN, MOTION, PRICES, RECEIVERS, REPORTS, SEARCH, STEP, TREADS
+from pdr_graph.priors import FIXES, KALMAN, MOTION, PRICES, RECEIVERS, REPORTS, STEP, TREADS
 from pdr_graph.types import Array, Estimate, Fixes, FixReport, Index, Steps, Trajectory
 
+HOPELESS, MOST_HYPOTHESES = 1e-6, 24  # probability below which a hypothesis is dropped; most of them
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
 EXACT = 1e-3  # [rad] least sigma for the weights of directions
 HELD_BACK = 2.0  # [s] by which a measurement may come late: receivers state where they were a second ago
@@ -164,7 +165,7 @@ def corrected(
         return updated.take(np.zeros(1, dtype=np.intp)), np.zeros(1, dtype=np.intp), sigmas, weight
     kept = replace(bank.take(without), log_weight=(updated.log_weight + spared)[without])
     row, whole = np.append(np.arange(len(bank)), without), joined(updated, kept)
-    most = np.argsort(-whole.log_weight, kind="stable")[: KALMAN.most]
+    most = np.argsort(-whole.log_weight, kind="stable")[:MOST_HYPOTHESES]
     return whole.take(most), row[most], sigmas[row][most], np.append(weight, np.zeros(len(without)))[most]
 
 
@@ -187,7 +188,7 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
     pose = differences(bank.mean, bank.mean[bank.best])[:, :3]
     apart = (pose @ np.linalg.inv(bank.covariance[bank.best, :3, :3]) * pose).sum(axis=1)
     same = apart < KALMAN.same**2
-    keep = ~same & (bank.log_weight > np.log(KALMAN.hopeless))
+    keep = ~same & (bank.log_weight > np.log(HOPELESS))
     keep[bank.best] = True
     log_weight = bank.log_weight.copy()
     log_weight[bank.best] = np.logaddexp.reduce(log_weight[same])
@@ -195,20 +196,20 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
 
 
 def by_direction(wide: GaussianMixture) -> GaussianMixture:
-    """Split one hypothesis of uncertain direction into SEARCH.directions narrow ones around the circle.
+    """Split one hypothesis of uncertain direction into OPEN_DIRECTIONS narrow ones around the circle.
 
     Together they have its Gaussian with Huber's tails: directions far from a compass heading keep a small probability.
     The first has the direction of ``wide``.
     """
-    V, width = wide.covariance[0, 2, 2], np.pi / SEARCH.directions
-    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, SEARCH.directions, endpoint=False)))
+    V, width = wide.covariance[0, 2, 2], np.pi / OPEN_DIRECTIONS
+    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, OPEN_DIRECTIONS, endpoint=False)))
     wider, by_heading = max(V - width**2, 0.0), wide.covariance[0, 2] / V
     narrow = wide.covariance[0] - wider * np.outer(by_heading, by_heading)
-    all_round = np.zeros(SEARCH.directions, dtype=np.intp)
+    all_round = np.zeros(OPEN_DIRECTIONS, dtype=np.intp)
     log_weight = -huber_cost(np.minimum(np.abs(off) / np.sqrt(max(wider, EXACT**2)), FIXES.outlier))
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(
-        wide.mean + off[:, None] * by_heading, np.tile(narrow, (SEARCH.directions, 1, 1)), log_weight, all_round
+        wide.mean + off[:, None] * by_heading, np.tile(narrow, (OPEN_DIRECTIONS, 1, 1)), log_weight, all_round
     )
 
 

@@ -16,6 +16,7 @@ from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 
 MOST_ITERATIONS = 60
+LONGEST_MOVE = 2.0  # [m] of a pose in an iteration with walls, whose gradients are local
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an iteration is the last
 EXACTLY = 1e-8  # the same for the walk that is returned, if it converges slowly
@@ -84,7 +85,7 @@ class Descent:
         if not np.isfinite(self.at.cost):
             bad = sorted({block.name for block in self.at.blocks if not np.isfinite(block.cost)})
             raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
-        self._least, self._damping, self._longest = converged, 0.0, SEARCH.longest_move if graph.walled else np.inf
+        self._least, self._damping, self._longest = converged, 0.0, LONGEST_MOVE if graph.walled else np.inf
         self.equations, self.last = graph.normal_equations(self.at), np.inf
         self.system, self._moved = self.equations.assembled(self.at), False
 

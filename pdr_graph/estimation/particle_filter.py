@@ -116,6 +116,11 @@ def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
 
 
 MOST_LOOKS = 100  # points of a step that are tested against walls, however long it is
+FURTHER_DRAWS = 4  # of a step that would cross a wall
+FREE_ODDS = np.log((FURTHER_DRAWS + 1) / np.maximum(np.arange(FURTHER_DRAWS + 1), 1))  # by how many of them are free
+ONE_TURNED = 4  # of so many particles, one draws any direction where a turn or the start is open
+ONE_SOUGHT = 5  # of so many particles, one moves to a place that is sought
+PARTICLE_BINS = np.array([1.0, 1.0, np.pi / 8])[:, None]  # [m, m, rad] of which some particles each are needed
 
 
 class Walls(NamedTuple):
@@ -135,7 +140,7 @@ def stepped(
 ) -> tuple[Array, Array]:
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
-    A particle that would cross a wall draws its errors again, up to PARTICLES.tries times, at the cost of the log-odds.
+    A particle that would cross a wall draws its errors again, up to FURTHER_DRAWS times, at the cost of the log-odds.
     state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` along, across [m] and of the turn [rad].
     """
     looks = float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
@@ -148,13 +153,13 @@ def stepped(
         stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]  # those inside a wall may leave it
     if not len(stopped):
         return after, price
-    before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
+    before = np.repeat(state[:, stopped], FURTHER_DRAWS, axis=1)
     others, way = _moved(before, _errors(before.shape[1], sigma, random), length, turn, time)
-    free = (_clearances(before, way, looks, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
+    free = (_clearances(before, way, looks, walls).min(axis=0) >= WALLS.body).reshape(-1, FURTHER_DRAWS)
     ways = free.sum(axis=1)
     got = ways > 0
-    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]
-    price[stopped] = np.where(got, PARTICLES.odds[ways], REGIONS.wall_cost)
+    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * FURTHER_DRAWS + free.argmax(axis=1))[got]]
+    price[stopped] = np.where(got, FREE_ODDS[ways], REGIONS.wall_cost)
     return after, price
 
 
@@ -171,7 +176,7 @@ def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
     errors = random.standard_normal((3, count))
     errors *= sigma[:, None]
     if sigma[2] > PARTICLES.doubted:
-        any_turn = errors[2, :: PARTICLES.rare]
+        any_turn = errors[2, ::ONE_TURNED]
         any_turn[:] = random.uniform(-np.pi, np.pi, len(any_turn))
     return errors
 
@@ -253,9 +258,9 @@ class ParticleFilter:
         displacement from the keyframe to the place, for that heading, complex [m]; measured: at the keyframe.
         """
         n, random = self.most, self.random
-        spread = max(sigma_heading, PARTICLES.least_sigma_direction)
+        spread = max(sigma_heading, 0.1)
         turned = spread * random.standard_normal(n)
-        anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, PARTICLES.rare)  # fixes lay a walk as a whole
+        anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, ONE_TURNED)  # fixes lay a walk as a whole
         turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
         c = _calibrated(random.multivariate_normal(np.zeros(3), self._wide, n).T, self.prior)
         led = way * c[0] * np.exp(1j * turned)
@@ -333,7 +338,7 @@ class ParticleFilter:
         self.evidence += total
         weight -= total
         origin = np.arange(len(weight))
-        if share.sum() ** 2 < PARTICLES.resample * len(weight) * (share @ share):
+        if share.sum() ** 2 < 0.5 * len(weight) * (share @ share):
             origin = _resampled(weight, self._needed(), random)
             self.state, weight = self.state.take(origin, axis=1), np.full(len(origin), -np.log(len(origin)))
             self.state[3:] = self._varied()
@@ -357,9 +362,9 @@ class ParticleFilter:
         del self._states[:count], self._origins[:count]
 
     def _seek(self, position: Array, sigma: float) -> None:
-        """Move one in PARTICLES.sought particles to a place [m] at a price; later measurements decide if they stay."""
+        """Move one in ONE_SOUGHT particles to a place [m] at a price; later measurements decide if they stay."""
         state, weight, n = self.state.copy(), self.weight.copy(), self.state.shape[1]
-        put = np.arange(0, n, PARTICLES.sought)
+        put = np.arange(0, n, ONE_SOUGHT)
         place = self.random.standard_normal((2, len(put))) * sigma
         state[:2, put] = position[:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
@@ -373,15 +378,13 @@ class ParticleFilter:
         apart = before - before.mean(axis=1, keepdims=True)
         covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
         root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
-        after = before + PARTICLES.kernel * root @ self.random.standard_normal(c.shape)
+        after = before + 0.2 * root @ self.random.standard_normal(c.shape)
         rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
         return np.where(self.random.exponential(size=c.shape[1]) > rise, _calibrated(after, self.prior), c)
 
     def _needed(self) -> int:
         """Number of particles needed: some for each bin of place and direction that they occupy."""
-        x, y, angle = np.floor(
-            self.state[:3] / np.array([PARTICLES.bin, PARTICLES.bin, PARTICLES.bin_angle])[:, None]
-        ).astype(np.int64)
+        x, y, angle = np.floor(self.state[:3] / PARTICLE_BINS).astype(np.int64)
         bins = np.sort((x << 40) + (y << 16) + angle)
         occupied = 1 + np.count_nonzero(bins[1:] != bins[:-1])
         return int(min(max(self.per_bin * occupied, self.fewest), self.most))

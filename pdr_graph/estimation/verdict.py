@@ -11,14 +11,16 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from pdr_graph.errors import count, percent
-from pdr_graph.estimation.factors.fixes import alike
+from pdr_graph.estimation.factors.fixes import RAYLEIGH_MEDIAN, alike
 from pdr_graph.estimation.factors.registry import locating_kinds
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
 from pdr_graph.geometry import horizontal_sigma, interpolate, peaks
-from pdr_graph.priors import FIXES, PATHS, RANGES, RECEIVERS, REPORTS, VERDICTS
+from pdr_graph.priors import FIXES, PATHS, RECEIVERS, REPORTS, VERDICTS
 from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
 
+NORMAL_MEDIAN = 0.67  # [σ] of the size of honest residuals; times √n, this median has a sigma of 0.79
+BESIDE_JUMP = 5  # fixes before and after a jump, whose medians are compared
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 ROUTE, PLACE = "route", "place"  # sources of contradictions that only leave open where the walk went
 STEPS_AND_REST = "steps and the rest"  # what contradicts fixes without another source of positions
@@ -84,7 +86,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
         own = [fix for fix in used if fix.source == source]
         sigmas = np.array([fix.residual / fix.sigma for fix in own])
         independent = len({int(fix.time // VERDICTS.alike) for fix in own})
-        if median := _too_large(sigmas, independent, VERDICTS.fix_median, 1 / VERDICTS.fix_median):
+        if median := _too_large(sigmas, independent, RAYLEIGH_MEDIAN, 1 / RAYLEIGH_MEDIAN):
             of = f" of {source}" * (source != "" and len(sources) > 1)
             away = f"{np.median([fix.residual for fix in own]):.1f} m ({median:.1f} sigma) from the walk"
             lie = f"the fix{of} lies" if len(own) == 1 else f"half of the fixes{of} lie more than"
@@ -94,7 +96,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 
 def _jumps(estimate: Estimate) -> Iterator[Contradiction]:
     """Receivers that from one fix to the next leave the way of the steps, and do not come back."""
-    n, track = VERDICTS.beside_jump, estimate.trajectory
+    n, track = BESIDE_JUMP, estimate.trajectory
     used = [fix for fix in _evidence(estimate) if fix.source and track.time[0] <= fix.time <= track.time[-1]]
     for source in dict.fromkeys(fix.source for fix in used):
         own = np.array([(fix.time, fix.sigma, fix.x, fix.y) for fix in used if fix.source == source])
@@ -137,7 +139,7 @@ def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
 def _headings(estimate: Estimate) -> Iterator[Contradiction]:
     """Headings whose median residual is larger than their sigmas allow."""
     sigmas = np.array([abs(report.residual) / report.sigma for report in estimate.reports.get("headings", ())])
-    if median := _too_large(sigmas, len(sigmas), VERDICTS.heading_median, VERDICTS.heading_spread):
+    if median := _too_large(sigmas, len(sigmas), NORMAL_MEDIAN, 0.79):
         text = f"half of the headings differ by more than {median:.1f} sigma from the walk"
         yield Contradiction("headings", "steps and fixes", median, "sigma", text, "magnets and iron near the phone")
 
@@ -221,7 +223,7 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
         return True
     receivers = {fix.source or "fixes" for fix in _accepted(estimate)}
     anchors = sum(number.values()) - sum(number.get(kind, 0.0) for kind in ("beacons", *receivers))
-    return anchors >= max(fewest, RANGES.fewest)
+    return anchors >= max(fewest, 3)  # from ranges to three a position follows
 
 
 def independent_positions(estimate: Estimate) -> dict[str, float]:

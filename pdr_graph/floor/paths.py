@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from pdr_graph.floor.formats.ways import Found
 
 OUTER_WALL = 0.5  # [m] thickness, at most
+POINTS_EVERY = 4.0  # [m] between the points of ways that a walk can be at
+SOUGHT_WITHIN, SOUGHT_FARTHEST = 2.5, 120.0  # [σ] of the walk, and [m] at most, within which its ways are sought
 SAME_NODE = 0.05  # [m] between ends of ways that meet: OpenStreetMap has 1 cm
 LONGEST_MATCHED = 4000.0  # [m] of a walk that is matched at a time: memory grows with its square
 SOURCES = 400  # points whose distances to all others are computed at a time
@@ -229,8 +231,8 @@ class WayPoints:
 
     @classmethod
     def of(cls, network: PathNetwork) -> WayPoints:
-        """Points every WAYS.spacing metres; ways that share a corner share its point."""
-        lines = shapely.segmentize(_lines(network.lines), WAYS.spacing)
+        """Points every POINTS_EVERY metres; ways that share a corner share its point."""
+        lines = shapely.segmentize(_lines(network.lines), POINTS_EVERY)
         place, of_line = shapely.get_coordinates(lines, return_index=True)
         key = np.round(place / SAME_NODE).astype(np.int64)
         _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -308,8 +310,8 @@ def _matched(network: PathNetwork, track: Array, sigma: Array, askew: Array) -> 
     stations = np.unique(np.searchsorted(walked, np.arange(0.0, walked[-1] + WAYS.station, WAYS.station)))
     stations = stations[stations < size]
     n = len(stations)
-    place, stray = track[stations], np.minimum(sigma[stations], WAYS.farthest / WAYS.reach)
-    reach = WAYS.reach * np.hypot(stray, WAYS.drawn) + WAYS.spacing
+    place, stray = track[stations], np.minimum(sigma[stations], SOUGHT_FARTHEST / SOUGHT_WITHIN)
+    reach = SOUGHT_WITHIN * np.hypot(stray, WAYS.drawn) + POINTS_EVERY
     points = network.points.within(place, reach)
     if n < 2 or not len(points.place):
         return WayMatch.nowhere(size, WAYS.off * n)
@@ -410,7 +412,7 @@ class _Lattice:
         are possible; else three points on a way would be more probable than the walk off it.
         """
         p, leave, likely = len(self.place), np.exp(-WAYS.leave), np.exp(-self._costs)
-        share, entered = (WAYS.spacing / (np.sqrt(2 * np.pi) * sigma) for sigma in (self.sigma, self.stray))
+        share, entered = (POINTS_EVERY / (np.sqrt(2 * np.pi) * sigma) for sigma in (self.sigma, self.stray))
         entered = np.minimum(entered, 1.0)
         moves = [(source, to, np.exp(-cost) * k) for (source, to, cost), k in zip(self._moves, share, strict=True)]
         before, after = likely.copy(), np.ones_like(likely)

@@ -83,6 +83,10 @@ ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, IS_WALKING, VARIANCE_OF_TURNS = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
 DRIFT_PARTS = 5  # of the time of the observations of a drift
+STORED = 0.04  # [s] interval of the stored samples
+FIRST_STEPS, EVALUATED = (8, 12, 16, 24), 10.0  # [steps] of a stretch at its first evaluations; [s] between later ones
+MOST_FITTED = 600  # samples of a fit of iron
+OUTLYING = 2.0  # [σ] of an observation of north, from which it counts less
 FEWEST_FIELDS = 50  # stored samples, of two seconds, by whose field the sign of the accelerations is judged
 
 
@@ -119,9 +123,9 @@ class LiveCompass:
     has left the estimator's window. There are no headings before `locate`.
     """
 
-    def __init__(self, walker: Walker | None = None, reach: float | None = None):
+    def __init__(self, walker: Walker | None = None, reach: float = 40.0):
         self.sigma_turn = (walker or Walker()).sigma_turn
-        self.reach = LIVE_COMPASS.out_of_reach if reach is None else reach
+        self.reach = reach
         self.field = MagnetometerStream()
         self.stretch = 0
         self.samples = np.empty((0, SAMPLE_COLUMNS))  # of the stretch
@@ -197,7 +201,7 @@ class LiveCompass:
     @property
     def stride(self) -> int:
         """Number of the phone's samples per stored sample."""
-        return max(1, round(LIVE_COMPASS.sampling / self.period))
+        return max(1, round(STORED / self.period))
 
     def _extend(self, rows: Array, begin: float) -> None:
         """Add rows to the stretch, averaged over `stride` rows each."""
@@ -254,8 +258,8 @@ class LiveCompass:
 
     def _due(self, step: float) -> float:
         """Time of walking in the stretch at which the next evaluation is due [s]; step: duration of a step [s]."""
-        early = [count * step for count in LIVE_COMPASS.early_steps]
-        return next((time for time in early if time > 1.05 * self.evaluated), self.evaluated + LIVE_COMPASS.evaluation)
+        early = [count * step for count in FIRST_STEPS]
+        return next((time for time in early if time > 1.05 * self.evaluated), self.evaluated + EVALUATED)
 
     def _check_signs(self) -> None:
         """Compare the dip of the field with the earth's: an app may state accelerations with the signs of iOS."""
@@ -274,7 +278,7 @@ class LiveCompass:
         """Evaluate the first steps of the stretch with the samples after the certain steps, which may still change."""
         variance = gait.direction.variance
         step = self._usual_step(np.append(self.durations, gait.landings.period))
-        if self._earth is None or self.evaluated >= LIVE_COMPASS.early_steps[-1] * step or not np.isfinite(step):
+        if self._earth is None or self.evaluated >= FIRST_STEPS[-1] * step or not np.isfinite(step):
             return
         follows = gait.attitude.period == self.period and gait.attitude.time[0] - self.end < 1.5 * self.period
         if not follows or variance[-1] > self.direction_variance or np.isnan(gait.attitude.angular_rate).any():
@@ -309,13 +313,13 @@ class LiveCompass:
 
         # The direction by this stretch alone
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
-        late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(COMPASS.straight / spacing)]
+        late = np.flatnonzero(walking)[-round(self.reach / 2 / spacing) : -round(2.0 / spacing)]
         if not len(north) or not len(late):
             if np.isfinite(self._drift_at):
                 self._drifts.append(StretchValue(self.stretch, self._drift_at, 0.0, np.inf))
                 self._drift_at = np.nan
             return self._retract()
-        sample = straightest(heading, late, round(COMPASS.straight / spacing))
+        sample = straightest(heading, late, round(2.0 / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
         moment = float(time[sample])
         self._drift_at = min(moment, self.end)  # within certain steps
@@ -329,7 +333,7 @@ class LiveCompass:
         # The information that it adds to the earlier stretches
         offset, turn_variance = float(wrap_angle(course - heading[sample])), float(samples[sample, VARIANCE_OF_TURNS])
         changed = wrap_angle(offset - self.offsets)
-        self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
+        self.offsets = np.append(self.offsets, offset)[-3:]
         earlier = 1 / (self.previous.variance + turn_variance - self.previous.turn_variance)
         shared = 1 / max(1 / (ahead_sigma**2 + COMPASS.sigma**2) - earlier, 1e-9)
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
@@ -378,7 +382,7 @@ class Iron:
         return (measured - self.hard) @ self.soft
 
 
-def fit_iron(measured: Array, magnitude: float, iron: Iron | None = None, rounds: int | None = None) -> Iron:
+def fit_iron(measured: Array, magnitude: float, iron: Iron | None = None, rounds: int = 30) -> Iron:
     """Hard and soft iron from samples ``(n, 3)`` of a phone in changing orientations. [µT]
 
     The field has a constant magnitude [µT], so that the samples lie on an ellipsoid: robust least squares finds the one
@@ -386,14 +390,14 @@ def fit_iron(measured: Array, magnitude: float, iron: Iron | None = None, rounds
 
     iron: start of the search; rounds: of Gauss–Newton steps with Cauchy's loss, enough from any start by default.
     """
-    samples = measured[:: max(1, -(-len(measured) // MAGNETOMETER.fit_samples))]
+    samples = measured[:: max(1, -(-len(measured) // MOST_FITTED))]
     if iron is None:
         iron = Iron(np.median(samples, axis=0), np.eye(3), np.full(3, MAGNETOMETER.hard_spread))
     i, j = np.triu_indices(3)
     usual = np.concatenate([np.zeros(3), np.eye(3)[i, j]])  # of any phone: hard iron and upper triangle of soft iron
     spread = np.repeat([MAGNETOMETER.hard_spread, MAGNETOMETER.soft_spread], [3, 6])
     share = np.sqrt(min(1.0, MAGNETOMETER.independent / len(samples)))
-    for _ in range(rounds or MAGNETOMETER.fit_rounds):
+    for _ in range(rounds):
         apart = samples - iron.hard
         corrected = apart @ iron.soft
         length = np.linalg.norm(corrected, axis=1)
@@ -444,7 +448,7 @@ def prediction_error(field: Array, period: float) -> Array:
     short a time the sensor's noise exceeds any disturbance. Here the attitude predicts over a second: the prediction is
     the field in the world a second earlier.
     """
-    lag = min(max(1, round(MAGNETOMETER.prediction / period)), len(field) - 1)
+    lag = min(max(1, round(1.0 / period)), len(field) - 1)
     later, earlier = field[lag:], field[: len(field) - lag]
     angle = np.arctan2(np.linalg.norm(np.cross(later, earlier), axis=1), np.sum(later * earlier, axis=1))
     return np.concatenate([np.repeat(angle[:1], lag), angle])
@@ -455,7 +459,7 @@ def field_in_world(attitude: Attitude, device: Array, every: int = 1) -> Array:
 
     Only the rows that are returned are smoothed: an observation of north per second needs one of a hundred.
     """
-    weights = gaussian_weights(MAGNETOMETER.smoothing / attitude.period)
+    weights = gaussian_weights(0.5 / attitude.period)
     reach = len(weights) // 2
     world = np.pad(attitude.R_world_device.apply(device), ((reach, reach), (0, 0)), mode="edge")
     return sliding_window_view(world, len(weights), axis=0)[::every] @ weights
@@ -491,7 +495,7 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     process noise too. On real walks a field that turns against the gyroscope is the building's (its turn rate against
     the gyroscope's has a spread of ±70°/min), so that here the process noise is the gyroscope's own.
     """
-    every = max(1, round(NORTH.interval / attitude.period))
+    every = max(1, round(1.0 / attitude.period))
     world, time = field_in_world(attitude, field, every), attitude.time[::every]
     errors = np.stack([dip_error(world, earth.dip), prediction_error(world, every * attitude.period)])
     level = np.hypot(world[:, 0], world[:, 1])
@@ -502,7 +506,7 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     variance = NORTH.undisturbed**2 + np.sum(errors**2, axis=0) / np.cos(earth.dip) ** 2
     drift, drift_sigma = gyro_drift(time[valid], observed[valid], 1 / variance[valid])
     turned = -expected_drift(drift, drift_sigma) * (time - time[0])
-    variance = np.where(valid, variance * (1 + 2 * NORTH.alike / NORTH.interval), np.inf)
+    variance = np.where(valid, variance * (1 + 2 * NORTH.alike), np.inf)
     direction, sigma = _smoothed(observed - turned, variance)
     return North(time, direction + turned, sigma, drift, drift_sigma)
 
@@ -517,13 +521,13 @@ def gyro_drift(time: Array, north: Array, weight: Array) -> tuple[float, float]:
 
     time: ``(n,)`` [s]; north: ``(n,)`` [rad]; weight: ``(n,)`` relative.
     """
-    alike = 2 * NORTH.alike / NORTH.interval  # observations with the same disturbance
+    alike = 2 * NORTH.alike  # observations with the same disturbance
     if len(time) < 2 * alike * DRIFT_PARTS:
         return 0.0, np.inf
     weight = weight / weight.sum()
     apart = time - weight @ time
     spread = float(np.sqrt(weight @ apart**2))
-    rates = np.arange(-NORTH.fastest, NORTH.fastest, 0.5 / spread)
+    rates = np.arange(-REST.largest_bias, REST.largest_bias, 0.5 / spread)
     resultant = np.exp(1j * (north + rates[:, None] * apart)) @ weight
     best = int(np.argmax(np.abs(resultant)))
     drift, towards = float(rates[best]), float(np.angle(resultant[best]))
@@ -531,7 +535,7 @@ def gyro_drift(time: Array, north: Array, weight: Array) -> tuple[float, float]:
     for _ in range(5):
         residual = wrap_angle(north + drift * apart - towards)
         rms = float(np.sqrt(weight @ residual**2)) + NORTH.undisturbed
-        inlying = weight * np.minimum(1.0, NORTH.huber * rms / np.maximum(np.abs(residual), 1e-9))
+        inlying = weight * np.minimum(1.0, OUTLYING * rms / np.maximum(np.abs(residual), 1e-9))
         slope, offset = np.polyfit(apart, residual, 1, w=np.sqrt(inlying)).tolist()
         drift, towards = drift - slope, towards + offset
     if not weight @ residual**2 < NORTH.disagree**2:
@@ -562,14 +566,14 @@ def _smoothed(observed: Array, variance: Array) -> tuple[Array, Array]:
     A Kalman filter with clipped innovations, then the backward pass of Rauch, Tung and Striebel. Observations before
     the first valid one have no effect.
     """
-    grows, huber, first = NORTH.drift**2 * NORTH.interval, NORTH.huber, int(np.argmin(np.isinf(variance)))
+    grows, first = NORTH.drift**2, int(np.argmin(np.isinf(variance)))
     state, uncertainty = float(observed[first]), float(variance[first])
     states, uncertainties = [state] * (first + 1), [uncertainty + grows * k for k in range(first, -1, -1)]
     for measured, spread in zip(observed[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True):
         uncertainty += grows
         gain = uncertainty / (uncertainty + spread)
         innovation = (measured - state + pi) % (2 * pi) - pi
-        widest = huber * sqrt(uncertainty + spread)
+        widest = OUTLYING * sqrt(uncertainty + spread)
         state += gain * min(max(innovation, -widest), widest)
         uncertainty *= 1 - gain
         states.append(state)
@@ -624,8 +628,8 @@ class MagnetometerStream:
         every = max(1, round(0.5 * len(time) / (time[-1] - time[0] + 1e-9)))  # two samples a second
         up = R_world_device.inv().apply([0.0, 0.0, 1.0])
         selected = np.flatnonzero(np.any(field, axis=1))[::every]
-        self.calibration = np.concatenate([self.calibration, field[selected]])[-MAGNETOMETER.fit_samples :]
-        self.up = np.concatenate([self.up, up[selected]])[-MAGNETOMETER.fit_samples :]
+        self.calibration = np.concatenate([self.calibration, field[selected]])[-MOST_FITTED:]
+        self.up = np.concatenate([self.up, up[selected]])[-MOST_FITTED:]
         return field
 
     def without_iron(self, field: Array, magnitude: float) -> Array:

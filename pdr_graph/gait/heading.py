@@ -91,7 +91,7 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     """
     walked = slice(int(np.argmax(walking)), None)
     reading = reading_axis(attitude, heading, walking, step)
-    pushes = _pushes(attitude[walked], heading[walked], walking[walked], step, FORWARD.early_steps)
+    pushes = _pushes(attitude[walked], heading[walked], walking[walked], step, FORWARD.half_window)
     mean = complex(pushes.mean()) if len(pushes) else 0.0j
     if abs(mean) < FORWARD.early_coherence:
         x, y = attitude.R_world_device.as_quat()[walking, :2].T
@@ -101,10 +101,10 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     if not reading.determined:
         return gait
     if abs(wrap_angle(gait.angle - reading.angle)) <= FORWARD.opposed:
-        early = len(pushes) * FORWARD.early_steps < FORWARD.least_windows * FORWARD.window_steps
+        early = len(pushes) * FORWARD.half_window < FORWARD.least_windows * FORWARD.window_steps
         return Forward(reading.angle, FORWARD.confirmed_sigma if early else FORWARD.reading_sigma)
     agree = bool(np.all(np.real(pushes / mean) > 0.5 * np.abs(pushes / mean)))  # within 60 degrees
-    return gait if agree and len(pushes) * FORWARD.early_steps >= FORWARD.overruling_steps else UNKNOWN_AXIS
+    return gait if agree and len(pushes) * FORWARD.half_window >= 5 * FORWARD.window_steps else UNKNOWN_AXIS
 
 
 def _pushes(attitude: Attitude, heading: Array, walking: Mask, step: float, window_steps: int) -> Complex:
@@ -135,7 +135,7 @@ def harmonic(level: Complex, up: Array, step: float) -> tuple[Complex, Complex]:
     """Level and vertical acceleration ``(…, n)`` at the step frequency, the latter analytic. step: in samples."""
     count = fft.next_fast_len(up.shape[-1]) or up.shape[-1]
     ratio = np.fft.fftfreq(count) * step
-    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / FORWARD.band, -1, 1)) ** 2
+    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / 0.5, -1, 1)) ** 2
 
     def filtered(signal: Complex | Array, response: Array) -> Complex:
         spectrum = np.asarray(fft.fft(signal - signal.mean(axis=-1, keepdims=True), count))
@@ -222,7 +222,7 @@ class HeadingStream:
         self.first = self.heading_final = self.straight_final = self.course_final = self.next_window = 0
         self.aside, self.axis, self.windows = 0.0, 0.0j, 0
         self._beyond = 0.0  # variance of the deviations so far [rad²]
-        self.asides = deque[float](maxlen=2 * GRIP.steps_beside)  # of the last windows [rad]
+        self.asides = deque[float](maxlen=2 * FORWARD.half_window)  # of the last windows [rad]
         self.quaternion, self.acceleration, self.up = (np.empty((0, columns)) for columns in (4, 3, 3))
         self.rate_integral, self.turned, self.heading = (np.empty(0) for _ in range(3))
         self.straight, self.doubt, self.course, self.variance = (np.empty(0) for _ in range(4))
@@ -289,7 +289,7 @@ class HeadingStream:
     def forget(self, before: float) -> None:
         """Drop samples that no later step depends on; steps before the time ``before`` [s] are final."""
         final = min(self.course_final, int((before - self.origin) / self.period) - self.first)
-        drop = max(0, final - round((2 * GRIP.steps_beside + FILTER_EDGE) * self.step / self.period))
+        drop = max(0, final - round((2 * FORWARD.half_window + FILTER_EDGE) * self.step / self.period))
         self.first += drop
         self.heading_final -= drop
         self.straight_final -= drop
@@ -316,7 +316,7 @@ class HeadingStream:
         if not last:
             until = self.heading_final - beside - 2
             until = min([until, *(first for first, after in tilted if after + two > until)])
-            until = max(until, now - 2 * GRIP.steps_beside * beside, self.straight_final)
+            until = max(until, now - 2 * FORWARD.half_window * beside, self.straight_final)
 
         # The walker's turn during each is unknown
         turn, variances = np.diff(self.heading, prepend=self.heading[:1]), np.zeros(len(self.heading))
@@ -341,7 +341,7 @@ class HeadingStream:
         was tilted, it waits for a landing.
         """
         step = max(1, round(self.step / self.period))
-        size, kept, now = GRIP.steps_beside * step, self.course_final, len(self.straight)
+        size, kept, now = FORWARD.half_window * step, self.course_final, len(self.straight)
         begins = np.arange(self.next_window - self.first, self.straight_final - size + 1, step)
         course, variance = (np.append(each[:kept], np.empty(now - kept)) for each in (self.course, self.variance))
         gripped = np.diff(self.doubt, prepend=self.doubt[:1])
@@ -384,7 +384,7 @@ class HeadingStream:
             off = self.aside
         self.asides.append(off)
         self.windows += 1
-        share = max(1 / self.windows, 1 / GRIP.windows)
+        share = max(1 / self.windows, 1 / 60)  # of the last sixty windows, a step apart
         self.axis = (1 - share) * self.axis + share * shown * np.exp(-1j * off)
         return off
 
@@ -402,7 +402,7 @@ class HeadingStream:
             return np.concatenate([self._pushes(begins[n : n + AT_ONCE], size) for n in range(0, len(begins), AT_ONCE)])
         if not len(begins):
             return np.empty(0, dtype=complex)
-        edge = FILTER_EDGE * size // GRIP.steps_beside
+        edge = FILTER_EDGE * size // FORWARD.half_window
         rows = np.maximum(begins[:, None] + np.arange(-edge, size), 0)
         part = slice(int(rows.min()), int(rows.max()) + 1)
         level, up = level_and_vertical(self.attitude(part), self.straight[part])

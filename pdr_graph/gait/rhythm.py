@@ -19,6 +19,7 @@ OCTAVE = 6  # number of durations of slow steps in a factor of two
 SLOW: Array = 0.78 * 2 ** (np.arange(9, dtype=float) / OCTAVE)  # [s] those of slow steps, up to 1.97 s
 DURATIONS: Array = np.concatenate([USUAL, SLOW])
 FLAT = 0.01  # [m/s²] |a| that varies less is constant
+CORRELATED = 4.0  # [s] window over which |a| is correlated with itself, and its power taken
 
 
 def rhythm_of(level: Array, slow_level: Array, steady: Array, sampling: float) -> tuple[Index, Array]:
@@ -32,7 +33,7 @@ def rhythm_of(level: Array, slow_level: Array, steady: Array, sampling: float) -
     score, usual, regularity, repeated = _usual_rhythm(level, sampling, sway, 2 * every * sampling)
     slow = _slow_rhythm(slow_level[::every], sway, every * sampling)
     slow_score, slow, slow_regularity = (np.repeat(values, every)[: len(level)] for values in slow)
-    slower = slow_score - CANDIDATE.limb_weight * np.maximum(repeated, 0) > score
+    slower = slow_score - CANDIDATE.sway_weight * np.maximum(repeated, 0) > score
     return np.where(slower, len(USUAL) + slow, usual), np.where(slower, slow_regularity, regularity)
 
 
@@ -49,15 +50,15 @@ def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) ->
     once, twice = np.split(_correlation(level[None], lags, sampling, FLAT), 2)
     above = np.log(_bounce(level, np.array(STEP.usual), sampling) / CANDIDATE.run_bounce)
     longer = np.log(USUAL / STEP.usual)[:, None] + np.maximum(above, 0) / 2
-    score = twice + once / 2 - CANDIDATE.usual_weight * (longer / CANDIDATE.usual_spread) ** 2 / 2
-    bobbing = CANDIDATE.run_weight * np.maximum(2 * longer, 0) * (above > 0)
+    score = twice + once / 2 - 0.3 * (longer / CANDIDATE.usual_spread) ** 2 / 2  # a prior worth 0.3 at one spread
+    bobbing = np.maximum(2 * longer, 0) * (above > 0)
     lags = np.concatenate([USUAL[RUNNING], 2 * USUAL[RUNNING], USUAL[POSSIBLE_STRIDES]])
     swayed = np.repeat(_correlation(sway, lags, between, CANDIDATE.sway_noise), round(between / sampling), 1)
     after_step, after_stride, limb = np.split(swayed[:, : len(level)], [len(USUAL[RUNNING]), 2 * len(USUAL[RUNNING])])
     score[RUNNING] += CANDIDATE.sway_weight * np.maximum(after_stride - after_step, 0) / 2
     flying = _bounce(level, USUAL[RUNNING][:, None], sampling) / CANDIDATE.usual_bounce
-    score[RUNNING] += CANDIDATE.run_weight * np.log(np.minimum(flying, 1.0))
-    score[POSSIBLE_STRIDES] -= CANDIDATE.limb_weight * np.maximum(limb, 0)
+    score[RUNNING] += np.log(np.minimum(flying, 1.0))
+    score[POSSIBLE_STRIDES] -= CANDIDATE.sway_weight * np.maximum(limb, 0)
     which, at = np.argmax(score - bobbing, axis=0), np.arange(len(level))
     regularity = np.maximum(once[which, at], twice[which, at])
     bounce = _bounce(level, np.maximum(USUAL[which], STEP.usual), sampling)
@@ -82,7 +83,7 @@ def _slow_rhythm(level: Array, sway: Array, sampling: float) -> tuple[Array, Ind
     bounce = _bounce(level, SLOW[:, None], sampling)
     unusual = np.abs(np.log(bounce / CANDIDATE.slow_bounce)) - CANDIDATE.bounce_spread
     score = CANDIDATE.rhythm_weight * (once + twice) + swaying - CANDIDATE.slow_penalty
-    score -= CANDIDATE.limb_weight * np.maximum(after_step, 0) + CANDIDATE.bounce_weight * np.maximum(unusual, 0)
+    score -= CANDIDATE.sway_weight * np.maximum(after_step, 0) + CANDIDATE.bounce_weight * np.maximum(unusual, 0)
     which, at = np.argmax(score, axis=0), np.arange(len(level))
     regularity = CANDIDATE.rhythm_weight * np.maximum(once, twice) + swaying
     return score[which, at], which, regularity[which, at]
@@ -90,14 +91,14 @@ def _slow_rhythm(level: Array, sway: Array, sampling: float) -> tuple[Array, Ind
 
 def _bounce(level: Array, duration: Array, sampling: float) -> Array:
     """Vertical motion of the body, peak to peak, if |a| varies as ``level (n,)`` [m/s²] and steps last so long. [m]"""
-    window = max(1, round(CANDIDATE.window / sampling))
+    window = max(1, round(CORRELATED / sampling))
     swing = np.sqrt(8 * uniform_filter1d(level * level, window, mode="constant") + FLAT**2)
     return swing * (duration / (2 * np.pi)) ** 2
 
 
 def _sway(steady: Array, sampling: float) -> Array:
-    """Horizontal part ``(3, n)`` of smooth accelerations about their mean, in the axes of the device. [m/s²]"""
-    window = max(1, round(CANDIDATE.slow_factor * CANDIDATE.tilt_window / sampling))
+    """Horizontal part ``(3, n)`` of smooth accelerations about their mean over 3 s, in axes of the device. [m/s²]"""
+    window = max(1, round(3.0 / sampling))
     mean = uniform_filter1d(steady, window, axis=1)
     up = mean / np.maximum(lengths_of(mean), 1e-9)
     sway = steady - mean
@@ -117,7 +118,7 @@ def _correlation(signals: Array, lags: Array, sampling: float, noise: float) -> 
             between = slice(apart // 2, count - (apart - apart // 2))
             np.einsum("ij,ij->j", signals[:, :-apart], signals[:, apart:], out=sums[0, row, between])
             np.add(power[:-apart], power[apart:], out=sums[1, row, between])
-    window = max(1, round(CANDIDATE.window / sampling))
+    window = max(1, round(CORRELATED / sampling))
     uniform_filter1d(sums, window, axis=2, mode="constant", output=sums)
     return sums[0] / (sums[1] + noise**2)
 

@@ -19,7 +19,7 @@ from math import log
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
-from pdr_graph.gait.rhythm import DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
+from pdr_graph.gait.rhythm import CORRELATED, DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
 from pdr_graph.priors import BOUT, CANDIDATE, CONFIDENCE, IRREGULARITY, MOVEMENT, STAND, STEP
 from pdr_graph.types import Array, Index, Mask
 
@@ -100,6 +100,9 @@ class Candidates:
 
 
 SHORTEST = 2.5  # [s] of samples in which steps are sought
+COARSEST = 0.14  # [s] longest interval between their samples: four in a usual step
+NEEDED_BEFORE, NEEDED_AFTER = 9.0, 4.5  # [s] of samples around a landing, and its look-ahead, on which it may depend
+TOO_LATE = 6.0  # [s] after a landing, when it is too late to report its step
 NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(5)), bodily=np.empty(0, dtype=bool))
 
 
@@ -111,20 +114,20 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     """
     stride = decimation(period)
     sampling = period * stride
-    if sampling > CANDIDATE.slowest or len(acceleration) * period < SHORTEST:
+    if sampling > COARSEST or len(acceleration) * period < SHORTEST:
         return NO_CANDIDATES
     signals = np.vstack([acceleration.T, lengths_of(acceleration.T)])
     *gravity, smooth = gaussian_filter1d(signals, CANDIDATE.smoothing / period, axis=1)[:, ::stride]
-    width = np.sqrt(CANDIDATE.tilt_smoothing**2 - CANDIDATE.smoothing**2)  # beyond what the samples are smoothed by
+    width = np.sqrt(0.2**2 - CANDIDATE.smoothing**2)  # [s] 0.2 with what the samples are smoothed by
     steady = gaussian_filter1d(np.stack(gravity), width / sampling, axis=1)
     mean = np.vstack([steady, lengths_of(steady)])
-    mean = uniform_filter1d(mean, max(1, round(CANDIDATE.tilt_window / sampling)), axis=1)
+    mean = uniform_filter1d(mean, max(1, round(1.5 / sampling)), axis=1)
     steadiness = lengths_of(mean[:3]) / np.maximum(mean[3], 1e-9)  # 1 if the device does not tilt
 
-    # Slow steps are soft: the filters of |a| are as long as their steps
-    softer = gaussian_filter1d(smooth, np.sqrt(CANDIDATE.slow_factor**2 - 1) * CANDIDATE.smoothing / sampling)
-    level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
-    slow_level = softer - gaussian_filter1d(softer, CANDIDATE.slow_factor * CANDIDATE.level / sampling)
+    # Without the sway of a stride, below four times that Gaussian. Slow steps are soft: both are twice as wide for them
+    softer = gaussian_filter1d(smooth, np.sqrt(2**2 - 1) * CANDIDATE.smoothing / sampling)
+    level = smooth - gaussian_filter1d(smooth, 4 * CANDIDATE.smoothing / sampling)
+    slow_level = softer - gaussian_filter1d(softer, 8 * CANDIDATE.smoothing / sampling)
     which, regularity = rhythm_of(level, slow_level, steady, sampling)
     jar = _jar(signals[3], period)[::stride]
     available = np.maximum(np.arange(len(smooth)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
@@ -158,12 +161,11 @@ def _jar(magnitude: Array, period: float) -> Array:
 
     Infinite if the samples have no such frequencies.
     """
-    if period > CANDIDATE.slowest_jar:
+    if period > CANDIDATE.smoothing / 2:
         return np.full(len(magnitude), np.inf)
-    above = gaussian_filter1d(magnitude, CANDIDATE.finest / period) - gaussian_filter1d(
-        magnitude, CANDIDATE.smoothing / period
-    )
-    return np.sqrt(uniform_filter1d(above * above, max(1, round(CANDIDATE.window / period))))
+    finest, smooth = (gaussian_filter1d(magnitude, k * CANDIDATE.smoothing / period) for k in (0.3, 1.0))
+    above = finest - smooth
+    return np.sqrt(uniform_filter1d(above * above, max(1, round(CORRELATED / period))))
 
 
 def decimation(period: float) -> int:
@@ -173,7 +175,8 @@ def decimation(period: float) -> int:
 
 def _wave(level: Array, slow_level: Array, which: Index, sampling: float) -> Array:
     """The analytic signal of |a| ``(n,)`` at the durations of a step with the indices ``which (n,)`` in DURATIONS."""
-    wave, kernels = np.zeros(len(which), dtype=complex), _kernels(sampling)
+    wave = np.zeros(len(which), dtype=complex)
+    kernels = _kernels(sampling, CANDIDATE.kernel, CANDIDATE.slow_kernel)
     for number in np.flatnonzero(np.bincount(which)):
         rows, kernel = np.flatnonzero(which == number), kernels[number]
         padded = np.pad(level if number < len(USUAL) else slow_level, kernel.shape[1] // 2)
@@ -184,11 +187,14 @@ def _wave(level: Array, slow_level: Array, which: Index, sampling: float) -> Arr
 
 
 @lru_cache(maxsize=64)
-def _kernels(sampling: float) -> list[Array]:
-    """Gabor kernels ``(2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part."""
+def _kernels(sampling: float, usual: float, slow: float) -> list[Array]:
+    """Gabor kernels ``(2, 2 reach + 1)`` at the frequency of each of DURATIONS, real and imaginary part.
+
+    usual, slow: widths for usual and slow steps, in steps.
+    """
     kernels = []
     for number, duration in enumerate(DURATIONS.tolist()):
-        width = CANDIDATE.kernel if number < len(USUAL) else CANDIDATE.slow_kernel
+        width = usual if number < len(USUAL) else slow
         reach = round(2.5 * width * duration / sampling)
         at = np.arange(-reach, reach + 1) * sampling / duration
         window = np.exp(-((at / width) ** 2) / 2)
@@ -228,7 +234,7 @@ class Bout:
             if time - self.last > STEP.pause * max(step, STEP.usual):
                 self.walking, self.waiting = False, []
             self.last = time
-            self.waiting = [w for w in self.waiting if w[0] > time - BOUT.late] + [
+            self.waiting = [w for w in self.waiting if w[0] > time - TOO_LATE] + [
                 (time, amplitude, step, regularity, jar)
             ]
             regular = regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start)
@@ -291,14 +297,14 @@ class StepDetector:
 
     def update(self, acceleration: Array) -> Array:
         """Add samples ``(n, 3)``; returns the newly certain steps ``(m, 5)``, see `Bout.steps`."""
-        needed = int(max(0.0, self.decided - BOUT.past) / self.period)
+        needed = int(max(0.0, self.decided - NEEDED_BEFORE) / self.period)
         grid = 4 * decimation(self.period)  # of the sway of slow steps
         drop = needed // grid * grid - self.first
         self.samples, self.first = np.concatenate([self.samples[drop:], acceleration]), self.first + drop
         found = candidates(self.samples, self.period, self.look_ahead)
         found = replace(found, time=found.time + self.first * self.period)
         self.pending = found[found.time > self.decided]
-        return self._decide((self.first + len(self.samples)) * self.period - BOUT.future - self.look_ahead)
+        return self._decide((self.first + len(self.samples)) * self.period - NEEDED_AFTER - self.look_ahead)
 
     def finish(self) -> Array:
         """The last steps ``(m, 5)``: no more samples follow."""
@@ -311,7 +317,7 @@ class StepDetector:
     @property
     def earliest(self) -> float:
         """Earliest time at which a new landing can still be found. [s]"""
-        late = [time for time, *_ in self.bout.waiting if time > self.decided - BOUT.late]
+        late = [time for time, *_ in self.bout.waiting if time > self.decided - TOO_LATE]
         return self.start + min([self.decided, *late])
 
     def _decide(self, until: float) -> Array:

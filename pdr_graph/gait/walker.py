@@ -106,6 +106,7 @@ class StepFeatures:
 
 
 REFERENCE_HEIGHT = 1.70  # [m] stature for which models without stature were fitted
+LARGEST_BEND = 89.0  # [deg] turn of a step from which [map-matching] Eq. (2) leaves it no length
 Lengths = tuple[Array, Array]
 
 
@@ -125,7 +126,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude * steps.period)
     strong = np.clip((steps.amplitude - STRIDES.run_amplitude[0]) / np.ptp(STRIDES.run_amplitude), 0, 1)
     short = np.clip((STRIDES.run_period[1] - steps.rhythm) / np.ptp(STRIDES.run_period), 0, 1)
-    run = STRIDES.run * (STRIDES.run_duration / steps.period) ** STRIDES.run_cadence
+    run = STRIDES.run * (0.4 / steps.period) ** STRIDES.run_cadence
     length = straight_on + strong * short * (run - straight_on)
     return _plausible(_in_turns(steps.bend) * length * height / REFERENCE_HEIGHT)
 
@@ -151,7 +152,7 @@ def by_cadence(
 
 def _in_turns(turn: Array) -> Array:
     """[map-matching] Eq. (2): length of steps that turn by ``turn (n,)`` [rad], as a share of that straight on."""
-    return 1 - STRIDES.turn_shortens / 100 * np.minimum(np.degrees(np.abs(turn)), STRIDES.largest_turn)
+    return 1 - STRIDES.turn_shortens / 100 * np.minimum(np.degrees(np.abs(turn)), LARGEST_BEND)
 
 
 def by_amplitude(
@@ -224,7 +225,7 @@ MODELS: dict[str, Callable[..., Lengths]] = {
 
 def _plausible(length: Array) -> Lengths:
     """Lengths clipped to 0.2–1.8 m, and their standard deviation."""
-    length = np.clip(length, STRIDES.shortest, STRIDES.longest)
+    length = np.clip(length, 0.2, 1.8)
     return length, STRIDES.sigma * length
 
 

@@ -17,6 +17,8 @@ from pdr_graph.inertial.units import GravityRestorer
 from pdr_graph.priors import REST
 from pdr_graph.types import Array, Index, Mask, OneLineRepr, Recording, Signal
 
+# Phones have calibrated gyroscopes [°/s] (0.5 follows a swinging arm) that warm up in minutes [s]
+VQF_OPTIONS = {"biasSigmaInit": 0.2, "biasForgettingTime": 1000.0}
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
 
 
@@ -169,7 +171,7 @@ def attitude_of(recording: Recording) -> Attitude:
     rest = at_rest(rate, acceleration, period) & measured[:, 0]
     rate = np.where(measured, rate - bias_from_rests(rate, rest, period), 0.0)
     options = {"motionBiasEstEnabled": bool(measured.any()), "restBiasEstEnabled": bool(measured.any())}
-    out = vqf.offlineVQF(rate, acceleration, None, period, REST.vqf | options)
+    out = vqf.offlineVQF(rate, acceleration, None, period, VQF_OPTIONS | options)
     level = Rotation.from_quat(out["quat6D"], scalar_first=True)
     return Attitude(time, period, level, acceleration, np.where(measured, rate - out["bias"], np.nan), unknown)
 
@@ -193,7 +195,7 @@ class AttitudeStream:
         self.rest_bias = np.zeros(3)  # [rad/s] mean rate of the last rest
         self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
         self._period, self._samples = period, max(3, round(REST.shortest / period))
-        options: dict[str, Any] = REST.vqf
+        options: dict[str, Any] = VQF_OPTIONS
         self._vqf = vqf.VQF(period, **options)
         if bias is not None:
             self._vqf.setBiasEstimate(np.array(bias))

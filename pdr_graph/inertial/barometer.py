@@ -20,6 +20,7 @@ from pdr_graph.inertial.attitude import runs
 from pdr_graph.priors import CLIMB, KIND, TREADS
 from pdr_graph.types import Array, Index, Mask, OneLineRepr, Signal, Steps
 
+CELL = 0.5  # [s] interval of the heights
 SCALE_HEIGHT = 287.05 * 293.15 / 9.80665  # [m] R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C
 
 
@@ -67,7 +68,7 @@ def climbs(barometer: Signal) -> Climbs:
     change = np.diff(height_of(barometer.values[:, 0]))
     noise = 1.4826 * float(np.median(np.abs(change))) / np.sqrt(2 * barometer.rate)  # [m] of a mean over one second
     seconds = max(CLIMB.rate, (noise * CLIMB.quiet / CLIMB.fast / 2.66) ** (2 / 3))
-    rate = gaussian_filter1d(quiet, seconds / CLIMB.grid, order=1, mode="nearest") / CLIMB.grid
+    rate = gaussian_filter1d(quiet, seconds / CELL, order=1, mode="nearest") / CELL
     spans: list[tuple[int, int, int]] = []
     for direction in (1, -1):
         for a, b in np.transpose(runs(direction * rate > CLIMB.slow)).tolist():
@@ -75,7 +76,7 @@ def climbs(barometer: Signal) -> Climbs:
                 spans.append((a, b, direction))
     joined: list[tuple[int, int, int]] = []
     for a, b, direction in sorted(spans):
-        if joined and joined[-1][2] == direction and (a - joined[-1][1]) * CLIMB.grid < CLIMB.pause:
+        if joined and joined[-1][2] == direction and (a - joined[-1][1]) * CELL < CLIMB.pause:
             joined[-1] = (joined[-1][0], b, direction)
         else:
             joined.append((a, b, direction))
@@ -89,12 +90,12 @@ def climbs(barometer: Signal) -> Climbs:
             middle = int(np.argmax(share >= 0.5))
             begin = a + int(np.flatnonzero(share[: middle + 1] <= edge)[-1])
             end = max(a + middle + int(np.argmax(share[middle:] >= 1 - edge)), begin + 1)
-            if edges and (begin - edges[-1][1]) * CLIMB.grid <= CLIMB.gust:
+            if edges and (begin - edges[-1][1]) * CELL <= CLIMB.gust:
                 begin = edges.pop()[0]
             edges.append((begin, end))
 
     # Heights from the levels before and after each climb
-    window, rows = round(CLIMB.level / CLIMB.grid), []
+    window, rows = round(CLIMB.level / CELL), []
     ends = [0, *(b for _, b in edges)], [*(a for a, _ in edges[1:]), len(height) - 1]
     for (a, b), before, behind in zip(edges, *ends, strict=False):
         low, sigma_low = _level(height[min(max(a - window, before), a) : a + 1])
@@ -113,7 +114,7 @@ def climbed_share(barometer: Signal | None, of: Climbs, at: Array) -> Array:
     Without a barometer the share grows evenly.
     """
     if barometer is None or not len(of):
-        return np.clip((at - of.start[:, None]) / np.maximum(of.end - of.start, CLIMB.grid)[:, None], 0, 1)
+        return np.clip((at - of.start[:, None]) / np.maximum(of.end - of.start, CELL)[:, None], 0, 1)
     time, _, quiet = _without_gusts(barometer)
     below, above = np.interp(of.start, time, quiet), np.interp(of.end, time, quiet)
     within = np.clip(at, of.start[:, None], of.end[:, None])
@@ -125,18 +126,18 @@ def climbed_share(barometer: Signal | None, of: Climbs, at: Array) -> Array:
 
 
 def _without_gusts(barometer: Signal) -> tuple[Array, Array, Array]:
-    """Time [s], height [m] and height without spikes [m] on the grid, each ``(n,)``; long gaps are shortened."""
+    """Time [s], height [m] and height without spikes [m] on the grid, each ``(n,)``; long gaps are shortened to 5 s."""
     step = np.diff(barometer.time)
-    spent = np.append(0.0, np.cumsum(np.minimum(step, CLIMB.longest_gap)))
+    spent = np.append(0.0, np.cumsum(np.minimum(step, 5.0)))
     height = height_of(barometer.values[:, 0])
-    cell = (spent / CLIMB.grid).astype(int)
+    cell = (spent / CELL).astype(int)
     samples = np.bincount(cell)
     filled = np.flatnonzero(samples)
     mean = np.bincount(cell, height)[filled] / samples[filled]
     middle = np.bincount(cell, barometer.time)[filled] / samples[filled]
     grid = np.arange(len(samples))
     height = np.interp(grid, filled, mean)
-    quiet = median_filter(height, 2 * round(CLIMB.gust / CLIMB.grid) + 1, mode="nearest")
+    quiet = median_filter(height, 2 * round(CLIMB.gust / CELL) + 1, mode="nearest")
     return np.interp(grid, filled, middle), height, quiet
 
 
@@ -144,7 +145,7 @@ def _level(height: Array) -> tuple[float, float]:
     """The median of heights and its standard deviation. [m]"""
     middle = float(np.median(height))
     spread = 1.4826 * float(np.median(np.abs(height - middle)))
-    return middle, 1.25 * spread / np.sqrt(max(1.0, len(height) * CLIMB.grid / CLIMB.correlated))
+    return middle, 1.25 * spread / np.sqrt(max(1.0, len(height) * CELL / CLIMB.correlated))
 
 
 STAIRS, LIFT, ESCALATOR, RAMP, DRAUGHT = "stairs", "lift", "escalator", "ramp", "draught"

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from walks import part
 
-from pdr_graph.estimation.floors import LiveFloors, floors_along, floors_of
+from pdr_graph.estimation.floors import LONGEST_WINDOW, LiveFloors, floors_along, floors_of
 from pdr_graph.geometry import row_times
 from pdr_graph.inertial.barometer import SCALE_HEIGHT
-from pdr_graph.priors import LIVE_FLOORS
 from pdr_graph.types import Fixes, Signal, Steps, take
 
 SOON = 10.0  # [s] after a climb: half the window of a median, a rate's Gaussian, a look every 3 s
@@ -236,7 +235,7 @@ def test_a_long_walk_equals_the_batch_in_bounded_memory():
     floors._estimate = lambda *arguments: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*arguments))
     rows = second_by_second(steps, barometer, floors)
     assert labels_of(rows) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
-    assert max(sizes) < 1.6 * LIVE_FLOORS.longest / 0.5
+    assert max(sizes) < 1.6 * LONGEST_WINDOW / 0.5
 
 
 def test_while_the_barometer_is_silent_fixes_determine_the_floor():

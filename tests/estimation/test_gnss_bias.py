@@ -8,7 +8,7 @@ from walks import PERIOD, dead_reckon, fixes_at, pushing, steps_of
 
 from pdr_graph.apps.report.evaluation import coverage
 from pdr_graph.estimation.factors.fixes import FixFactor, drift
-from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.gnss_bias import NODE_EVERY, GnssBias
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
@@ -51,7 +51,7 @@ def biased(graph):
 
 def test_a_minute_of_correlated_fixes_is_worth_a_few():
     """While standing, the position is the generalised least-squares mean of the fixes; an offset throughout adds."""
-    time, sigma = np.arange(0, 61, RECEIVERS.node), 3.0
+    time, sigma = np.arange(0, 61, NODE_EVERY), 3.0
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
     with changed(PRICES, astray=100.0):

@@ -14,6 +14,7 @@ from walks import PERIOD, fixes_at, pushed, pushing, straight
 from pdr_graph import FloorPlan, Prior, Recording
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_ambiguity import try_path
+from pdr_graph.estimation.live.live_graph import UPDATES
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.particles import ParallelParticleFilter, ways_elsewhere
 from pdr_graph.estimation.live.window import Path
@@ -21,7 +22,7 @@ from pdr_graph.estimation.particle_filter import Paths
 from pdr_graph.floor.building import Building
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.priors import LIVE_PATHS, SCHEDULE
+from pdr_graph.priors import LIVE_PATHS
 
 STRIDE, STEPS, EVERY = 0.7, 60, 10
 RIGHT, OTHER, SHOP = 1.0, 9.0, -2.0  # y of the middle of the aisles and a shop; fixes are along the first [m]
@@ -65,7 +66,7 @@ def along(graph, y):
 def trial(live, graph, y, decisions=None):
     """The trial of a path along an aisle, beside a graph."""
     alternative = along(graph, y)
-    return try_path(graph.frozen(), lambda: (alternative, decisions or {}), SCHEDULE.rounds)
+    return try_path(graph.frozen(), lambda: (alternative, decisions or {}), UPDATES)
 
 
 def test_the_other_aisle_costs_more(in_aisle):
@@ -80,7 +81,7 @@ def test_a_path_that_has_left_the_window_is_no_alternative(in_aisle):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(in_aisle.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    assert try_path(in_aisle.graph.frozen(), lambda: (past, {}), SCHEDULE.rounds) is None
+    assert try_path(in_aisle.graph.frozen(), lambda: (past, {}), UPDATES) is None
 
 
 def test_out_of_the_shops_the_aisle_is_found():

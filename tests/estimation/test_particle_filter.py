@@ -22,7 +22,7 @@ from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.chain import intervals, whole_pieces
 from pdr_graph.estimation.factors.fixes import FixCosts
 from pdr_graph.estimation.factors.heading_prior import HeadingCosts
-from pdr_graph.estimation.factors.ranging import RangeFactor
+from pdr_graph.estimation.factors.ranging import NEAR_ANCHOR, RangeFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import (
     ParticleFilter,
@@ -325,7 +325,7 @@ def test_ranges_weigh_each_pose_by_its_residual():
         for n in np.flatnonzero(kind.keyframe == keyframe):
             anchor = table.position[table.anchor[n]]
             gap = state[:2].T - anchor
-            distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
+            distance = np.sqrt(np.sum(gap**2, axis=1) + NEAR_ANCHOR**2)
             _, [ahead] = kind._behind(np.array([n]), np.zeros(1))
             approach = np.sum(
                 gap / distance[:, None] * np.array([rotation(angle) @ ahead for angle in state[2]]), axis=1

@@ -13,7 +13,7 @@ from pdr_graph.estimation.ambiguity import path_modes as modes_module
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes, path_modes, path_starts, solutions
 from pdr_graph.estimation.particle_filter import Paths, particle_filter
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.priors import PATHS
+from pdr_graph.priors import SEARCH
 
 STEM, BRANCH, HALF_ANGLE = 20.0, 22.0, np.radians(30)  # [m], [m], of each branch from straight ahead
 
@@ -85,7 +85,7 @@ def test_paths_of_vanishing_weight_are_in_no_mode():
 
 def test_a_central_path_represents_its_mode():
     state = np.zeros((61, 6, 11))
-    state[:, 1] = np.linspace(-PATHS.apart / 2.2, PATHS.apart / 2.2, 11)
+    state[:, 1] = np.linspace(-SEARCH.same_path / 2.2, SEARCH.same_path / 2.2, 11)
     (middle,) = path_modes(Paths(state, np.full(11, 1 / 11)))
     assert middle == 5
 

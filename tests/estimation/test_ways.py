@@ -23,7 +23,7 @@ from tiers import thorough
 from pdr_graph import Fixes, InputError, Navigator, PathNetwork, WalkGraph, smooth
 from pdr_graph.estimation.factors.base import decisions_of
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.paths import _Lattice, match
+from pdr_graph.floor.paths import POINTS_EVERY, _Lattice, match
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.papers.hmm_map_matching import hmm_match
@@ -147,7 +147,7 @@ def test_the_path_is_the_best_of_all():
 
 
 def test_probabilities_are_those_of_all_paths():
-    length = np.sqrt(2 * np.pi) / WAYS.spacing
+    length = np.sqrt(2 * np.pi) / POINTS_EVERY
     for lattice, cost, every in small_lattices():
         weight = np.exp([-cost(states, np.log(3.0 * length), np.log(5.0 * length)) for states in every])
         shares = [np.bincount(of_station, weight) / weight.sum() for of_station in np.transpose(every)]
@@ -328,8 +328,8 @@ def test_the_baseline_follows_its_model():
     nearest = np.argmin(np.hypot(*(walk.at(fixes.time)[:, None] - points).transpose(2, 0, 1)), axis=1)
     exact = replace(fixes, position=points[nearest])
     off = np.hypot(*(hmm_match(TOWN, exact, exact.time) - exact.position).T)
-    assert np.median(off) < WAYS.spacing
-    assert np.percentile(off, 95) < 3 * WAYS.spacing
+    assert np.median(off) < POINTS_EVERY
+    assert np.percentile(off, 95) < 3 * POINTS_EVERY
 
 
 def test_from_the_command_line(tmp_path):

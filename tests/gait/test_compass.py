@@ -12,7 +12,7 @@ from tiers import thorough
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame, projected
-from pdr_graph.gait.compass import LiveCompass, StretchValue, compass_measurements, gyro_drift
+from pdr_graph.gait.compass import STORED, LiveCompass, StretchValue, compass_measurements, gyro_drift
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
@@ -21,7 +21,7 @@ from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
-from pdr_graph.priors import COMPASS, LIVE_COMPASS
+from pdr_graph.priors import COMPASS
 from pdr_graph.types import Signal
 
 HERE = np.zeros(2)
@@ -338,4 +338,4 @@ def test_the_state_does_not_grow(located):
     walk, compass = walked(laps=3), LiveCompass()
     for _ in streamed(walk if located else replace(walk, frame=Frame()), recorded(walk), compass=compass):
         sizes = [len(v) for v in vars(compass).values() if isinstance(v, np.ndarray)]
-        assert max(sizes) <= 1.2 * COMPASS.longest_stretch / LIVE_COMPASS.sampling
+        assert max(sizes) <= 1.2 * COMPASS.longest_stretch / STORED

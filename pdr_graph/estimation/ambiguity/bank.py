@@ -29,6 +29,7 @@ from pdr_graph.estimation.optimizer import Optimum, continued, on_ways, optimize
 from pdr_graph.priors import DOUBTS, SEARCH
 from pdr_graph.types import Array, Contradiction, Index
 
+SAME_SOLUTION = 0.5  # [m] largest distance at any step of two walks that are one
 LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that fits nothing is still the best there is
 
 
@@ -187,7 +188,7 @@ def pruned(optima: Iterable[Optimum], within: float | None = None) -> list[Optim
         """True if two solutions assume the same, and lead along the same path."""
         claims = [[(claim, claim.parameter) for claim in optimum.assumed] for optimum in (one, other)]
         apart = one.at.ends[:, :2] - other.at.ends[:, :2]
-        return claims[0] == claims[1] and float(np.abs(apart).max()) <= DOUBTS.different
+        return claims[0] == claims[1] and float(np.abs(apart).max()) <= SAME_SOLUTION
 
     for new in sorted(optima, key=lambda optimum: round(optimum.surprise, 3)):
         if kept and new.surprise - kept[0].surprise >= within:
@@ -231,7 +232,7 @@ def contradictions(optima: Sequence[Optimum], probability: Array) -> tuple[Contr
     for claim in dict.fromkeys(claim for optimum in optima for claim in optimum.assumed):
         share = float(probability[[claim in optimum.assumed for optimum in optima]].sum() / probability.sum())
         words = claim.wording
-        if share > DOUBTS.probable and words.check:
+        if share > 0.5 and words.check:
             text = f"{words.text} (probability {percent(share)})"
             against = "the steps and the other sources"
             found.append(Contradiction(words.source, against, round(share, 3), "probability", text, words.check))

@@ -17,6 +17,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import pruned
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.initialization import OPEN_DIRECTIONS
 from pdr_graph.estimation.linear_system import Solution
 from pdr_graph.estimation.optimizer import (
     Optimum,
@@ -31,6 +32,11 @@ from pdr_graph.estimation.particle_filter import Paths, particle_filter, particl
 from pdr_graph.geometry import rotation
 from pdr_graph.priors import INITIAL, PARTICLES, PATHS, SEARCH
 from pdr_graph.types import Array, Index
+
+FILTER_RUNS = 2  # of particles, until a path fits
+MOMENTS, LIVE_MOMENTS = 60, 8  # keyframes at which paths are compared, of a whole walk and of one under way
+MOST_MODES, LIVE_MODES = 8, 5  # modes that are solved
+MOST_SOUGHT = 300  # modes of which those are the heaviest: after a long gap particles are all over the plan
 
 
 def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
@@ -49,7 +55,7 @@ def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Op
     optima = pruned(_paths_of_fixes(robust, without_walls))
     if not optima or optima[0].surprise >= expected + SEARCH.strained:
         starts, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-        for attempt in range(SEARCH.attempts):
+        for attempt in range(FILTER_RUNS):
             optima += solutions_near(robust, path_starts(robust, attempt) + (starts if attempt == 0 else []))
             if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
                 break
@@ -73,10 +79,10 @@ def different_directions(optimum: Optimum) -> list[Optimum]:
 
 
 def rotated(graph: WalkGraph) -> list[WalkGraph]:
-    """The graph, rotated to SEARCH.directions starts if the measurements do not determine its direction."""
+    """The graph, rotated to OPEN_DIRECTIONS starts if the measurements do not determine its direction."""
     if not graph.positions.used.any() or graph.sigma_direction < INITIAL.ambiguous:
         return [graph]
-    angles = np.arange(1, SEARCH.directions) * 2 * np.pi / SEARCH.directions
+    angles = np.arange(1, OPEN_DIRECTIONS) * 2 * np.pi / OPEN_DIRECTIONS
     return [graph, *(graph.rotated(angle) for angle in angles)]
 
 
@@ -151,8 +157,8 @@ def mode_starts(graph: WalkGraph, paths: Paths) -> list[State]:
 
 def path_modes(paths: Paths) -> list[int]:
     """The middle path of each mode of ``paths``, the heaviest mode first."""
-    modes = islice(_modes(paths.state[_moments(paths, PATHS.moments), :2], paths.weight), PATHS.most_sought)
-    return [n for _, n in sorted(modes, reverse=True)[: PATHS.most_modes]]
+    modes = islice(_modes(paths.state[_moments(paths, MOMENTS), :2], paths.weight), MOST_SOUGHT)
+    return [n for _, n in sorted(modes, reverse=True)[:MOST_MODES]]
 
 
 def dominant_modes(paths: Paths) -> list[tuple[float, int]]:
@@ -161,8 +167,8 @@ def dominant_modes(paths: Paths) -> list[tuple[float, int]]:
     Modes are formed around a few random paths; a mode with a large share is among them.
     """
     order = np.random.default_rng(0).permutation(len(paths.weight))
-    track = paths.state[_moments(paths, PATHS.live_moments), :2].take(order, axis=2)
-    modes = sorted(islice(_modes(track, paths.weight[order]), PATHS.live_modes), reverse=True)
+    track = paths.state[_moments(paths, LIVE_MOMENTS), :2].take(order, axis=2)
+    modes = sorted(islice(_modes(track, paths.weight[order]), LIVE_MODES), reverse=True)
     return [(share, int(order[n])) for share, n in modes]
 
 
@@ -174,13 +180,13 @@ def _moments(paths: Paths, most: int) -> Index:
 def _modes(track: Array, weight: Array) -> Iterator[tuple[float, int]]:
     """Share and middle path of each mode. track: ``(k, 2, n)`` [m]; weight: ``(n,)``."""
     number, left = np.arange(len(weight)), weight > 0
-    while weight[left].sum() > PATHS.neglected:
+    while weight[left].sum() > 0.01:
         track, weight, number = track.compress(left, axis=2), weight[left], number[left]
-        near = _apart(track, track[:, :, 0]) < PATHS.apart**2
+        near = _apart(track, track[:, :, 0]) < SEARCH.same_path**2
         share = np.where(near, weight, 0.0)
         middle = track @ (share / share.sum())
         central = int(np.argmin(np.where(near, _apart(track, middle), np.inf)))
-        mode = _apart(track, track[:, :, central]) < PATHS.apart**2
+        mode = _apart(track, track[:, :, central]) < SEARCH.same_path**2
         yield float(weight[mode].sum()), int(number[central])
         left = ~(mode | near)
 

@@ -20,6 +20,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Wording, wording_of
 from pdr_graph.estimation.ambiguity.path_modes import (
+    FILTER_RUNS,
     different_directions,
     mode_starts,
     near_walk,
@@ -36,6 +37,8 @@ from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
 from pdr_graph.types import Array
 
 PLAN_KIND = "plan"  # the kind of hypotheses about it
+RUNS_ANYWHERE, MOST_ANYWHERE = 2, 200_000  # independent runs: one may lose the right place; most particles of each
+PATHS_KEPT, MOST_DRAWN = 5000, 2000  # paths of each; of them, and places on the plan, that stand for all
 MOST_STORED = 10_000_000  # particles times keyframes of a run: half a gigabyte, if a walk fits everywhere
 
 
@@ -173,15 +176,15 @@ def localized(graph: WalkGraph) -> Localization:
     free = graph.without_plan()
     runs, optima = list[tuple[Paths, float]](), list[Optimum]()
     state, weight = np.empty(0), np.empty(0)
-    for attempt in range(SEARCH.attempts):
-        runs += [particles_anywhere(free, ANYWHERE.runs * attempt + n, 2**attempt) for n in range(ANYWHERE.runs)]
+    for attempt in range(FILTER_RUNS):
+        runs += [particles_anywhere(free, RUNS_ANYWHERE * attempt + n, 2**attempt) for n in range(RUNS_ANYWHERE)]
 
         # The paths of all runs, weighted by their evidence; starts on the modes of some drawn from them
         evidence = np.array([logarithm for _, logarithm in runs])
         share = np.exp(evidence - np.logaddexp.reduce(evidence))
         state = np.concatenate([paths.state for paths, _ in runs], axis=2)
         weight = np.concatenate([s * paths.weight for s, (paths, _) in zip(share, runs, strict=True)])
-        count = min(ANYWHERE.drawn, len(weight))
+        count = min(MOST_DRAWN, len(weight))
         drawn = np.random.default_rng(0).choice(len(weight), count, p=weight / weight.sum())
         some = Paths(state[:, :, drawn], np.full(count, 1.0 / count))
         optima = solutions_near(graph, mode_starts(graph, some))
@@ -194,7 +197,7 @@ def localized(graph: WalkGraph) -> Localization:
         apart = state[:, :2] - optimum.state.poses[:, :2, None]
         near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SEARCH.same_path
     evidence = float(np.logaddexp.reduce([logarithm for _, logarithm in runs]) - np.log(len(runs)))
-    anywhere = _floor(graph).random_places(ANYWHERE.places, np.random.default_rng(0))
+    anywhere = _floor(graph).random_places(MOST_DRAWN, np.random.default_rng(0))
     optima = [replace(optimum, unseen=PRICES.wrong_plan) for optimum in optima]
     return Localization(optima, max(0.0, 1.0 - float(weight[near].sum())), evidence, anywhere)
 
@@ -206,13 +209,13 @@ def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Pat
     """
     floor = _floor(graph)
     area = floor.walkable_area
-    most = min(ANYWHERE.most_density * area, ANYWHERE.most, MOST_STORED / len(graph.keyframe_time))
+    most = min(ANYWHERE.most_density * area, MOST_ANYWHERE, MOST_STORED / len(graph.keyframe_time))
     count = times * int(min(max(ANYWHERE.density * area, ANYWHERE.fewest_at_first), most))
     per_bin = ANYWHERE.per_bin * count / area
     particles = ParticleFilter(graph.prior, seed, fewest=ANYWHERE.fewest, most=count, per_bin=per_bin)
     particles.begin_anywhere(floor, pose_costs(graph.measurements, 0))
     advance_through(particles, graph, 0)
-    return particles.paths(ANYWHERE.kept), particles.evidence
+    return particles.paths(PATHS_KEPT), particles.evidence
 
 
 def _floor(graph: WalkGraph) -> FloorPlan:

@@ -245,7 +245,7 @@ class BeaconRssiFactor(Locating, Remembered, Doubted):
         levels = self.listed
         surveyed = np.flatnonzero(np.isfinite(levels.position[levels.beacon, 0]))
         order = surveyed[np.argsort(-levels.rssi[surveyed], kind="stable")]
-        chosen = order[np.unique(levels.time[order] // BEACONS.bin, return_index=True)[1]]
+        chosen = order[np.unique(levels.time[order] // 15.0, return_index=True)[1]]
         distance = 10 ** ((BEACONS.path_loss[0] - levels.rssi[chosen]) / (10 * BEACONS.path_loss[1]))
         near = np.maximum(BEACONS.nearest, distance)
         return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
@@ -398,11 +398,11 @@ def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> 
         return []
     found = [
         _swapped(beacons, surveyed[i], surveyed[j])
-        for gain, i, j in sorted(swaps, reverse=True)[: BEACONS.most_of_a_kind]
+        for gain, i, j in sorted(swaps, reverse=True)[:MOST_OF_A_KIND]
         if gain > -BEACONS.suspicious
     ]
     best = places[count + np.argmin(cost[:, count:], axis=1)]
-    for i in np.argsort(-gains)[: BEACONS.most_of_a_kind].tolist():
+    for i in np.argsort(-gains)[:MOST_OF_A_KIND].tolist():
         if gains[i] > BEACONS.suspicious:
             labels, which = (beacons.listed.label[surveyed[i]],), surveyed[i : i + 1]
             moved = _unlisted(beacons, which, best[i : i + 1], "moved", labels)
@@ -460,6 +460,8 @@ def _wording(hypothesis: Hypothesis) -> Wording:
 
 
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
+PLACES_EVERY, BESIDE_WALK = 5.0, 20.0  # [m] between candidate places of a beacon, to either side of the walk
+MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are proposed
 MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading
 MOST_COSTS = 1_000_000  # costs of places, powers and stretches in memory
 
@@ -476,8 +478,8 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
     every = -(-len(track) // MOST_STRETCHES)
     track, table = track[::every], table[:, ::every]
     surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
-    low, high = track.min(axis=0) - BEACONS.beside, track.max(axis=0) + BEACONS.beside
-    axes = (np.arange(a, b, BEACONS.grid) for a, b in zip(low, high, strict=True))
+    low, high = track.min(axis=0) - BESIDE_WALK, track.max(axis=0) + BESIDE_WALK
+    axes = (np.arange(a, b, PLACES_EVERY) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     places = np.concatenate([levels.position[surveyed], grid])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + BEACONS.height**2
@@ -502,13 +504,14 @@ def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
     return least
 
 
+LONGEST_STRETCH = 6.0  # [s] of levels that are one mean, live
 MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
 
 
 class LevelCollector:
     """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
 
-    A stretch ends after BEACONS.stretch metres, or after BEACONS.longest_stretch seconds.
+    A stretch ends after BEACONS.stretch metres, or after LONGEST_STRETCH seconds.
     """
 
     def __init__(self, beacons: Beacons):
@@ -544,7 +547,7 @@ class LevelCollector:
         if not len(time) or time.min() > until:
             return
         stretch, now = walked(time) // BEACONS.stretch, float(walked(np.array([until]))[0] // BEACONS.stretch)
-        complete = (time <= until) & ((stretch < now) | (time < until - BEACONS.longest_stretch))
+        complete = (time <= until) & ((stretch < now) | (time < until - LONGEST_STRETCH))
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T
             levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)

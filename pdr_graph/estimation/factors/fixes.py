@@ -28,7 +28,7 @@ from pdr_graph.estimation.factors.base import (
 )
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate, pose_rotation
-from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
+from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS
 from pdr_graph.types import (
     DUPLICATE,
     FROZEN,
@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 Drift = TypeVar("Drift", float, Array)
+RAYLEIGH_MEDIAN = 1.18  # [σ] per axis, of the distance of honest fixes: √(2 ln 2)
+FEWEST_TRIPLES = 10  # of fixes that measure how much of their sigma changes within seconds
 MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 
@@ -215,11 +217,11 @@ class FixFactor(Itemized, Refined, Remembered, Doubted, WeighsPoses):
             time, middle = self.fixes.time[chain], chain[1:-1]
             scatter = np.hypot(*(off[middle] - (off[chain[:-2]] + off[chain[2:]]) / 2).T) / np.sqrt(1.5)
             within = time[2:] - time[:-2] <= FIXES.seconds
-            if within.sum() >= FIXES.fewest_scatter:
-                share = float(np.median((scatter / stated[middle])[within])) / VERDICTS.fix_median
+            if within.sum() >= FEWEST_TRIPLES:
+                share = float(np.median((scatter / stated[middle])[within])) / RAYLEIGH_MEDIAN
                 wider[indices] = 1 + max(0.0, share - FIXES.suspicious) / RECEIVERS.white
         factor = wider / self.widened
-        return np.where(np.abs(np.log(factor)) > FIXES.same_scatter, factor, 1.0)
+        return np.where(np.abs(np.log(factor)) > 0.2, factor, 1.0)
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""

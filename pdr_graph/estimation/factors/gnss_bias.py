@@ -68,6 +68,8 @@ SOURCE_NODES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers: those o
 QUARTER = rotation(np.pi / 2)
 COURSE = "gnss_course"
 SECOND = 1.0  # [s]
+NODE_EVERY, VELOCITY_OVER = 5.0, 2.0  # [s] between nodes of the offset; over which the velocity of the lag is averaged
+LEAST_SPEED = 0.3  # [m/s] of the steps, below which a course says nothing
 BEFORE = 2 * SECOND + 3 * RECEIVERS.lag  # [s] from the keyframe to the fix: longer than any lag
 
 
@@ -385,7 +387,7 @@ class Courses:
         """
         keyframe, moment = self.keyframe[which], self.time[which] - lag
         way = self._place(moment) - self._place(moment - SECOND)
-        moving = np.abs(way) > RECEIVERS.slowest * SECOND
+        moving = np.abs(way) > LEAST_SPEED * SECOND
         root = np.where(moving, 1 / self.sigma[which], 0.0)
         off = np.angle(way) - self.turned[keyframe] + at.state.poses[keyframe, 2] - self.course[which]
 
@@ -440,8 +442,8 @@ def _number(source: str) -> int:
 
 
 def velocities(way: Complex, time: Array) -> Complex:
-    """Mean velocity ``(k + 1,)`` [m/s] over the last RECEIVERS.lately. way: ``(k + 1,)`` positions [m]."""
-    return (way - np.interp(time - RECEIVERS.lately, time, way)) / RECEIVERS.lately
+    """Mean velocity ``(k + 1,)`` [m/s] over the last VELOCITY_OVER. way: ``(k + 1,)`` positions [m]."""
+    return (way - np.interp(time - VELOCITY_OVER, time, way)) / VELOCITY_OVER
 
 
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
@@ -450,13 +452,13 @@ def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index,
     sigma: ``(f,)`` of their common error. Returns per fix the row of the node before and the share to the next; per
     node its number, sigma, correlation with the node before, and the time since.
     """
-    before = np.floor(time / RECEIVERS.node).astype(np.intp)
+    before = np.floor(time / NODE_EVERY).astype(np.intp)
     grid = np.unique([before, before + 1]).astype(np.intp)
-    at = (RECEIVERS.node * grid).astype(np.float64)
+    at = (NODE_EVERY * grid).astype(np.float64)
     node = np.searchsorted(grid, before)
     beyond = np.maximum(at - steps.end, 0.0) * MOTION.gap_speed / RECEIVERS.along
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)
     number = _number(source) * NODES_PER_SOURCE + NODES_PER_SOURCE // 2 + grid
-    return node, (time - at[node]) / RECEIVERS.node, number, np.interp(at, time, sigma), keep, elapsed
+    return node, (time - at[node]) / NODE_EVERY, number, np.interp(at, time, sigma), keep, elapsed

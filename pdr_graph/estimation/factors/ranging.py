@@ -44,6 +44,8 @@ from pdr_graph.types import INSTANT, KEYFRAME, TABLE, Array, Complex, Fixes, Ind
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
+NEAR_ANCHOR = 0.1  # [m] softens the distance at the anchor itself, where it has no gradient
+ROUGH_EVERY, ROUGH_SIGMA = 5.0, 5.0  # [s] between rough positions; [m] of these
 MASS = 1.636  # integral of exp(1 − √(1 + x²)) from 0 on
 
 
@@ -134,7 +136,7 @@ class RangeFactor(Itemized, Refined, Remembered, Locating):
         R = rotation(pose[:, 2])
         behind, velocity = np.einsum("nij,nj->ni", R, behind), np.einsum("nij,nj->ni", R, velocity)
         gap = anchor[:, :2] - pose[:, :2] - behind
-        distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
+        distance = np.sqrt(np.sum(gap**2, axis=1) + NEAR_ANCHOR**2)
         value = (distance + anchor[:, 2] - self.ranges.range[which]) / sigma
 
         def jacobian() -> list[Array]:
@@ -185,16 +187,14 @@ class RangeFactor(Itemized, Refined, Remembered, Locating):
         return replace(self, detours=True)
 
     def rough_fixes(self) -> Fixes:
-        """A rough position per RANGES.bin seconds: trilaterated with RANGES.fewest anchors or more, else at the
-        nearest anchor.
-        """
-        bins, rough = np.floor(self.ranges.time / RANGES.bin), list[tuple[float, float, float, float]]()
+        """A rough position per ROUGH_EVERY: trilaterated with three anchors or more, else at the nearest anchor."""
+        bins, rough = np.floor(self.ranges.time / ROUGH_EVERY), list[tuple[float, float, float, float]]()
         for bin_number in np.unique(bins):
             ranges = take(self.ranges, np.flatnonzero(bins == bin_number))
             nearest, anchors = int(np.argmin(ranges.range)), ranges.position[ranges.anchor]
-            place, sigma = anchors[nearest], float(ranges.range[nearest]) + RANGES.bin
-            if len(np.unique(ranges.anchor)) >= RANGES.fewest:
-                place, sigma = _trilaterated(anchors, ranges), RANGES.bin
+            place, sigma = anchors[nearest], float(ranges.range[nearest]) + ROUGH_SIGMA
+            if len(np.unique(ranges.anchor)) >= 3:
+                place, sigma = _trilaterated(anchors, ranges), ROUGH_SIGMA
             rough.append((float(ranges.time.mean()), *place.tolist(), sigma))
         time, x, y, sigma = np.array(rough).reshape(-1, 4).T
         return Fixes(time, np.column_stack([x, y]), sigma)

@@ -52,7 +52,7 @@ class Prior:
     usual: R_s of a usual walker; not 1 for steps that a profile has corrected.
     """
 
-    mean: tuple[float, float, float] = field(default_factory=lambda: WALKER.mean)
+    mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
     sigma: tuple[float, float, float] = field(default_factory=lambda: WALKER.sigma)
     change: tuple[float, float, float] = field(default_factory=lambda: WALKER.change)
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)

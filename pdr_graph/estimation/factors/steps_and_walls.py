@@ -19,6 +19,9 @@ from pdr_graph.types import Array, Index
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
+LOOSE = 3.0  # times the sigma of walls in a rough search: tight walls keep a walk in a wrong aisle
+STIFF = 0.1  # times that sigma at WALLS.body
+
 
 @dataclass(frozen=True, eq=False)
 class StepFactor(Measurement):
@@ -75,7 +78,7 @@ class WallFactor(OnPlan, Refined):
 
     def staged(self, stage: Stage) -> Self:
         """Wider sigma in a rough search."""
-        return replace(self, sigma=WALLS.loose * self.sigma) if stage is Stage.ROUGH else self
+        return replace(self, sigma=LOOSE * self.sigma) if stage is Stage.ROUGH else self
 
     def same_association(self, other: Measurement) -> bool:
         """True if all pieces are in the same regions."""
@@ -104,7 +107,7 @@ class WallFactor(OnPlan, Refined):
         distance, gradient = self.distance(at.ends[:, :2])
         moved = at.pieces.length > 0
         r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
-        for keep, sigma in ((self.margin, self.sigma), (WALLS.body, WALLS.body_sigma * self.sigma)):
+        for keep, sigma in ((self.margin, self.sigma), (WALLS.body, STIFF * self.sigma)):
             near = moved & (distance < keep)
             r += np.where(near, keep - distance, 0.0) / sigma
             steepness += near / sigma

@@ -28,7 +28,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import OF_POSITION, GaussianMixture, measured
 from pdr_graph.estimation.linear_system import one_thread
-from pdr_graph.estimation.live.live_graph import LiveGraph, same_decisions
+from pdr_graph.estimation.live.live_graph import UPDATES, LiveGraph, same_decisions
 from pdr_graph.estimation.live.live_output import (
     LiveOutput,
     Modes,
@@ -44,10 +44,16 @@ from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, n
 from pdr_graph.estimation.optimizer import continued, descended
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.priors import INITIAL, LIVE_PATHS, REPORTS, SCHEDULE, WAYS
+from pdr_graph.priors import INITIAL, REPORTS, SCHEDULE, WAYS
 from pdr_graph.types import Array, Fixes, Index
 
+BATCH_TIME = 1.0  # [s] of the walk, after which an answer of the batch is adopted
 Result = TypeVar("Result")
+
+
+def batch_delay(duration: float) -> float:
+    """Time [s] until the batch solves an ambiguous walk of this duration [s] again: a fifth of it, at least 3 s."""
+    return max(3.0, 0.2 * duration)
 
 
 class Deferred(Generic[Result]):
@@ -168,7 +174,7 @@ def try_path(
     other = walk.decided(decisions)
     start = continued(other.start, walk.start)
     other = _optimized(other.at(start), path.placed(walk.chain, start), rounds)
-    if not other.surprise < present.surprise - LIVE_PATHS.least_gain:
+    if not other.surprise < present.surprise - 0.1:  # [nats] else it is the same path
         return None
     return Path.of(other.chain, other.state), decisions
 
@@ -227,9 +233,9 @@ class LiveAmbiguity:
         if self.batch.idle and graph.has_position and (now >= self.next_batch or unasked):
             if not (self.solved or graph.finalized.anchored) and np.isfinite(graph.leaving_after):
                 graph.restart(np.inf)  # no keyframe leaves the window before the batch has placed the walk
-            self.batch.ask(self.batch_question(), now + SCHEDULE.batch_time)
+            self.batch.ask(self.batch_question(), now + BATCH_TIME)
             self._asked = numbers
-            self.next_batch = now + SCHEDULE.batch_delay(window.duration)
+            self.next_batch = now + batch_delay(window.duration)
         return solution is not None
 
     def batch_question(self) -> Callable[[], BatchSolution]:
@@ -257,7 +263,7 @@ class LiveAmbiguity:
         self.next_comparison = -np.inf if output.sure else self.next_comparison
         graph.walls_changed()  # or a search without walls would move the walk off the solution
         graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
-        graph.solve(SCHEDULE.rounds)
+        graph.solve(UPDATES)
 
     def restart(self) -> None:
         """Solve the window anew, since measurements contradict the walk; of the past only the calibration is kept."""
@@ -356,7 +362,7 @@ class LiveAmbiguity:
             elsewhere |= (sigmas > SCHEDULE.doubted_behind_wall) & floor.crosses_wall(begin, end)
         if elsewhere.any():
             self.ask_batch_for_alternative()
-            self.next_batch = now + SCHEDULE.batch_delay(window.duration)
+            self.next_batch = now + batch_delay(window.duration)
 
     # Other paths: by particles between the walls, or by the batch once more
 
@@ -392,7 +398,7 @@ class LiveAmbiguity:
         alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
         open_to_batch = self.trial.idle and not self.batch_reviewed
         if alternative is not None and self.trial.idle:
-            self._try(lambda: (alternative, {}), SCHEDULE.rounds)
+            self._try(lambda: (alternative, {}), UPDATES)
         elif open_to_batch and graph.has_position and window.complete and window.duration > SCHEDULE.review_after:
             self.batch_reviewed = True
             self.ask_batch_for_alternative()
@@ -405,14 +411,14 @@ class LiveAmbiguity:
             solution = question()
             return solution.path.uniform, solution.decisions
 
-        self._try(alternative, SCHEDULE.batch_rounds)
+        self._try(alternative, 12)
 
     def _try(self, alternative: Callable[[], tuple[Path, Decisions]], rounds: int) -> None:
         """Compare an alternative with the present path on a copy, and adopt the better path later."""
         if not self.graph.window.intervals:
             return  # a single keyframe has no other path: the lag is shorter than the time between fixes
         question = partial(try_path, self.graph.frozen(), alternative, rounds)
-        self.trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
+        self.trial.ask(question, self.graph.window.times[-1] + BATCH_TIME)
 
     def adopt_alternative(self) -> None:
         """Move the window to an alternative that costs less."""
@@ -465,7 +471,7 @@ class LiveAmbiguity:
         if graph.has_position or graph.finalized.anchored or window.located_plan is None:
             self.place.cancel()
             return
-        if walked > SCHEDULE.longest_search:
+        if walked > SCHEDULE.longest_open:
             if not np.isfinite(graph.leaving_after):
                 graph.restart(graph.lag)
             return
@@ -479,8 +485,8 @@ class LiveAmbiguity:
         if np.isfinite(graph.leaving_after):
             graph.restart(np.inf)  # no keyframe leaves the window before the walk is placed
         if self.place.idle and walked > SCHEDULE.search_after and now >= self.next_search:
-            self.place.ask(partial(places_on_plan, graph.batch_graph()), now + SCHEDULE.search_time)
-            self.next_search = now + SCHEDULE.search_delay(walked)
+            self.place.ask(partial(places_on_plan, graph.batch_graph()), now + 10.0)
+            self.next_search = now + max(20.0, 0.4 * walked)
 
     # What the sources get wrong
 
@@ -492,7 +498,7 @@ class LiveAmbiguity:
         """
         graph, window, now = self.graph, self.graph.window, self.graph.window.times[-1]
         if self.sources.idle and now >= self.next_comparison and self.history.has_position(now):
-            self.next_comparison = now + SCHEDULE.comparison_delay(window.duration)
+            self.next_comparison = now + min(max(5.0, 0.5 * window.duration), 30.0)
             known, walled = self.findings if before is None else before, window.located_plan is not None
             asked = self.history.question(now, graph.prior, known, graph.decisions, walled, graph.paths)
             self.sources.ask(asked, now + waiting)
@@ -531,4 +537,4 @@ class LiveAmbiguity:
         for interval in window.intervals:
             window.c[interval.segment] = review.path.calibration(interval.end)
         graph.restart(graph.lag)
-        graph.solve(SCHEDULE.rounds)
+        graph.solve(UPDATES)

@@ -40,16 +40,17 @@ from pdr_graph.estimation.live.window import (
     Window,
     merged_decisions,
 )
-from pdr_graph.estimation.optimizer import descended
+from pdr_graph.estimation.optimizer import LONGEST_MOVE, descended
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import differences, pose_rotation
-from pdr_graph.priors import SCHEDULE, SEARCH
 from pdr_graph.types import Array, Index, row_columns, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.incremental import IncrementalSmoother
     from pdr_graph.floor.paths import PathNetwork
 
+UPDATES = 4  # most of iSAM2 after a keyframe
+LEAVE_EVERY = 5.0  # [s] between departures of keyframes from the window: covariances of rows are linear between
 MOST_KEPT_REASONS = 100  # reasons that are kept
 LEAST_RISE = 0.01  # of the cost, that is no rounding error
 
@@ -148,7 +149,7 @@ class LiveGraph:
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
         if ends:  # the last interval links its calibration to the next; some keyframes leave at once
             leaving = int(np.searchsorted(window.times[:-2], ends[-1] - self.leaving_after))
-            if leaving and window.times[leaving] > window.times[0] + SCHEDULE.covariance_interval:
+            if leaving and window.times[leaving] > window.times[0] + LEAVE_EVERY:
                 self._leave(leaving)
         new = window.cut(ends)
         for time in reached:
@@ -273,8 +274,8 @@ class LiveGraph:
         walk, estimate = self.isam.walk, self.isam.estimate
         same = all(np.array_equal(before.number(s), estimate.number(s)) for s in estimate.arrays)
         furthest = np.abs(estimate.poses - before.poses)[:, :2].max() if walk.walled and same else 0.0
-        if furthest > SEARCH.longest_move:
-            share, moves = SEARCH.longest_move / furthest, {s: estimate[s] - before[s] for s in estimate.arrays}
+        if furthest > LONGEST_MOVE:
+            share, moves = LONGEST_MOVE / furthest, {s: estimate[s] - before[s] for s in estimate.arrays}
             moves[POSE] = differences(estimate.poses, before.poses)
             near = estimate.replaced(**{s: before[s] + share * move for s, move in moves.items()})
             self._at = walk.evaluate(near)
@@ -507,7 +508,7 @@ def _begun(walk: WalkGraph) -> IncrementalSmoother:
 
 def searched(walk: WalkGraph) -> WalkGraph:
     """The walk at the optimum near its start, by the damped search."""
-    return walk.at(descended(walk, SCHEDULE.rounds).state)
+    return walk.at(descended(walk, UPDATES).state)
 
 
 def same_decisions(one: Mapping[str, AnyArray], other: Mapping[str, AnyArray]) -> bool:

@@ -21,6 +21,7 @@ from pdr_graph.estimation.factors.chain import Evaluation, increment, intervals
 from pdr_graph.estimation.factors.registry import made_from
 from pdr_graph.estimation.kalman import (
     FAR,
+    HOPELESS,
     OF_POSITION,
     GaussianMixture,
     by_direction,
@@ -43,7 +44,7 @@ from pdr_graph.geometry import (
     pose_rotation,
     squared_distance,
 )
-from pdr_graph.priors import FIXES, FIXES_ALONE, KALMAN, LIVE_PATHS, MOTION, RECEIVERS
+from pdr_graph.priors import FIXES, FIXES_ALONE, LIVE_PATHS, MOTION, RECEIVERS
 from pdr_graph.types import INSTANT, Array, Calibration, Fixes, Headings, Index, Steps, take
 
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by 90°
@@ -235,7 +236,7 @@ def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
         covariance.append(in_output_axes(joint, float(state.poses[-1, 2])))
     share = probability / probability.max()
     mixture = GaussianMixture(np.array(mean), np.array(covariance), np.log(probability), np.arange(len(mean)))
-    return mixture.take(np.flatnonzero(share > KALMAN.hopeless))
+    return mixture.take(np.flatnonzero(share > HOPELESS))
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,11 @@ from pdr_graph.estimation.ambiguity.bank import Findings
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.linear_system import one_thread
 from pdr_graph.estimation.live.live_ambiguity import LiveAmbiguity
-from pdr_graph.estimation.live.live_graph import LiveGraph
+from pdr_graph.estimation.live.live_graph import UPDATES, LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.review import SOURCE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
-from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Drifts, Estimate, Headings, Sightings, Steps
 
 if TYPE_CHECKING:
@@ -131,7 +130,7 @@ class LiveSmoother:
             return
         ambiguity.next_comparison = -np.inf
         ambiguity.compare_sources(0.0, Findings())
-        graph.solve(SCHEDULE.final_rounds)
+        graph.solve(30)
 
     def review(self) -> None:
         """Answer the open questions in an idle moment; else the push that needs an answer does, with equal results."""
@@ -154,9 +153,9 @@ class LiveSmoother:
         if reached and self.sure:
             ambiguity.reclassify()
             ambiguity.doubt_new_fixes()
-        ambiguity.compare_sources(SCHEDULE.comparison_time)
-        graph.solve(SCHEDULE.rounds)
-        if ambiguity.solved and graph.walls_changed(SCHEDULE.wall_pieces):  # no walls before the batch has solved it
-            graph.solve(SCHEDULE.rounds)
+        ambiguity.compare_sources(2.0)
+        graph.solve(UPDATES)
+        if ambiguity.solved and graph.walls_changed(60):  # no walls before the batch has solved it
+            graph.solve(UPDATES)
         ambiguity.follow(new)
         return True

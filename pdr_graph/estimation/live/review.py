@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
+COVARIANCES_EVERY = 10.0  # [s] between the times at which the covariance of a review is computed
 LEAST = 1e-9  # probability of the solutions together
 
 
@@ -110,7 +111,7 @@ def compare_sources(
 def _excess(optima: list[Optimum], weight: Array) -> Excess:
     """What the covariance of the first walk lacks to that of all, with weights; negative parts are left out."""
     chain = optima[0].at.chain
-    time = np.arange(chain.time[-1], chain.time[0], -DOUBTS.spacing)[::-1]
+    time = np.arange(chain.time[-1], chain.time[0], -COVARIANCES_EVERY)[::-1]
     poses, solved = _keyframes(optima[0], time)
     total = np.zeros_like(solved)
     for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
@@ -221,7 +222,7 @@ def places_on_plan(build: Callable[[], WalkGraph]) -> Places:
     share = probabilities(found.optima, path)
     there = 1.0 - found.elsewhere
     ways, elsewhere = modes_at_end(found.optima, share), 1.0 - there * float(share.sum())
-    if elsewhere >= DOUBTS.nowhere_else:
+    if elsewhere >= 1e-3:
         mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
         mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
         covariance[:3], covariance[:, :3] = 0.0, 0.0
