@@ -282,7 +282,7 @@ MISTAKES = [
         lambda g: pdr.read_fixes(g.path / "fixes.csv", g.recording, pdr.FloorPlan.load(g.path / "plan.geojson")),
     ),
     ("expected a floor plan, a file", lambda g: pdr.FloorPlan.load(Path(__file__).parent)),
-    ("found no JSON", lambda g: pdr.FloorPlan.load(g.path / "fixes.csv")),
+    ("found a text with the header time,x,y,sigma,floor", lambda g: pdr.FloorPlan.load(g.path / "fixes.csv")),
     ("found no such file, expected a table", lambda g: pdr.read_fixes("nowhere.csv", g.recording)),
     ("found Recording, expected Samples", lambda g: pdr.Navigator().push(g.recording)),
     (

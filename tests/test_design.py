@@ -1,10 +1,10 @@
-"""The source layout is that of docs/design.md: imports point down, folders and reaches are within their budgets."""
+"""The source layout is that of docs/design.md: imports point down, and the house grows no larger."""
 
 import ast
-import math
 import re
 import sys
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from graphlib import TopologicalSorter
 
@@ -18,6 +18,7 @@ from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import events_of
+from pdr_graph.priors import entries
 from pdr_graph.walk import Options, estimate, observe, read
 
 # From the top: a file may import what stands on its own floor or below
@@ -60,37 +61,26 @@ LIBRARIES = {
 }
 
 
-# Most modules and lines of code (no docstrings, comments, blank lines, imports) of each folder: some 3 % above what is
-# there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
-# edits the figure and says why in the commit.
-BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (14, 3069),  # ranges of the steps' sizes; the pose of an estimate at any time; declared columns
-    "apps": (3, 189),  # the filter beside a replay
-    "apps/bench": (5, 550),  # a closed walk, data sets of one's own, walls; the scripts have 370 lines less for it
-    "apps/cli": (7, 1180),
-    "apps/lifelog": (28, 5734),
-    "apps/lifelog/past": (8, 1040),
-    "apps/report": (9, 1475),  # the view for Rerun
-    "apps/serve": (14, 2949),  # Home Assistant, receivers that hear the phone
-    "estimation": (19, 3668),  # iSAM2; the filter of a walk under way; poses between steps
-    "estimation/ambiguity": (6, 390),
-    "estimation/factors": (17, 3077),  # the marginal; increments for a smoother of one's own; a path to go on from
-    "estimation/live": (9, 1755),
-    "floor": (9, 1359),
-    "floor/formats": (16, 1893),
-    "gait": (11, 1650),
-    "inertial": (6, 530),
-    "io": (20, 2076),  # recorders by the words in their columns, step counters, bags of ROS
-    "lab": (2, 0),
-    "lab/papers": (12, 2179),  # the experiments of the five papers
-    "lab/simulation": (10, 1410),  # a crowd whose phones receive each other
-    "online": (7, 1040),  # the filter beside the smoother
+# How large the house is to be, and is: `test_the_house_reaches_its_goals` fails where a figure grew
+GOALS: dict[str, tuple[int, int]] = {
+    "modules": (195, 220),
+    "lines of code": (31_000, 35_839),
+    "lines": (50_000, 58_508),
+    "modules that smooth reaches": (30, 29),
+    "lines that smooth reaches": (8_800, 9_338),
+    "modules that Navigator reaches": (55, 63),
+    "lines that Navigator reaches": (17_000, 19_931),
+    "modules run from files with a plan to the result": (50, 59),
+    "modules run at a step live, with a plan": (28, 38),
+    "numbers that steer": (440, 410),
+    "numbers by judgement without a range": (0, 237),
+    "lines of scripts": (5_200, 6_968),
+    "lines of tests": (33_000, 40_857),
+    "words of docs": (27_000, 27_865),
+    "words of results": (15_000, 15_697),
+    "words of README": (950, 949),
 }
-# Most modules and lines of code that a module imports, directly or not
-REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (31, 5924),
-    "online.navigator": (69, 13752),
-}
+STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}
 
 
 def module_of(path):
@@ -166,19 +156,50 @@ def code_lines(path):
     return len(left)
 
 
-def size(names):
-    """Number of modules, and of their lines of code."""
-    return len(names), sum(code_lines(MODULES[name]) for name in names)
+def lines(paths):
+    """Number of lines in files."""
+    return sum(text_of(path).count("\n") for path in paths)
 
 
-def sizes():
-    """Modules and lines of code of each folder, and of what the two estimators reach."""
-    folders = {}
-    for name, path in MODULES.items():
-        folders.setdefault(path.parent.relative_to(PACKAGE).as_posix(), []).append(name)
-    return {folder: size(names) for folder, names in folders.items()}, {
-        start: size(reach(f"pdr_graph.{start}")) for start in REACH
+def words(paths):
+    """Number of words in files."""
+    return sum(len(path.read_text(encoding="utf-8").split()) for path in paths)
+
+
+@cache
+def figures():
+    """The figures of GOALS that need no walk."""
+    reached = {name: reach(start) for name, start in STARTS.items()}
+    results = set((ROOT / "docs" / "results").rglob("*.md"))
+    numbers = list(entries())
+    python = {folder: [p for p in (ROOT / folder).rglob("*.py") if p.is_file()] for folder in ("scripts", "tests")}
+    return {
+        "modules": len(MODULES),
+        "lines of code": sum(map(code_lines, MODULES.values())),
+        "lines": lines(MODULES.values()),
+        **{f"modules that {name} reaches": len(names) for name, names in reached.items()},
+        **{f"lines that {name} reaches": lines(MODULES[n] for n in names) for name, names in reached.items()},
+        "numbers that steer": len(numbers),
+        "numbers by judgement without a range": sum(n.source == "judgement" and n.still is None for n in numbers),
+        **{f"lines of {folder}": lines(paths) for folder, paths in python.items()},
+        "words of docs": words(set((ROOT / "docs").rglob("*.md")) - results),
+        "words of results": words(results),
+        "words of README": words([ROOT / "README.md"]),
     }
+
+
+def reached(name, figure):
+    """End a test, as xfail above the goal; it fails if a figure grew, or is a tenth below what GOALS says."""
+    goal, now = GOALS[name]
+    assert figure <= now, f"{name}: {figure}; look first for what can go, else say in the commit why it grew"
+    assert figure > 0.9 * now or now <= goal, f"{name}: {figure}; GOALS says {now}"
+    if figure > goal:
+        pytest.xfail(f"{name}: {figure}, goal {goal}")
+
+
+@pytest.mark.parametrize("name", [name for name in GOALS if not name.startswith("modules run")])
+def test_the_house_reaches_its_goals(name):
+    reached(name, figures()[name])
 
 
 def test_every_folder_has_its_place_in_the_page():
@@ -188,21 +209,10 @@ def test_every_folder_has_its_place_in_the_page():
     assert folders <= set(re.findall(r"`([\w/]+)/`", house))
 
 
-def test_folders_and_reaches_are_within_their_budgets():
-    """More modules or code need an edit of BUDGETS or REACH; a folder that shrank by a tenth gets a smaller one."""
-    folders, reaches = sizes()
-    assert folders.keys() == BUDGETS.keys()
-    for measured, most in ((folders, BUDGETS), (reaches, REACH)):
-        over = {name: found for name, found in measured.items() if found[0] > most[name][0] or found[1] > most[name][1]}
-        assert over == {}, f"the budgets are {[most[name] for name in over]}"
-        loose = {name: found for name, found in measured.items() if most[name][1] > 1.1 * found[1] + 30}
-        assert loose == {}, f"the budgets are {[most[name] for name in loose]}"
-
-
 def test_the_estimators_reach_no_reader():
     """Plans and recordings come to them as data; a radio map is read with the limits of any archive."""
-    for start in REACH:
-        readers = {name for name in reach(f"pdr_graph.{start}") if re.match(r"pdr_graph\.(io|floor\.formats)\b", name)}
+    for start in STARTS.values():
+        readers = {name for name in reach(start) if re.match(r"pdr_graph\.(io|floor\.formats)\b", name)}
         assert readers - {"pdr_graph.io", "pdr_graph.io.source"} == set()
 
 
@@ -270,10 +280,6 @@ def test_no_factor_class_is_named_outside_the_factors():
     assert naming == {}
 
 
-# How many modules of the package a walk passes; the aim is 25 from the files to the result
-TO_EVIDENCE, TO_RESULT, TO_POSE = 29, 49, 32
-
-
 def passed(call):
     """What a call returns, and the modules of the package in which a function ran."""
     modules = set()
@@ -291,35 +297,32 @@ def passed(call):
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
+def arcade(tmp_path_factory):
+    """The walk of README: a recording with its plan and fixes."""
     folder = tmp_path_factory.mktemp("walk")
-    write(simulate(Scenario.load("l_corridor")), folder)
-    return folder
+    write(simulate(Scenario.load("arcade")), folder)
+    return folder, Options(plan=folder / "plan.geojson", fixes=folder / "fixes.csv")
 
 
-def test_modules_from_the_files_to_the_result(recording):
-    """Without a plan, whose reader is asked for among all formats."""
-    evidence, reading = passed(lambda: observe(read(recording)))
-    result, estimating = passed(lambda: estimate(evidence))
+def test_modules_that_run_from_the_files_to_the_result(arcade):
+    result, modules = passed(lambda: estimate(observe(read(*arcade))))
     assert result.graph is not None
-    assert len(reading) <= TO_EVIDENCE, sorted(reading)
-    assert len(reading | estimating) <= TO_RESULT, sorted(reading | estimating)
+    reached("modules run from files with a plan to the result", len(modules))
 
 
-def test_modules_from_a_sample_to_a_pose(recording):
+def test_modules_that_run_at_a_step_live(arcade):
     """The median of the events that bring a step."""
-    evidence = read(recording)
+    evidence = read(*arcade)
     navigator, counts = navigator_of(Options(), evidence)(), []
-    for event in events_of(evidence.walk):
+    for event in events_of(replace(evidence.walk, fixes=evidence.fixes)):
         before = navigator.steps
         _, modules = passed(lambda event=event: (navigator.push(event), navigator.pose))
         if navigator.steps > before:
             counts.append(len(modules))
     assert len(counts) > 50
-    assert np.median(counts) <= TO_POSE
+    reached("modules run at a step live, with a plan", int(np.median(counts)))
 
 
 if __name__ == "__main__":
-    for measured in sizes():
-        for name, figures in measured.items():
-            print(f'    "{name}": ({", ".join(str(math.ceil(1.03 * figure)) for figure in figures)}),')
+    for measured in figures().items():
+        print(*measured)

@@ -11,7 +11,7 @@ from matplotlib.collections import PatchCollection
 from pdr_graph.apps.report.plotting import plot_regions
 from pdr_graph.lab.papers.map_matching import FeasibleRegion, correct
 from pdr_graph.lab.papers.map_matching_loop import (
-    METHODS,
+    MATCHING_METHODS,
     SHARES,
     errors_along,
     errors_at_times,
@@ -93,7 +93,7 @@ def test_turns_measured_too_large_lead_to_wrong_links():
 def test_the_graph_is_nearer_to_the_truth_than_the_methods_of_the_paper(monkeypatch):
     """Without the two that take longest."""
     for name in ("method 2", "graph, the paper's steps"):
-        monkeypatch.delitem(METHODS, name)
+        monkeypatch.delitem(MATCHING_METHODS, name)
     table = table_1(laps()[1:2], "lap", "strides")
     mean = {row[0]: float(row[1].split()[0].strip(",")) for row in table.rows}
     assert mean["graph, our steps"] < min(mean["method 1"], mean["projection on links"])

@@ -12,7 +12,6 @@ from pathlib import Path
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, detailed, diary
-from pdr_graph.apps.lifelog.export import DiaryRows, as_geojson, not_exported
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period
 from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, overview, tables
 from pdr_graph.apps.lifelog.places import Place, likely_home
@@ -166,6 +165,8 @@ def _files(shown: Overview, stored: Day | None, folder: Path, template: str, rem
     for name, content in tables(shown).items():
         cache.write(folder / name, content)
     if stored is not None:
+        from pdr_graph.apps.lifelog.export import DiaryRows, as_geojson  # as slow
+
         rows = DiaryRows({own.date: own.entries for own in shown.days})
         entries = detailed(rows.by_date.get(stored.date, ()))
         cache.write(folder / "timeline.csv", timeline_csv(entries).encode())
@@ -175,6 +176,8 @@ def _files(shown: Overview, stored: Day | None, folder: Path, template: str, rem
 
 def _remarks(day: Day) -> tuple[list[str], list[str]]:
     """The notes of the outings of a day, and what is missing, a line each."""
+    from pdr_graph.apps.lifelog.export import not_exported  # scipy and plans, which are slow to import
+
     notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
     missing = [line for outing in day.outings for line in outing.missing]
     return [one_line(line) for line in dict.fromkeys(notes)], [one_line(line) for line in dict.fromkeys(missing)]
