@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,22 @@ def test_options_stand_anywhere_and_the_last_one_counts():
     _, given, _ = app.parse_args(["lifelog", "add", *words], exit_on_error=False, print_error=False)
     assert given.args == (Path("a.db"), Path("walks"), Path("more"), Path("-1 h.zip"))
     assert given.kwargs == {"options": Options(plan=Path("y.json"), walker=Path("w.toml"))}
+
+
+def test_completion_of_bash_knows_the_commands_and_options(tmp_path, monkeypatch):
+    """By bash itself: the words that it offers after the beginning of one."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    code, output, _ = run("--install-completion", "--shell", "bash", new=True)
+    [script] = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert (code, str(script) in output) == (0, True)
+
+    def offered(*words):
+        line = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; _pdr_graph; echo ${{COMPREPLY[@]}}"
+        command = ["bash", "-c", f"source {script}; {line}"]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+
+    assert offered("pdr-graph", "smo") == ["smooth"]
+    assert "--radio-map" in offered("pdr-graph", "smooth", "walk.zip", "--rad")
 
 
 def test_a_group_without_a_command_prints_its_help_as_an_error():

@@ -73,6 +73,7 @@ pdr-graph simulate arcade              a simulated walk with its truth -> arcade
         name_transform=lambda name: OTHER_NAMES.get(name, default_name_transform(name)),
     ),
 )
+app.register_install_completion_command(add_to_startup=False, group="Options")
 app["--help"].group = app["--version"].group = "Options"
 maps = App("map", help="Draw, check and convert floor plans.")
 for group in (maps, lifelog_commands, bench):
