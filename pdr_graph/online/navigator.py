@@ -43,6 +43,7 @@ from pdr_graph.online.filter_beside import FilterBeside, belief_of_rows
 from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, modes_of, trajectory_of_rows
 from pdr_graph.online.status import (
     RIDES_NOW,
+    SENSORS_SILENT,
     Status,
     contradiction_of_fixes,
     contradictions_of,
@@ -73,7 +74,6 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
     from pdr_graph.floor.paths import PathNetwork
 
-SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
 UPSIDE_DOWN = "accelerometer: the magnetic field points up: are the signs those of iOS? Android's are expected"
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
@@ -269,6 +269,11 @@ class Navigator:
         return alone is not None and (self._rides.since is not None or self._away.is_followed(alone, self._walked))
 
     @property
+    def _latest_fix(self) -> float:
+        """Time of the newest fix [s]; minus infinity before the first."""
+        return -np.inf if self._alone is None else self._alone.time
+
+    @property
     def _away_by(self) -> float:
         """Distance of the fixes from the walk where they are followed [m], else 0."""
         alone = self._alone
@@ -303,7 +308,7 @@ class Navigator:
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
-                *issues_of(self._gait.health, located and not walking, self._away_by),
+                *issues_of(self._gait.health, located and not walking, self._away_by, self._latest_fix),
                 *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if moved else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
@@ -504,6 +509,8 @@ class Navigator:
         self._filter.add(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
             self._alone, riding = after_fixes(self._alone, data[n]), self._rides.since is not None
+            if self._alone is not None and self._window.keyframes and self._silent(self._alone):
+                continue  # nobody knows whether this is a walk or a ride
             for part in self._rides.fix(float(data.time[n]), data.position[n], float(data.sigma[n])):
                 self._append_steps(part)
             if self._rides.since is not None and not riding:
@@ -519,9 +526,12 @@ class Navigator:
             self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
 
     def _until_soon(self, data: Any) -> Any:
-        """The rows that are not later than AHEAD from the newest sample or step, once there are some."""
+        """The rows that are not later than AHEAD from the newest sample or step, once there are some.
+
+        Where the sensors are silent, from the newest fix: a receiver that goes on has no wrong clock for it.
+        """
         newest = max(self._gait.newest, self._now if self._window.keyframes else -np.inf)
-        early = last_time(data) > (newest + AHEAD if newest > -np.inf else np.inf)
+        early = last_time(data) > (max(newest, self._latest_fix) + AHEAD if newest > -np.inf else np.inf)
         self._early += int(early.sum())
         return take(data, ~early) if early.any() else data
 

@@ -29,6 +29,7 @@ from pdr_graph.online.interface import NO_DATA, NO_STEPS
 from pdr_graph.types import Array, Contradiction, Estimate, OneLineRepr, Trajectory, Verdict
 
 SENSOR_SILENCE = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
+SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
 
 
 @dataclass(frozen=True)
@@ -98,17 +99,19 @@ def issues_of_times(early: int, late: int) -> Iterator[str]:
         yield f"measurements: {late} came too late, when their time was finalised"
 
 
-def issues_of(health: Mapping[str, Health], stepless: bool, away: float) -> Iterator[str]:
+def issues_of(health: Mapping[str, Health], stepless: bool, away: float, fixed: float) -> Iterator[str]:
     """Yield the present problems of the sensors, a line each.
 
     health: of each sensor; stepless: there are fixes and no steps; away: distance of fixes that are followed instead of
-    the walk [m].
+    the walk [m]; fixed: time of the newest fix [s].
     """
     if away:
         yield AWAY.format(away) + "; they are followed"
     if stepless:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
+    if fixed >= latest + SENSORS_SILENT:
+        yield SILENT.format(latest)
     for name, sensor in health.items():
         if sensor.samples and latest - sensor.last > SENSOR_SILENCE:
             yield f"{name}: silent for {latest - sensor.last:.0f} s"
@@ -120,6 +123,7 @@ def issues_of(health: Mapping[str, Health], stepless: bool, away: float) -> Iter
 
 
 RIDES_NOW = "a ride since {:.0f} s: positions alone are used"
+SILENT = "all sensors: silent since {:.0f} s: the fixes alone are followed"
 AWAY = "the fixes went {:.0f} m from the walk: a slow ride, or steps that are not recognised"
 
 

@@ -48,6 +48,11 @@ def fixes(change):
     return lambda event: [change(event) if isinstance(event, Fixes) else event]
 
 
+def silent(begin, end=np.inf):
+    """All sensors stop for a time [s], or for good, while the receiver goes on."""
+    return lambda event: [event] if isinstance(event, Fixes) or not begin < event.time[-1] < end else []
+
+
 def bursts(time, values):
     shaken = time % 40 < 0.5
     return np.where(shaken[:, None], 1e3 * np.sign(np.sin(1e5 * time))[:, None], values)
@@ -73,6 +78,8 @@ LIES = {
     "gyroscope in degrees": (samples(lambda _, values: np.degrees(values)), 0.95, False),
     "bursts of the gyroscope": (samples(bursts), 0.9, False),
     "gyroscope hangs": (samples(lambda time, values: np.where(time[:, None] > LATER, 0.1, values)), 0.85, False),
+    "all sensors stop": (silent(LATER), 0.85, False),
+    "all sensors stop for half a minute": (silent(LATER, LATER + 30.0), 0.85, False),
     "axes of the gyroscope swapped": (samples(lambda _, values: values[:, [1, 0, 2]]), 0.85, False),
     "clock of the receiver 5 s ahead": (ahead(5.0), 0.85, False),
     "clock of the receiver 40 s ahead": (ahead(40.0), 0.75, False),

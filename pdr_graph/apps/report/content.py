@@ -123,7 +123,6 @@ def content(report: WalkReport) -> dict[str, Any]:
         "headline": _headline(summary, estimate.probability),
         "missing": summary["missing"],
         **_remarks(report),
-        "offsets": None,
         "north": summary["frame"]["kind"] != "local",
         "start": float(path.time[0]),
         "end": float(path.time[-1]),

@@ -2,7 +2,6 @@
 //
 //   verdict: null or state and reasons, each with text and check; title, subtitle; headline: [name, value]; missing, warnings (the
 //   heaviest first), notes: lines; start, end: of the slider
-//   offsets: [from, seconds] of local time, of Unix times; null: times are since the start
 //   maps: name, corners, plan: null or svg with its corners and the names in it; north: true if y points there
 //   tracks: name, colour, on, time, x, y, heading, covariance (xx, xy, yy), bands (rings per map), width, dash, mode,
 //     symbol, gaps: [from, to] of times without data; walker: true if a marker moves along it; lead: true if the marker has a direction, a region and a trail
@@ -47,21 +46,15 @@ for (const mark of content.marks) mark.on = unrolled(mark.on);
 
 // Formatting of times
 const two = (number) => String(number).padStart(2, "0");
-const shift = (time) => (content.offsets || []).reduce((found, [from, by]) => (time >= from ? by : found), 0);
 const clock = (time) => {
-  const whole = Math.round(Math.abs(time + shift(time))),
+  const whole = Math.round(Math.abs(time)),
     hours = Math.floor(whole / 3600),
     rest = `${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
-  if (content.offsets) return `${two(hours % 24)}:${rest}`;
   return (time < -0.5 ? "-" : "") + (hours ? `${hours}:${rest}` : rest.replace(/^0/, ""));
 };
 const ticks = (start, end) => {
   const step = STEPS.find((seconds) => (end - start) / seconds <= TICKS) || STEPS[STEPS.length - 1];
   const values = [];
-  const by = shift(start);
-  for (let time = Math.ceil((start + by) / step) * step - by; time <= end; time += step) values.push(time);
-  return {
-    tickvals: values,
-    ticktext: values.map((time) => (content.offsets && step >= 60 ? clock(time).slice(0, 5) : clock(time))),
-  };
+  for (let time = Math.ceil(start / step) * step; time <= end; time += step) values.push(time);
+  return { tickvals: values, ticktext: values.map(clock) };
 };
