@@ -130,7 +130,8 @@ def on_lies(data):
     )
 
 
-SLOW = ("WALLS", "REGIONS", "SEARCH", "PARTICLES")  # tables whose measurement takes minutes
+ON_PLANS = "WALLS", "REGIONS", "SEARCH", "PARTICLES"
+SLOW = *ON_PLANS, "FIXES", "BEACONS", "RANGES", "LEARNED", "PRICES", "DOUBTS"  # tables whose measurement takes minutes
 CASES = {
     by_steps: (
         "STEP",
@@ -153,7 +154,7 @@ CASES = {
     on_velocities: ("LEARNED",),
     on_lies: ("PRICES", "DOUBTS"),
     lambda data: on_fixes(data, "filter"): ("KALMAN",),
-    on_plans: SLOW,
+    on_plans: ON_PLANS,
     on_receivers: ("RECEIVERS",),
 }
 
