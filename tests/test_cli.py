@@ -164,15 +164,16 @@ def test_quiet_prints_nothing_but_errors_and_does_not_silence_the_next_command(a
 
 
 def test_a_folder_of_something_else_is_refused_unless_forced(arcade_walk, tmp_path):
-    """A summary.json of another program is something else too; an earlier result is replaced."""
+    """A summary.json of another program is something else too; an earlier result is replaced, hidden files are none."""
     photos = tmp_path / "photos"
     photos.mkdir()
     (photos / "cat.jpg").write_bytes(b"cat")
+    (photos / ".DS_Store").touch()
     code, _, errors = run("smooth", *given(arcade_walk, "--out", photos))
     assert (code, len(errors)) == (2, 1)
     assert "found a folder with 1 other file (cat.jpg)" in errors[0]
     assert errors[0].endswith("(--force writes there anyway)")
-    assert [path.name for path in photos.iterdir()] == ["cat.jpg"]
+    assert {path.name for path in photos.iterdir()} == {"cat.jpg", ".DS_Store"}
     assert run("smooth", *given(arcade_walk, "--out", photos, "--force", "--no-report")).code == 0
     assert (photos / "cat.jpg").read_bytes() == b"cat"
     assert run("smooth", *given(arcade_walk, "--out", photos, "--no-report")).code == 0

@@ -28,6 +28,7 @@ from pdr_graph.apps.report.evaluation import evaluate
 from pdr_graph.apps.report.output_files import smooth_recording
 from pdr_graph.apps.report.page import MAXIMUM_ROWS, OTHER, TRUTH, column, page, runs, thinned
 from pdr_graph.estimation.factors.heading_prior import HeadingReport
+from pdr_graph.io.validation import clipped
 from pdr_graph.notebook_html import BLUE, GREY
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
 from pdr_graph.walk import Options, estimate, observe, read
@@ -154,6 +155,7 @@ def test_samples_at_the_end_of_a_range_are_clipped():
     assert health("accelerometer", signal(values)).clipped == 0
     assert health("accelerometer", signal(cut)).clipped >= 3 * 40
     assert health("magnetometer", signal(cut)).clipped == 0
+    assert [clipped(np.array([0.0, 5.0, *[9.0] * n, 5.0])) for n in (2, 3, 4)] == [0, 3, 4]
 
 
 def test_the_table_has_each_sensor_and_the_purpose_of_a_missing_one():
