@@ -226,8 +226,6 @@ class SensorStream:
             self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
 
     def _discard_suspects(self) -> None:
-        time = self.suspect_time + self.offset
-        repeated, ahead = np.isin(time, self.time), time > self.last
-        for reason, of in ((REPEATED, repeated), (UNCONFIRMED, ahead), (LATE, ~repeated & ~ahead)):
-            self.left_out[reason] += int(of.sum())
+        for time in (self.suspect_time + self.offset).tolist():
+            self.left_out[UNCONFIRMED if time > self.last else REPEATED if time in self.time else LATE] += 1
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]

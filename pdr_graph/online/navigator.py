@@ -274,6 +274,11 @@ class Navigator:
         return -np.inf if self._alone is None else self._alone.time
 
     @property
+    def _sensors_silent(self) -> bool:
+        """True if there were samples, and fixes go on without them; a step counter is not silent between its steps."""
+        return -np.inf < self._gait.newest <= self._latest_fix - SENSORS_SILENT
+
+    @property
     def _away_by(self) -> float:
         """Distance of the fixes from the walk where they are followed [m], else 0."""
         alone = self._alone
@@ -308,7 +313,7 @@ class Navigator:
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
-                *issues_of(self._gait.health, located and not walking, self._away_by, self._latest_fix),
+                *issues_of(self._gait.health, located and not walking, self._away_by, self._sensors_silent),
                 *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if moved else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
@@ -437,9 +442,10 @@ class Navigator:
         if self._window.keyframes:
             end = self._window.steps.end
             begin = self._graph.rewind(since)
-            ride = self._rides.gap(begin, end)
-            self._chunks = [*rewound(self._chunks, begin), ride]
-            self._graph.extend(ride)
+            if begin < end:  # a step counter may have been silent since
+                ride = self._rides.gap(begin, end)
+                self._chunks = [*rewound(self._chunks, begin), ride]
+                self._graph.extend(ride)
 
     def _append_steps(self, steps: Steps) -> None:
         if self._start_heading[0] is not None and not self._certain and (len(steps) or not self._window.keyframes):
@@ -509,7 +515,7 @@ class Navigator:
         self._filter.add(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
             self._alone, riding = after_fixes(self._alone, data[n]), self._rides.since is not None
-            if self._alone is not None and self._window.keyframes and self._silent(self._alone):
+            if self._sensors_silent:
                 continue  # nobody knows whether this is a walk or a ride
             for part in self._rides.fix(float(data.time[n]), data.position[n], float(data.sigma[n])):
                 self._append_steps(part)

@@ -99,25 +99,25 @@ def issues_of_times(early: int, late: int) -> Iterator[str]:
         yield f"measurements: {late} came too late, when their time was finalised"
 
 
-def issues_of(health: Mapping[str, Health], stepless: bool, away: float, fixed: float) -> Iterator[str]:
+def issues_of(health: Mapping[str, Health], stepless: bool, away: float, silent: bool) -> Iterator[str]:
     """Yield the present problems of the sensors, a line each.
 
     health: of each sensor; stepless: there are fixes and no steps; away: distance of fixes that are followed instead of
-    the walk [m]; fixed: time of the newest fix [s].
+    the walk [m]; silent: fixes go on without samples.
     """
     if away:
         yield AWAY.format(away) + "; they are followed"
     if stepless:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
-    if fixed >= latest + SENSORS_SILENT:
+    if silent:
         yield SILENT.format(latest)
     for name, sensor in health.items():
         if sensor.samples and latest - sensor.last > SENSOR_SILENCE:
             yield f"{name}: silent for {latest - sensor.last:.0f} s"
         elif not sensor.samples and np.isfinite(latest):
             yield f"{name}: {NO_DATA}"
-        yield from (f"{name}: {count(number, 'sample')} {why}" for why, number in sensor.left_out.items() if number)
+        yield from (f"{name}: {count(number, 'sample')} {why}" for why, number in sensor.left_out.items())
         if sensor.clock_resets:
             yield f"{name}: clock reset {sensor.clock_resets} times"
 

@@ -31,14 +31,19 @@ def by_bus(seconds, seed=0, walk=180, **of_fixes):
     return place, on_foot(place, done), seen(place, seed=seed, **of_fixes)
 
 
-def live(steps, fixes):
-    """A navigator at the end of the walk, its pose per second with whether it says that it rides, and its estimate."""
-    nav, poses, issues = Navigator(), [], []
+def live(steps, fixes, between=True):
+    """A navigator at the end of the walk, its pose per second with whether it says that it rides, and its estimate.
+
+    between: the front end also reports seconds without a step.
+    """
+    nav, poses, issues, reported = Navigator(), [], [], 0.0
     for second in range(1, int(steps.end) + 1):
         here = rewound([steps], float(second))[0]
-        later = here.time > second - 1 if second > 1 else np.ones(len(here), bool)
+        later = here.time > reported if second > 1 else np.ones(len(here), bool)
         chunk = {name: getattr(here, name)[later] for name in STEP_COLUMNS}
-        nav.push(replace(here, start=float(second - 1), **chunk))
+        if between or later.any():
+            nav.push(replace(here, start=reported, **chunk))
+            reported = float(second)
         nav.push(fixes[(fixes.time > second - 1) & (fixes.time <= second)])
         poses.append(nav.pose)
         issues.append(any("ride since" in issue for issue in nav.status.issues))
@@ -94,6 +99,16 @@ def test_a_live_ride_is_named_in_time_and_both_walks_are_right(walk):
     assert {reason.source for reason in verdict(estimate).reasons} <= {"place"}, "its fixes have 20 m"
     assert any("a ride from" in warning for warning in estimate.warnings)
     assert nav.status.restarts == 0
+
+
+def test_a_live_ride_is_named_in_time_where_a_counter_reports_steps_alone():
+    """Between its steps it is not silent, as sensors that stop are: no steps are what a ride has."""
+    place, steps, fixes = by_bus(60, walk=90)
+    _, poses, rides, estimate = live(steps, fixes, between=False)
+    assert 90 < np.flatnonzero(rides)[0] < 110
+    off = np.array([np.hypot(pose.x - x, pose.y - y) for pose, (x, y) in zip(poses, place[1:], strict=True)])
+    assert np.median(off[90:150]) < 15
+    assert any("a ride from" in warning for warning in estimate.warnings)
 
 
 @pytest.mark.parametrize("noise", [next(iter(NOISE)), *map(thorough, [*NOISE][1:])])
