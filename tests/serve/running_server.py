@@ -30,7 +30,8 @@ class RunningServer:
         until(lambda: "Push URL" in self.printed() or self.process.poll() is not None)
         assert self.process.poll() is None, self.printed()
         self.port = int(self.printed().splitlines()[0].split(":")[-1].split("/")[0])
-        self.url = f"http://127.0.0.1:{self.port}"
+        scheme = "https" if "--certificate" in self.command else "http"
+        self.url = f"{scheme}://127.0.0.1:{self.port}"
 
     def printed(self):
         """All that the server printed."""

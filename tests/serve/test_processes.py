@@ -2,11 +2,14 @@
 
 import json
 import os
+import shutil
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import time
+import urllib.request
 from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
@@ -316,3 +319,33 @@ def test_without_the_extra_the_command_names_it(tmp_path):
     ended = subprocess.run(alone, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert "pip install '.[serve]'" in ended.stderr
+
+
+CERTIFICATE = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=pdr-graph")
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="no openssl")
+def test_a_certificate_makes_it_https(start, tmp_path):
+    """As docs/app.md makes one: for the phone's browser, which gives sensors by HTTPS alone."""
+    file = tmp_path / "serve.pem"
+    name = ("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", file, "-out", file)
+    subprocess.run(["openssl", *CERTIFICATE, *name], check=True, capture_output=True)
+    server = start("--certificate", str(file))
+    assert f"app, for the phone's browser: {server.url}/app" in server.printed()
+    trusting = ssl.create_default_context(cafile=file)
+    with urllib.request.urlopen(f"{server.url}/app", context=trusting, timeout=PATIENCE) as answer:
+        assert b"DeviceMotionEvent" in answer.read()
+    body = urllib.request.Request(f"{server.url}/sensorlogger", BODIES[0])
+    with urllib.request.urlopen(body, context=trusting, timeout=PATIENCE) as answer:
+        assert answer.status in TAKEN
+
+
+def test_what_is_no_certificate_is_one_line(tmp_path):
+    for name, content in (("none.pem", None), ("other.pem", "x")):
+        file = tmp_path / name
+        if content:
+            file.write_text(content, encoding="utf-8")
+        ending = run("serve", "--certificate", file, "--out", tmp_path / "out")
+        assert ending.code == 2
+        [line] = ending.errors
+        assert "expected a PEM file with a certificate and its private key" in line

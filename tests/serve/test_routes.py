@@ -1,7 +1,10 @@
 """The routes: what is posted is published; every fault has a status code and one line."""
 
+import base64
 import gzip
+import hashlib
 import json
+import re
 import time
 from dataclasses import replace
 
@@ -120,7 +123,7 @@ def test_the_description_has_every_route(client):
     assert "/sensorlogger" in client.get("/api").text
 
 
-READ = ("/", "/walkers", "/walkers/x", "/events", "/plan", "/openapi.json", "/web/x")
+READ = ("/", "/app", "/walkers", "/walkers/x", "/events", "/plan", "/openapi.json", "/web/x")
 WRITTEN = ("/sensorlogger", "/owntracks", "/overland", "/osmand", "/walkers/walk-one/finish")
 
 
@@ -203,6 +206,34 @@ def test_a_cookie_reads_and_does_not_store_and_has_the_port_in_its_name(client):
     assert client.get("/walkers", headers=own).status_code == 200
     assert client.get("/walkers", headers=own | {"Host": "testserver:8081"}).status_code == 401
     assert client.get("/osmand?id=e&lat=1&lon=2&timestamp=1700000000", headers=own).status_code == 401
+
+
+def test_the_cookie_stores_for_a_page_of_this_server_alone(guarded):
+    """As the app page posts: a browser states the origin of each POST, and no page can claim another one."""
+    page = guarded.get("/app?token=" + TOKENS["ann"], follow_redirects=False, headers={"Authorization": ""})
+    assert (page.status_code, page.headers["location"]) == (303, "./app")
+    cookie = page.headers["set-cookie"].partition(";")[0]
+    body, of_page = first_message("page"), {"Authorization": "", "Cookie": cookie, "User-Agent": "Mozilla/5.0"}
+    for origin in ("http://testserver:8081", "http://127.0.0.1", "null", "://testserver", ""):
+        assert post(guarded, body, headers=of_page | {"Origin": origin}).status_code in (401, 403), origin
+    assert post(guarded, body, headers=of_page).status_code == 401
+    cross = {"Origin": "http://testserver", "Sec-Fetch-Site": "cross-site"}
+    assert post(guarded, body, headers=of_page | cross).status_code == 403
+    assert guarded.get("/walkers").json() == []
+    assert post(guarded, body, headers=of_page | {"Origin": "http://testserver"}).status_code in (200, 499)
+    assert [walker["id"] for walker in guarded.get("/walkers", headers=ANN).json()] == ["page"]
+
+
+def test_the_app_page_runs_its_own_script_alone(client):
+    """Its policy has the hash of each script and style within it, and of nothing else."""
+    page = client.get("/app")
+    policy = dict(part.split(" ", 1) for part in page.headers["content-security-policy"].split("; "))
+    for tag, directive in (("script", "script-src"), ("style", "style-src")):
+        parts = re.findall(rf"<{tag}[^>]*>(.*?)</{tag}>", page.text, re.DOTALL)
+        hashes = [base64.b64encode(hashlib.sha256(part.encode()).digest()).decode() for part in parts]
+        assert policy[directive].split() == ["'self'", *(f"'sha256-{each}'" for each in hashes)]
+    assert not re.search(r' on\w+="| style="|<script[^>]* src=', page.text)
+    assert "sha256" not in client.get("/").headers["content-security-policy"]
 
 
 def test_pages_of_other_sites_and_ports_show_nothing_of_an_answer(client):

@@ -32,6 +32,7 @@ def serve(
     user: tuple[str, ...] = (),
     out: Path = Path("pdr-graph-serve"),
     workers: Annotated[Count, Parameter(validator=Number(gte=0, lte=64))] = 1,
+    certificate: Path | None = None,
     tiles: str | None = None,
     phyphox: tuple[str, ...] = (),
     mqtt: str | None = None,
@@ -42,10 +43,12 @@ def serve(
 ) -> None:
     """Show live phones on a map.
 
-    Phones send their sensors with the app Sensor Logger, or positions with OwnTracks, Overland or Traccar Client.
+    Phones send their sensors with the app Sensor Logger or by their browser, on the page /app; or positions with
+    OwnTracks, Overland or Traccar Client.
 
     pdr-graph serve                                    only from this machine
     pdr-graph serve --host 0.0.0.0 --map plan.geojson  phones in the network, with a token
+    pdr-graph serve --host 0.0.0.0 --certificate c.pem the same by HTTPS, as browsers ask for sensors
 
     Args:
         store: A lifelog, to which finished walks are added.
@@ -54,6 +57,7 @@ def serve(
         user: Another user, with a token of their own; repeatable.
         out: Folder of sessions and tokens, for its owner alone.
         workers: Estimating processes, up to 64; 0: a thread.
+        certificate: PEM file with certificate and private key, for HTTPS; default: HTTP.
         tiles: Tile server for the page's map, https://host/{z}/{x}/{y}.png; default: none.
         phyphox: A phone with phyphox's remote access, http://192.168.0.12:8080; repeatable.
         mqtt: Broker that phones publish to: mqtt, mqtts, ws or wss://USER@HOST:PORT.
@@ -73,6 +77,8 @@ def serve(
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
 
+    if certificate is not None:
+        serving.check_certificate(certificate)
     building, placed = serving.read_inputs(options)
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     file = out / serving.TOKENS
@@ -87,7 +93,12 @@ def serve(
     sources = Sources(phyphox, pulled, reports, home, receivers)
     server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
-    serving.serve(app, host, port, lambda port: _print_addresses(serving.addresses(host, port), tokens, file))
+    scheme = "https" if certificate else "http"
+
+    def ready(port: int) -> None:
+        _print_addresses(serving.addresses(host, port, scheme), tokens, file)
+
+    serving.serve(app, host, port, ready, certificate)
 
 
 LIFELOG_PORT = 8081  # not that of `serve`
@@ -124,6 +135,8 @@ def _print_addresses(addresses: list[str], tokens: dict[str, str], file: Path) -
         of = f" of {name}" if name else ""
         for address in addresses:
             echo(f"page{of}: {address}/{query}")
+        if addresses[0].startswith("https:") or LOOPBACK in addresses[0]:  # else browsers give no sensors
+            echo(f"app{of}, for the phone's browser: {addresses[0]}/app{query}")
         push = f"{addresses[0]}/sensorlogger{query}"
         echo(f"Sensor Logger{of}, Settings, Data Streaming, Push URL: {push}")
         if sys.stdout.isatty():

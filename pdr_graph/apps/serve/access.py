@@ -44,7 +44,8 @@ class Access:
 def token_of(headers: Mapping[str, str], query: Mapping[str, str], cookies: Mapping[str, str]) -> str | None:
     """The token of a request: ``?token=``, Authorization (Bearer, or the password of Basic), or the page's cookie.
 
-    cookies: of a request that may be a page's; none of one that stores, which a page of another port could make.
+    cookies: of a request that may be a page's; of one that stores, only if `is_own`: a page of another port has the
+    cookie too.
     """
     if "token" in query:
         return query["token"]
@@ -88,6 +89,12 @@ def is_browser(headers: Mapping[str, str]) -> bool:
     accepted = headers.get("accept", "")
     shows = "text/html" in accepted or "image/" in accepted
     return shows or headers.get("user-agent", "").startswith("Mozilla/") or any(name in headers for name in signs)
+
+
+def is_own(headers: Mapping[str, str]) -> bool:
+    """True for a request that a page of this very server makes, which no page of another site or port can claim."""
+    host = headers.get("host", "")
+    return bool(host) and headers.get("origin") in (f"http://{host}", f"https://{host}")
 
 
 def is_local(headers: Mapping[str, str]) -> bool:

@@ -6,6 +6,8 @@ All that the page loads comes from this server, but for the tiles of a server of
 from __future__ import annotations
 
 import asyncio
+import base64
+import hashlib
 import html
 import re
 import zlib
@@ -13,6 +15,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode, urlsplit
@@ -36,7 +39,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import pdr_graph
 from pdr_graph.apps.serve import publishing
-from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, token_of
+from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, is_own, token_of
 from pdr_graph.apps.serve.publishing import Hub, Published, plan_layers
 from pdr_graph.apps.serve.reception import Reception
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -77,6 +80,7 @@ def application(server: Server, lifespan: Any = None) -> Starlette:
     """The ASGI application. lifespan: starts and stops what the routes use."""
     routes = [
         Route("/", page),
+        Route("/app", app_page),
         Route("/settings", page_settings),
         Route("/walkers", walkers),
         Route("/walkers/{id}.geojson", geojson),
@@ -115,7 +119,7 @@ class Guard:
             return await self.app(scope, receive, send)
         connection = HTTPConnection(scope)
         access, headers, stores = self.access, connection.headers, scope["path"] in STORING
-        cookies = {} if stores else connection.cookies
+        cookies = {} if stores and not is_own(headers) else connection.cookies
         user = access.user_of(token_of(headers, connection.query_params, cookies))
         if user is None:
             status, text = 401, f"found no valid token, expected {TOKEN}"
@@ -423,14 +427,14 @@ def checked_tiles(url: str | None) -> str | None:
     return url
 
 
-def security_headers(tiles: str | None, form: str = "'none'", style: str = "") -> dict[str, str]:
+def security_headers(tiles: str | None, form: str = "'none'", style: str = "", script: str = "") -> dict[str, str]:
     """Headers of a page: scripts, styles and connections of this server alone; images of the tile server too.
 
-    form: where its forms lead; style: more sources of styles.
+    form: where its forms lead; style, script: more sources of these.
     """
     elsewhere = " {0.scheme}://{0.netloc}".format(urlsplit(tiles)) if tiles else ""
     policy = [
-        *("default-src 'none'", "script-src 'self'", f"style-src 'self'{style}", "worker-src 'self'"),
+        *("default-src 'none'", f"script-src 'self'{script}", f"style-src 'self'{style}", "worker-src 'self'"),
         f"img-src 'self' data: blob:{elsewhere}",
         f"connect-src 'self'{elsewhere}",
         *("base-uri 'none'", f"form-action {form}", "frame-ancestors 'none'"),
@@ -445,14 +449,39 @@ def security_headers(tiles: str | None, form: str = "'none'", style: str = "") -
 
 async def page(request: Request) -> Response:
     """The page. A token in its address moves to a cookie, so that it stays in no history and no link."""
-    if "token" in request.query_params:
-        response: Response = RedirectResponse("./", 303)  # relative: a proxy may have put a path before it
-        token, secure = request.query_params["token"], request.url.scheme == "https"
-        # max_age: four months, in seconds
-        name = cookie_name(request.headers)
-        response.set_cookie(name, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
-        return response
-    return FileResponse(WEB / "index.html", headers=security_headers(_server(request).tiles))
+    return _shown(request, "index.html", security_headers(_server(request).tiles))
+
+
+async def app_page(request: Request) -> Response:
+    """The page that sends the sensors of the phone that shows it; its token moves to a cookie too."""
+    style, script = _inline("app.html")
+    return _shown(request, "app.html", security_headers(_server(request).tiles, style=style, script=script))
+
+
+def _shown(request: Request, name: str, headers: dict[str, str]) -> Response:
+    if "token" not in request.query_params:
+        return FileResponse(WEB / name, headers=headers)
+    here = f".{request.url.path[request.url.path.rindex('/') :]}"  # relative: a proxy may have put a path before it
+    response = RedirectResponse(here, 303)
+    token, secure = request.query_params["token"], request.url.scheme == "https"
+    # max_age: four months, in seconds
+    name = cookie_name(request.headers)
+    response.set_cookie(name, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
+    return response
+
+
+@cache
+def _inline(name: str) -> tuple[str, str]:
+    """Sources by which a policy allows the styles and the scripts within a page, each with a space before: hashes."""
+    text = (WEB / name).read_bytes()
+    style, script = (
+        "".join(
+            f" 'sha256-{base64.b64encode(hashlib.sha256(inline).digest()).decode()}'"
+            for inline in re.findall(rb"<%s[^>]*>(.*?)</%s>" % (tag, tag), text, re.DOTALL)
+        )
+        for tag in (b"style", b"script")
+    )
+    return style, script
 
 
 async def page_settings(request: Request) -> Response:

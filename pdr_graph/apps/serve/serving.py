@@ -8,6 +8,7 @@ import logging
 import multiprocessing
 import os
 import socket
+import ssl
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -32,7 +33,7 @@ from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
 from pdr_graph.apps.serve.receivers import listen
 from pdr_graph.apps.serve.reception import Limits, Reception
-from pdr_graph.errors import InputError, Interrupted
+from pdr_graph.errors import InputError, Interrupted, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.options import LIVE, Options
 from pdr_graph.types import Beacons
@@ -232,11 +233,27 @@ def is_news(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
-def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = lambda port: None) -> None:
+def check_certificate(file: Path) -> None:
+    """Raise InputError if a file has no PEM certificate with its private key, without a password."""
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(file, password=lambda: "")
+    except (OSError, ValueError) as error:  # SSLError is an OSError
+        text = error.strerror if isinstance(error, FileNotFoundError) else one_line(str(error))
+        expected = "a PEM file with a certificate and its private key, without a password"
+        raise InputError("--certificate", str(file), text or "no certificate", expected) from None
+
+
+def serve(
+    app: Starlette,
+    host: str,
+    port: int,
+    ready: Callable[[int], None] = lambda port: None,
+    certificate: Path | None = None,
+) -> None:
     """Serve until Ctrl-C or SIGTERM, by which the process ends too.
 
-    ready: called with the port when it accepts connections; port 0: any free one.
-    Raises InputError if the address cannot be used.
+    ready: called with the port when it accepts connections; port 0: any free one; certificate: as for
+    `check_certificate`, for HTTPS, None for HTTP. Raises InputError if the address cannot be used.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family)
@@ -259,6 +276,7 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
         timeout_graceful_shutdown=3,
         server_header=False,
         ws_max_size=1 << 16,
+        ssl_certfile=certificate,
     )
     logging.getLogger("uvicorn.error").addFilter(is_news)
     hub = getattr(getattr(app.state, "server", None), "hub", None)
@@ -268,11 +286,11 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
         server.run(sockets=[listening])
 
 
-def addresses(host: str, port: int) -> list[str]:
+def addresses(host: str, port: int, scheme: str = "http") -> list[str]:
     """The addresses under which a phone reaches the server."""
     if host not in ("0.0.0.0", "::"):
-        return [f"http://{f'[{host}]' if ':' in host else host}:{port}"]
-    return [f"http://{own}:{port}" for own in own_addresses()]
+        return [f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"]
+    return [f"{scheme}://{own}:{port}" for own in own_addresses()]
 
 
 def own_addresses() -> list[str]:
