@@ -56,6 +56,11 @@ class StepStream:
         return max(sensor.newest for sensor in self._sensors.values())
 
     @property
+    def accelerated(self) -> float:
+        """Time of the newest sample of the accelerometer, without which no step is recognised. [s]"""
+        return self._sensors["accelerometer"].newest
+
+    @property
     def health(self) -> dict[str, Health]:
         """Statistics of each sensor's samples."""
         sensors = {

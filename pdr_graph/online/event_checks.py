@@ -7,6 +7,7 @@ measurement is a keyframe.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -53,6 +54,7 @@ FINER = {  # unit of a clock: least and largest interval of inertial samples in 
     "nanoseconds": (1e6, 1e8),
 }
 LARGEST_FLOAT = float(np.finfo(float).max)
+SILENT = 5.0, 10  # [s] without a source, and number of its mean intervals, until it is silent
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
@@ -63,7 +65,23 @@ class EventChecks:
         self.unused = Counter[tuple[str, str]]()
         self.units = dict[str, SensorUnit]()
         self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
+        self._heard = dict[str, tuple[float, float, int]]()  # of each source: first and last time [s], and how often
         self._leads = dict[str, tuple[int, float]]()  # of each source: number of fixes, least lead of the sensors [s]
+
+    def note(self, source: str, time: Array) -> None:
+        """Note that a source was received at times ``(n,)`` [s]."""
+        if len(time) and np.isfinite(time[-1]) and (source in self._heard or len(self._heard) < MOST_SOURCES):
+            now = float(time[-1])
+            first, last, number = self._heard.get(source, (now, now, 0))
+            self._heard[source] = first, max(last, now), number + 1
+
+    def silences(self, now: float) -> Iterator[str]:
+        """Yield the sources that are silent at a time [s] for longer than usual, a line each."""
+        least, intervals = SILENT
+        for source, (first, last, number) in self._heard.items():
+            usual = (last - first) / (number - 1) if number > 2 else np.inf
+            if now - last > max(least, intervals * usual):
+                yield f"{source}: silent for {now - last:.0f} s"
 
     def in_unit(self, sensor: str, time: Array, values: Array) -> Array:
         """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit."""

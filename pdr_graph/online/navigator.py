@@ -55,6 +55,7 @@ from pdr_graph.online.status import (
 )
 from pdr_graph.priors import FIXES, INITIAL, STAND
 from pdr_graph.types import (
+    INERTIAL,
     LONLAT,
     START,
     Array,
@@ -275,14 +276,14 @@ class Navigator:
 
     @property
     def _sensors_silent(self) -> bool:
-        """True if there were samples, and fixes go on without them; a step counter is not silent between its steps."""
-        return -np.inf < self._gait.newest <= self._latest_fix - SENSORS_SILENT
+        """True if there was acceleration, and fixes go on without; a step counter is not silent between its steps."""
+        return -np.inf < self._gait.accelerated <= self._latest_fix - SENSORS_SILENT
 
     @property
     def _away_by(self) -> float:
         """Distance of the fixes from the walk where they are followed [m], else 0."""
         alone = self._alone
-        if alone is None or self._rides.since is not None or not self._follows_fixes:
+        if alone is None or self._rides.since is not None or self._sensors_silent or not self._follows_fixes:
             return 0.0
         return float(np.hypot(*(alone.mean - self._graph.output.belief(self._tail).mean[:2])))
 
@@ -308,12 +309,14 @@ class Navigator:
         located = self._accepted > 0 or graph.output.modes.mixture is not None or graph.graph.finalized.anchored
         # Time of movement without a step [s]: lately, or in most of the walk
         moved = self._gait.stepless or (self._stepless if self._stepless > self._on_steps else 0.0)
+        silent = self._latest_fix - self._gait.accelerated if self._sensors_silent else 0.0
         return Status(
-            state=state_of(walking and not self._follows_fixes, located, graph.sure or directed),
+            state=state_of(walking and not (self._follows_fixes or silent), located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
             issues=(
-                *issues_of(self._gait.health, located and not walking, self._away_by, self._sensors_silent),
+                *issues_of(self._gait.health, located and not walking, self._away_by, silent),
+                *self._checks.silences(max(self._gait.newest, self._latest_fix)),
                 *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if moved else ()),
                 *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
@@ -411,6 +414,8 @@ class Navigator:
         self._compass.locate(frame, place, self._epoch)
 
     def _sample(self, samples: Samples) -> None:
+        if samples.sensor not in INERTIAL:
+            self._checks.note(samples.sensor, samples.time + self._gait.offset)
         if samples.sensor == "magnetometer":
             self._compass.push(samples.time + self._gait.offset, samples.values)
         elif samples.sensor == "barometer":
@@ -487,6 +492,8 @@ class Navigator:
         if self._place is None:
             self._locate(frame, frame.place(fixes).position[0])
         fixes = frame.place(fixes)
+        for source in set(fixes.source) - {""}:
+            self._checks.note(source, fixes.time + self._gait.offset)
         new = np.array([self._is_new(fixes.source[n], tuple(fixes.position[n].tolist())) for n in range(len(fixes))])
         if new.any():
             self._measure(fixes if new.all() else take(fixes, new))

@@ -36,8 +36,9 @@ SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until 
 class Status(OneLineRepr):
     """State of the navigator.
 
-    state: "waiting" for sensors and fixes, "fixes alone" without steps or where fixes go away from them, "no absolute
-    position" until the first fix, "initialising heading" until the direction of the walk is known, "running".
+    state: "waiting" for sensors and fixes, "fixes alone" without steps, where the sensors are silent or where fixes go
+    away from the steps, "no absolute position" until the first fix, "initialising heading" until the direction of the
+    walk is known, "running".
     sigma: of the current position per axis [m], NaN without an absolute position; missing: what would make the pose
     better, a line each; issues: present problems, a line each; unknown: what the sensors do not measure, a line each;
     sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of
@@ -99,22 +100,24 @@ def issues_of_times(early: int, late: int) -> Iterator[str]:
         yield f"measurements: {late} came too late, when their time was finalised"
 
 
-def issues_of(health: Mapping[str, Health], stepless: bool, away: float, silent: bool) -> Iterator[str]:
+def issues_of(health: Mapping[str, Health], stepless: bool, away: float, silent: float) -> Iterator[str]:
     """Yield the present problems of the sensors, a line each.
 
     health: of each sensor; stepless: there are fixes and no steps; away: distance of fixes that are followed instead of
-    the walk [m]; silent: fixes go on without samples.
+    the walk [m]; silent: time for which fixes go on without acceleration [s], else 0.
     """
     if away:
         yield AWAY.format(away) + "; they are followed"
     if stepless:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
-    if silent:
-        yield SILENT.format(latest)
+    everything = silent > 0 and not latest - health["accelerometer"].last > SENSOR_SILENCE
+    if everything:
+        yield SILENT.format(silent, latest)
     for name, sensor in health.items():
         if sensor.samples and latest - sensor.last > SENSOR_SILENCE:
-            yield f"{name}: silent for {latest - sensor.last:.0f} s"
+            alone = FIXES_FOLLOWED if silent and name == "accelerometer" else ""
+            yield f"{name}: silent for {latest - sensor.last:.0f} s{alone}"
         elif not sensor.samples and np.isfinite(latest):
             yield f"{name}: {NO_DATA}"
         yield from (f"{name}: {count(number, 'sample')} {why}" for why, number in sensor.left_out.items())
@@ -123,7 +126,8 @@ def issues_of(health: Mapping[str, Health], stepless: bool, away: float, silent:
 
 
 RIDES_NOW = "a ride since {:.0f} s: positions alone are used"
-SILENT = "all sensors: silent since {:.0f} s: the fixes alone are followed"
+FIXES_FOLLOWED = ": the fixes alone are followed"
+SILENT = "all sensors: silent for {:.0f} s, since {:.0f} s" + FIXES_FOLLOWED
 AWAY = "the fixes went {:.0f} m from the walk: a slow ride, or steps that are not recognised"
 
 

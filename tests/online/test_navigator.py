@@ -113,6 +113,41 @@ def test_a_sensor_that_stops_and_returns(sensors):
     assert error(track, truth) < 3.0
 
 
+SENSORS = ("accelerometer", "gyroscope", "magnetometer")
+SILENCES = {  # what falls silent: how the issue begins that names it, the state
+    SENSORS: ("all sensors: silent for", "fixes alone"),
+    ("accelerometer",): ("accelerometer: silent for", "fixes alone"),
+    ("gyroscope",): ("gyroscope: silent for", "running"),
+    ("magnetometer",): ("magnetometer: silent for", "running"),
+    ("GNSS",): ("GNSS: silent for", "running"),
+}
+
+
+@pytest.mark.parametrize("sources", [SENSORS, ("GNSS",), *map(thorough, [*SILENCES][1:-1])], ids=" ".join)
+def test_what_falls_silent_is_named_and_nothing_else_is_blamed(sources):
+    """For the last 20 s of a walk with a fix a second: no clock, no ride. Fixes alone carry the dot."""
+    last = END - 20.0
+    simulation = simulate(replace(Scenario.load("figure_eight"), seed=1))
+    at = np.arange(0.0, END, 1.0)
+    place = np.column_stack([np.interp(at, simulation.truth.time, axis) for axis in simulation.truth.position.T])
+    fixes = Fixes(at, place, np.full(len(at), 3.0), source=("GNSS",) * len(at))
+    signals = {name: until(last if name in sources else END, simulation.signals[name]) for name in SENSORS}
+    recording = Recording("walk", 0.0, None, **signals, fixes=fixes[at < last] if "GNSS" in sources else fixes)
+    nav, _ = pushed(events_of(recording))
+    line, state = SILENCES[sources]
+    assert nav.status.state == state
+    [said] = [issue for issue in nav.status.issues if issue.startswith(line)]
+    assert float(said.removeprefix(line).split()[0]) == pytest.approx(20.0, abs=1.5)
+    blamed = [issue.partition(":")[0] for issue in nav.status.issues if "came twice" not in issue]
+    assert set(blamed) <= {"all sensors", *sources}, nav.status.issues
+    assert (nav.status.early, nav.status.late) == (0, 0)
+    if state == "fixes alone":
+        pose = nav.pose
+        assert pose.time == fixes.time[-1]
+        assert np.hypot(*(place[-1] - (pose.x, pose.y))) < 2.0
+        assert 1.0 < pose.sigma < 3.5
+
+
 @pytest.mark.parametrize(
     ("seconds", "fixes_too"), [(-JUMP, True), (JUMP, False), thorough(-JUMP, False), thorough(JUMP, True)]
 )

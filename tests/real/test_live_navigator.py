@@ -54,6 +54,36 @@ def test_live_is_about_as_good_as_the_batch(data, name, lag):
     assert live < (limit if given.walk.truth is not None else max(limit, 2.0)), "GNSS is no truth: some metres off"
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", WALKS)
+@pytest.mark.parametrize("silent", ["accelerometer", "all sensors", "GNSS"])
+def test_the_silence_of_a_source_is_named(data, name, silent):
+    """From the end of the first minute on, for 45 s. The fixes carry the dot, with their region; none is refused."""
+    given = beginning_of(read(sorted(data.glob(WALKS[name]))[0]))
+    start = float(given.walk.accelerometer.time[0])
+    last, end = start + 60.0, start + 105.0
+    signals = {
+        sensor: Signal(signal.time[early], signal.values[early])
+        for sensor, signal in given.walk.signals.items()
+        if (early := signal.time < (last if silent in (sensor, "all sensors") else end)).any()
+    }
+    told = given.fixes[given.fixes.time < (last if silent == "GNSS" else end)]
+    nav, off = Navigator(frame=given.frame), []
+    for event in events_of(replace(given.walk, **signals, fixes=told, bluetooth=None, wifi=None)):
+        nav.push(event)
+        if isinstance(event, Fixes) and event.time[-1] > last + 6.0:
+            pose = nav.pose
+            off.append(np.hypot(*(given.frame.place(event).position[-1] - (pose.x, pose.y))) / pose.sigma)
+    [said] = [line for line in nav.status.issues if line.startswith(f"{silent}: silent for")]
+    assert float(said.split("silent for ")[1].split()[0]) == pytest.approx(45.0, abs=4.0)
+    assert not any("ride" in line or "clock" in line for line in nav.status.issues)
+    assert nav.status.early == 0
+    if silent != "GNSS":
+        assert nav.status.state == "fixes alone"
+        assert nav.pose.time > end - 4.0
+        assert np.median(off) < 1.5
+
+
 def test_the_pose_stands_where_its_first_fix_says(data):
     """Before the steps that it lies among are certain: a frame's origin may be far away, UTM's 6000 km."""
     walk = load(data / "ipin21_hcu" / "eight")

@@ -22,6 +22,7 @@ from pdr_graph.apps.serve.serving import Recorder, Settings, build
 from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.streaming import message
+from pdr_graph.types import Signal
 
 WALK = bodies(outdoors())
 TOKENS = {OWNER: "owner-token-0123456789", "ann": "ann-token-01234567890"}
@@ -84,6 +85,20 @@ def test_a_pose_has_all_that_the_contract_names(walker):
     assert walker["steps"] > 15
     assert walker["region"]["semi_major"] >= walker["region"]["semi_minor"] > 0
     assert walker["health"]["accelerometer"].endswith("Hz")
+
+
+def test_sensors_that_fall_silent_are_named_while_positions_go_on(local):
+    walk = outdoors(30.0)
+    stopped = {name: Signal(s.time[s.time < 12], s.values[s.time < 12]) for name, s in walk.signals.items()}
+    posted = bodies(replace(walk, **stopped), "stopped")
+    for body in posted:
+        assert post(local, body).status_code in (200, 499)
+    pose = until(lambda: used(local, len(posted)))
+    for text in pose["health"].values():
+        assert re.fullmatch(r"silent for \d+ s", text)
+    assert any(line.startswith("all sensors: silent for") for line in pose["issues"])
+    assert pose["state"] == "fixes alone"
+    assert pose["time"] == pytest.approx(walk.epoch + walk.fixes.time[-1], abs=0.01)
 
 
 def test_the_geojson_of_a_walk_has_both_parts_and_the_pose(client, walker):

@@ -60,7 +60,7 @@ from pdr_graph.frames import METRES_PER_DEGREE, Frame
 from pdr_graph.geometry import confidence_ellipse
 from pdr_graph.inertial.sensor_stream import Health
 from pdr_graph.online.interface import NO_DATA, Pose
-from pdr_graph.online.status import SENSOR_SILENCE, Status
+from pdr_graph.online.status import SENSOR_SILENCE, SENSORS_SILENT, Status
 from pdr_graph.types import Array, Trajectory
 
 PATH_INTERVAL = 2.0  # [s] between two events `path` of a walker
@@ -84,7 +84,8 @@ def pose_json(
         event["display"] = _lonlat(frame, shown) or [round(shown[0], METRE_DECIMALS), round(shown[1], METRE_DECIMALS)]
         event["bearing"] = _bearing(pose, frame)
         event["modes"] = [{"probability": round(mode.probability, 3)} | _place(mode, frame) for mode in pose.modes]
-    return event | {"missing": list(status.missing), "issues": list(status.issues), "health": health_texts(status)}
+    health = health_texts(status, -np.inf if pose is None else pose.time)
+    return event | {"missing": list(status.missing), "issues": list(status.issues), "health": health}
 
 
 def nowhere() -> dict[str, Any]:
@@ -121,17 +122,17 @@ def region(covariance: Array) -> dict[str, float]:
     return {"probability": PROBABILITY, **half_axes, "angle": round(angle, RADIAN_DECIMALS)}
 
 
-def health_texts(status: Status) -> dict[str, str]:
-    """The state of each inertial sensor in words."""
+def health_texts(status: Status, time: float = -np.inf) -> dict[str, str]:
+    """The state of each inertial sensor in words; time: of the pose, which goes on by fixes alone [s]."""
     last = [sensor.last for sensor in status.sensors.values() if np.isfinite(sensor.last)]
-    return {name: _health(sensor, max(last, default=np.nan)) for name, sensor in status.sensors.items()}
+    return {name: _health(sensor, max(last, default=np.nan), time) for name, sensor in status.sensors.items()}
 
 
-def _health(sensor: Health, latest: float) -> str:
+def _health(sensor: Health, latest: float, time: float) -> str:
     if not sensor.samples:
         return NO_DATA
-    if latest - sensor.last > SENSOR_SILENCE:
-        return f"silent for {latest - sensor.last:.0f} s"
+    if time - sensor.last > SENSORS_SILENT or latest - sensor.last > SENSOR_SILENCE:
+        return f"silent for {max(time, latest) - sensor.last:.0f} s"
     gaps = f", {count(sensor.gaps, 'gap')}" if sensor.gaps else ""
     return f"{sensor.rate:.0f} Hz{gaps}"
 
