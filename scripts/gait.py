@@ -236,7 +236,7 @@ def confidence(data, walks):
 
 def carried(data):
     """Positions of the RIDI walks, which are given where they begin and where they are after a quarter of the time."""
-    rows, walks = [], rows_of(data, "ridi", ("first and 25 %",), ("graph",))
+    rows, walks = [], rows_of(data, "ridi", ("first and 25 %, no compass",), ("graph",))
     for carry, name in CARRIES.items():
         group = [row for row in walks if carry in row["walk"]]
         for which, of in (

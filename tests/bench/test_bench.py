@@ -24,7 +24,7 @@ from pdr_graph.apps.replay import events_within
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.priors import WALKER
-from pdr_graph.types import Beacons, Fixes, Recording, Trajectory
+from pdr_graph.types import Beacons, Fixes, Recording, Signal, Trajectory
 from pdr_graph.walk import Evidence, Options, observe, read
 
 MATRIX = """data_sets = ["walks"]
@@ -209,6 +209,10 @@ def test_what_is_given_is_not_scored():
     heard = BenchWalk(replace(walk_with(fixes, truth).evidence, beacons=beacons), truth)
     assert given(heard, "recorded").evidence.beacons is beacons
     assert given(heard, "recorded, no beacons").evidence.beacons is None
+    field = replace(heard.evidence.walk, magnetometer=Signal(np.arange(9.0), np.ones((9, 3))))
+    measured = replace(heard, evidence=replace(heard.evidence, walk=field))
+    assert given(measured, "first").evidence.walk.magnetometer is field.magnetometer
+    assert given(measured, "first, no compass").evidence.walk.magnetometer is None
     assert given(walk_with(fixes, truth), "recorded, plan") is None
     assert not len(given(walk_with(fixes, truth), "nothing").evidence.fixes)
 

@@ -7,7 +7,7 @@ from tiers import thorough
 from pdr_graph import detect_steps
 from pdr_graph.apps.bench.data_sets import given, walks_of
 from pdr_graph.apps.bench.matrix import places
-from pdr_graph.apps.bench.methods import OURS
+from pdr_graph.apps.bench.methods import OURS, with_verdict
 from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.lab.papers.attitude_filters import on_one_grid
 from pdr_graph.walk import observe
@@ -50,8 +50,28 @@ def test_the_region_holds_however_the_phone_is_carried_and_whichever_way_somebod
     errors = []
     for name, read in walks_of("ridi", data):
         if carry in name:
-            walk = given(read(), "first and 25 %")
+            walk = given(read(), "first and 25 %, no compass")
             error, inside = places(OURS["graph"](observe(walk.evidence)), walk.truth, walk.noise)
             errors.append(np.sqrt(np.nanmean(error**2)))
             assert np.nanmean(inside) > 0.8, name
     assert np.median(errors) < 1.2
+
+
+@pytest.mark.thorough
+def test_with_a_compass_and_one_place_the_dot_moves_and_without_one_it_says_that_the_direction_is_unknown(data):
+    """RIDI live, by the first place alone; every third walk, those in a bag and sideways among them."""
+    medians, lengths = {"": [], ", no compass": []}, []
+    for _, read in list(walks_of("ridi", data))[::3]:
+        walk = read()
+        for compass, of in medians.items():
+            told = given(walk, f"first{compass}")
+            track, _, whole = with_verdict("live", OURS["live"], observe(told.evidence))
+            error, inside = places(track, told.truth, told.noise)
+            assert np.nanmean(inside) > 0.9
+            of.append(np.nanmedian(error))
+            lengths.append(float(np.hypot(*np.diff(whole().position, axis=0).T).sum()) / walk.length)
+            unsure = np.asarray(track.covariance)[-1, 2, 2] ** 0.5
+            assert (unsure > 1.5) == bool(compass)
+    assert max(medians[""]) < 4.5
+    assert np.median(medians[""]) < 3.0 < 10.0 < np.median(medians[", no compass"])
+    assert lengths == pytest.approx(np.ones(len(lengths)), abs=0.15), "of the walk, whatever the pose shows"

@@ -201,10 +201,10 @@ def _row(each: Missing, walk: BenchWalk, evidence: Evidence, method: Method) -> 
     if method is particles and evidence.building is None:
         return None
     began = time.perf_counter()
-    track, verdict = with_verdict(each.name[3], method, evidence)
+    track, verdict, whole = with_verdict(each.name[3], method, evidence)
     seconds = round(time.perf_counter() - began, 3)
     steps = np.nan if evidence.steps is None else len(evidence.steps) / walk.steps
-    way = float(np.hypot(*np.diff(track.position, axis=0).T).sum())
+    way = float(np.hypot(*np.diff(whole().position, axis=0).T).sum())
     legs = walk.plan.crosses_wall(track.position, track.floor) if walk.plan and len(track) > 1 else np.empty(0)
     walls = legs.mean() if len(legs) else np.nan
     row = each.row | {"seconds": seconds, "verdict": verdict, "steps": _number(steps), "walls": _number(walls)}

@@ -20,6 +20,7 @@ from pdr_graph.estimation.particle_filter import particle_filter
 from pdr_graph.geometry import row_times
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.io.writers import write_steps
+from pdr_graph.online.navigator import Navigator
 from pdr_graph.options import LIVE, Options
 from pdr_graph.types import Trajectory
 from pdr_graph.walk import Evidence, Result, estimate, observe, read
@@ -39,18 +40,32 @@ def by_name(name: str, evidence: Evidence) -> Trajectory:
     return result_of(name, evidence).estimate.trajectory
 
 
-def with_verdict(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str]:
-    """The trajectory of a method, and the state of its verdict, "" if it states none."""
-    if name not in ESTIMATES:
-        return method(evidence), ""
-    result = result_of(name, evidence)
-    return result.estimate.trajectory, result.verdict.state
+def with_verdict(name: str, method: Method, evidence: Evidence) -> tuple[Trajectory, str, Callable[[], Trajectory]]:
+    """The trajectory of a method, the state of its verdict, "" if it states none, and a function that returns the walk.
+
+    The walk is the trajectory, or of current poses the walk smoothed at its end: where the direction is not known the
+    pose is the mean of all directions, and does not move.
+    """
+    if name in ESTIMATES:
+        result = result_of(name, evidence)
+        return result.estimate.trajectory, result.verdict.state, lambda: result.estimate.trajectory
+    if method is live:
+        track, navigator = _lived(evidence)
+        return track, "", lambda: navigator.finish().trajectory
+    track = method(evidence)
+    return track, "", lambda: track
 
 
 def live(evidence: Evidence) -> Trajectory:
     """The current poses of the navigator: each from earlier data only."""
+    return _lived(evidence)[0]
+
+
+def _lived(evidence: Evidence) -> tuple[Trajectory, Navigator]:
+    """The current poses, and the navigator after the last."""
     evidence = replace(evidence, options=replace(evidence.options, method=LIVE))
-    return walked(navigator_of(evidence.options, evidence)(), events_within(evidence)[0], Latency())
+    navigator = navigator_of(evidence.options, evidence)()
+    return walked(navigator, events_within(evidence)[0], Latency()), navigator
 
 
 def particles(evidence: Evidence) -> Trajectory:
