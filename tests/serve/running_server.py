@@ -9,9 +9,16 @@ import sys
 import urllib.error
 import urllib.request
 
+from plans import ROOT
 from streamed_walks import PATIENCE, until
 
 SERVE = "from pdr_graph.apps.cli import main; main()"
+
+
+def certificate(file):
+    """The command that makes a certificate for this machine, as docs/app.md has it."""
+    [line] = [line for line in (ROOT / "docs" / "app.md").read_text().splitlines() if line.startswith("openssl req")]
+    return line.replace("192.168.1.7", "127.0.0.1").replace("serve.pem", str(file)).split()
 
 
 class RunningServer:

@@ -1,6 +1,8 @@
 """The example app in headless Chromium: a phone's sensors, as the browser gives them, come back as a dot."""
 
 import json
+import shutil
+import subprocess
 import time
 from dataclasses import replace
 
@@ -9,7 +11,7 @@ import pytest
 import simulated
 from browser import PATIENCE, ShownPage, chromium
 from plans import MAPS
-from running_server import RunningServer
+from running_server import RunningServer, certificate
 from streamed_walks import bodies, until
 
 from pdr_graph.floor.plan_files import Building
@@ -54,13 +56,13 @@ def server(tmp_path_factory):
 class AppPage(ShownPage):
     """The app, open; stubbed: positions come from the test."""
 
-    def __init__(self, browser, url, stubbed=True):
+    def __init__(self, browser, url, query="", stubbed=True):
         self.browser = browser
         browser.set_page_load_timeout(PATIENCE)
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", SCREEN)
         browser.get("about:blank")
         browser.get_log("browser")
-        browser.get(f"{url}/app")
+        browser.get(f"{url}/app{query}")
         self.until("return document.documentElement.dataset.ready === 'yes'")
         if stubbed:
             self.run(POSITIONS)
@@ -204,3 +206,29 @@ def test_the_app_names_the_silence_of_each_source(browser, server):
     page.says("position: User denied")
     page.run("found({coords: {latitude: 35.0, longitude: 135.0, accuracy: 5}, timestamp: Date.now()})")
     page.says("^(?!.*User denied)")
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="no openssl")
+def test_one_link_is_enough_by_https_and_by_http_the_page_says_what_it_lacks(tmp_path):
+    """With a token, which a cookie has from then on; the certificate of the phone's own network."""
+    file, token = tmp_path / "serve.pem", f"?token={'s' * 20}"
+    subprocess.run(certificate(file), check=True, capture_output=True)
+    recording = in_the_arcade()
+    with chromium(offline=False, arguments=("--ignore-certificate-errors",)) as trusting:
+        secure = RunningServer(tmp_path / "https", "--token", "s" * 20, "--certificate", str(file))
+        try:
+            page = AppPage(trusting, secure.url, token)
+            assert trusting.current_url == f"{secure.url}/app"
+            page.start()
+            page.walk(recording, SIMULATED.up, until=6)
+            page.until("return app.state.sent > 4 && app.state.pose?.steps > 2")
+            assert page.errors == []
+        finally:
+            secure.kill()
+        plain = RunningServer(tmp_path / "http", "--token", "s" * 20)
+        try:
+            page = AppPage(trusting, f"http://other.test:{plain.port}", token)
+            page.says("this address is not secure")
+            assert page.run("return document.getElementById('start').disabled")
+        finally:
+            plain.kill()

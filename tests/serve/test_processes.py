@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 import pytest
 from commands import run
 from hostile_server import ATTACKS, attacking
-from running_server import SERVE, RunningServer
+from running_server import SERVE, RunningServer, certificate
 from streamed_walks import PATIENCE, bodies, outdoors, until
 
 from pdr_graph.online.journal import read_entries
@@ -321,15 +321,11 @@ def test_without_the_extra_the_command_names_it(tmp_path):
     assert "pip install '.[serve]'" in ended.stderr
 
 
-CERTIFICATE = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=pdr-graph")
-
-
 @pytest.mark.skipif(not shutil.which("openssl"), reason="no openssl")
 def test_a_certificate_makes_it_https(start, tmp_path):
     """As docs/app.md makes one: for the phone's browser, which gives sensors by HTTPS alone."""
     file = tmp_path / "serve.pem"
-    name = ("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", file, "-out", file)
-    subprocess.run(["openssl", *CERTIFICATE, *name], check=True, capture_output=True)
+    subprocess.run(certificate(file), check=True, capture_output=True)
     server = start("--certificate", str(file))
     assert f"app, for the phone's browser: {server.url}/app" in server.printed()
     trusting = ssl.create_default_context(cafile=file)
