@@ -143,6 +143,21 @@ def test_the_table_of_the_page_names_what_the_server_reads():
 
 
 @pytest.mark.parametrize("language", SNIPPETS)
+def test_the_values_of_a_snippet_are_in_the_units_signs_and_axes_of_the_server(language):
+    _, expressions, samples = SNIPPETS[language]
+    found = {}
+    for each in samples():
+        found.setdefault(each["name"], []).append([each["values"][key] for key in USED_COLUMNS[each["name"]][:3]])
+    assert np.allclose(found["accelerometeruncalibrated"], RECORDING.accelerometer.values)
+    assert np.allclose(found["gyroscope"], RECORDING.gyroscope.values)
+    radius = RADIUS_68 * RECORDING.fixes.sigma
+    assert np.allclose(found["location"], np.column_stack([RECORDING.fixes.position[:, ::-1], radius]), atol=1e-12)
+    field = {"e": SimpleNamespace(values=[1.0, 2.0, 3.0]), "b": vector((1, 2, 3))}  # µT on both
+    measured = expressions()["magnetometer"]
+    assert {axis: value(text, **field) for axis, text in measured.items()} == {"x": 1.0, "y": 2.0, "z": 3.0}
+
+
+@pytest.mark.parametrize("language", SNIPPETS)
 def test_the_messages_of_a_snippet_are_the_walk(language, tmp_path):
     _, _, samples = SNIPPETS[language]
     seconds = dict[int, list[dict]]()
