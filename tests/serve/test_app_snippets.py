@@ -23,7 +23,7 @@ from pdr_graph.types import STANDARD_GRAVITY
 PAGE = (ROOT / "docs" / "app.md").read_text(encoding="utf-8")
 KOTLIN, SWIFT = (re.search(rf"```{name}\n(.*?)```", PAGE, re.DOTALL)[1] for name in ("kotlin", "swift"))
 BROWSER = (WEB / "app.html").read_text(encoding="utf-8")
-LONGEST = 50  # lines
+LONGEST = 48  # lines
 FIELDS = {
     "Kotlin": r'"(\w+)" to (if \(\w+\.\w+\(\)\) \S+ else -\w+|[^,)\n]+)',
     "Swift": r'"(\w+)": (-9\.80665 \* \(.*?\)|[^,\]]+)',
