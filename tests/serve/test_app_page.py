@@ -194,6 +194,22 @@ def test_messages_wait_while_there_is_no_network_and_arrive_in_order(browser, se
     assert walker["health"]["accelerometer"] == "50 Hz", "no gap"
 
 
+def test_the_walk_goes_on_when_the_server_restarts(browser, server):
+    recording = in_the_arcade()
+    page = AppPage(browser, server.url)
+    session = page.start()
+    page.walk(recording, SIMULATED.up, until=5)
+    page.until("return app.state.sent > 2 && !app.state.queue.length")
+    server.kill()
+    page.walk(recording, SIMULATED.up, begin=6, until=12)
+    page.until("return app.state.offline")
+    server.start(server.port)
+    page.until("return !app.state.queue.length")
+    sent = page.run("return app.state.sent")
+    page.until(f"return app.state.pose.message >= {sent}")
+    assert json.loads(server.ask(f"/walkers/{session}")[1])["health"]["accelerometer"] == "50 Hz", "no gap"
+
+
 def test_the_app_names_the_silence_of_each_source(browser, server):
     recording = in_the_arcade()
     page = AppPage(browser, server.url)
