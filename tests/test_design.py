@@ -75,7 +75,7 @@ GOALS: dict[str, tuple[int, int]] = {
     "numbers that steer": (440, 410),
     "numbers by judgement without a range": (0, 237),
     "lines of scripts": (5_200, 7_000),
-    "lines of tests": (33_000, 41_500),
+    "lines of tests": (33_000, 41_700),
     "words of docs": (27_000, 29_100),
     "words of results": (15_000, 15_700),
     "words of README": (950, 949),
