@@ -355,5 +355,5 @@ def start_prior(heading: float, plan_size: float | None, known_heading: bool) ->
 
 
 def start_near(place: Array, reach: float, heading: float) -> StartFactor:
-    """The start of a walk within reach [m] of a place ``(2,)``, in any direction; heading: of its initial walk [rad]."""
+    """The start of a walk within reach [m] of a place ``(2,)``, in any direction; heading: where it is sought [rad]."""
     return StartFactor(np.append(place, heading), np.array([reach, reach, ANY_HEADING]))
