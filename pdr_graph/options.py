@@ -40,6 +40,9 @@ class Options:
     on the plan."""
     ranges: Path | None = None
     """Ranges to anchors: CSV time,anchor,range[,sigma]; the anchors are those of --beacons, else those on the plan."""
+    visited: Path | None = None
+    """Places visited at unknown times: CSV of place (a name on the plan), x,y or lat,lon [,earliest,latest][,sigma];
+    of the graph alone."""
     paths: Path | None = None
     """Ways outdoors: an OpenStreetMap extract, GeoJSON lines, GPX routes."""
     learned: Path | None = None

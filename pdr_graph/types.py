@@ -656,6 +656,51 @@ class Ranges(Rows, row="range"):
 
 
 @dataclass(frozen=True)
+class UntimedFixes(Rows, row="place"):
+    """Places where the walker was at an unknown time: receipts, photos, rooms of a calendar. Some may be wrong.
+
+    time: ``(n, 2)`` earliest and latest [s]; position: ``(n, 2)`` in the output frame [m]; sigma: ``(n,)`` per axis
+    [m]; label: of each place.
+    """
+
+    time: Array
+    position: Array
+    sigma: Array
+    label: tuple[str, ...]
+
+    limits: ClassVar[Limits] = {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)}
+    most: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what would make an estimate NaN or silently wrong."""
+        check_finite(self, "time", "position", "sigma")
+        if self.time.shape[1:] != (2,) or self.position.shape[1:] != (2,):
+            found = f"{self.time.shape}, {self.position.shape}"
+            raise ValueError(f"UntimedFixes.time, position: found shapes {found}, expected (n, 2) of both")
+        check_each("UntimedFixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
+        late = self.time[:, 0] <= self.time[:, 1]
+        check_each("UntimedFixes.time", late, self.time[:, 0], "an earliest time that is not after the latest")
+
+
+@dataclass(frozen=True)
+class UntimedFixReport:
+    """How a place without a time was used.
+
+    time: when the walk was nearest [s]; distance: from the walk then [m]; weight: share of its information that was
+    used, 0-1.
+    """
+
+    label: str
+    time: float
+    x: float
+    y: float
+    sigma: float
+    distance: float
+    weight: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class RangeReport:
     """How one range was used.
 

@@ -49,6 +49,7 @@ from pdr_graph.io.tables import (
     read_fixes,
     read_ranges,
     read_trajectory,
+    read_visited,
 )
 from pdr_graph.options import Options
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
@@ -68,6 +69,7 @@ from pdr_graph.types import (
     Recording,
     Steps,
     Trajectory,
+    UntimedFixes,
     Verdict,
     by_type,
     take,
@@ -264,6 +266,10 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         ranges = read_ranges(options.ranges, walk, anchors)
         places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
         walk = replace(walk, measurements=(*walk.measurements, ranges))
+    if options.visited is not None:
+        frame, visited = _visited(walk, options, frame, building, notes, located=len(fixes) > 0 or building is not None)
+        places.check_list(options.visited, "place", visited.position)
+        walk = replace(walk, measurements=(*walk.measurements, *([visited] if len(visited) else [])))
     paths = _paths(options, frame, fixes, notes)
     if options.learned is not None and not (options.method == "graph" and walk.has_acceleration):
         notes.append(f"{options.learned.name} was left out: only the graph of steps, by smooth, uses a network")
@@ -341,6 +347,24 @@ def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tupl
     if anchors.epsg is not None and not frame.georeferenced:
         raise InputError(ranges, "anchor", "places by latitude in a frame that has none", "anchors as x,y [m]")
     return frame, frame.place(anchors)
+
+
+def _visited(
+    walk: Recording, options: Options, frame: Frame, building: Building | None, notes: list[str], located: bool
+) -> tuple[Frame, UntimedFixes]:
+    """The frame, and the places of --visited in it. located: False if they define the frame."""
+    assert options.visited is not None, "asked for with the option"
+    untimed, epsg = read_visited(options.visited, walk, building.floors if building is not None else ())
+    placed = Fixes(untimed.time[:, 0], untimed.position, untimed.sigma, epsg=epsg)
+    if epsg is not None and not located:
+        frame = frame_of(placed)
+    if epsg is not None and not frame.georeferenced:
+        expected = "x,y in metres of the plan, which has no latitude (map convert --georeference)"
+        raise InputError(options.visited, "", "places by latitude and longitude", expected)
+    if options.method != "graph":
+        notes.append(f"{options.visited.name} was left out: only the graph, by smooth, finds times of places")
+        return frame, take(untimed, np.empty(0, dtype=np.intp))
+    return frame, replace(untimed, position=frame.place(placed).position)
 
 
 def _beacons(

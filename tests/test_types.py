@@ -38,6 +38,7 @@ from pdr_graph.types import (
     Rows,
     Sightings,
     Signal,
+    UntimedFixes,
     Verdict,
     take,
 )
@@ -119,6 +120,7 @@ REPRS = [
     (Walker(), "Walker(height 1.7 m, stride 'inverted pendulum')"),
     (Levels(TIME[:1], np.zeros(1, int), ONE, ("a",), PLACE, ONE), "Levels(1 level, 0.0 to 0.0 s)"),
     (RANGES, "Ranges(2 ranges, 0.0 to 0.0 s)"),
+    (UntimedFixes(np.array([[0.0, 9.0]]), PLACE, ONE, ("till",)), "UntimedFixes(1 place, 0.0 to 9.0 s)"),
     (Closures.of([(1.0, 2.0, 0.5)]), "Closures(1 closure, 1.0 to 2.0 s)"),
     (POSE, "Pose("),
     (POSE.modes[0], "Mode("),

@@ -24,6 +24,7 @@ from pdr_graph.estimation.factors.base import (
     OnPlan,
     Refined,
     Remembered,
+    Searching,
     Stage,
     State,
     initial_state,
@@ -54,6 +55,7 @@ from pdr_graph.estimation.factors.start import (
     calibration_prior,
     first_heading_prior,
     restarted,
+    start_near,
     start_prior,
 )
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
@@ -171,11 +173,11 @@ class WalkGraph:
         self.start = initial_state(poses, c, self._measurements, self.chain.numbers)
         self.walled, self.optimum, self.priors = False, cast("State | None", None), cast("Priors | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
-        if self.unplaced and self.floor_sequence is not None:
-            self._use_plan(self.floor_sequence)
         used = self.positions.fixes.position[self.positions.used]
         if self.floor_sequence is not None and self.floor_sequence.building.near(used).any():
             self._use_plan(self.floor_sequence.within(*reach(self.chain, self.positions, steps)))
+        elif self.floor_sequence is not None and (self.unplaced or len(self.sought)):
+            self._use_plan(self.floor_sequence)
 
     def __repr__(self) -> str:
         plan = ["walls"] if self.walled else []
@@ -221,6 +223,9 @@ class WalkGraph:
 
     def _start_prior(self, heading: float) -> Measurement:
         """Prior of the first pose; heading: of the initial walk [rad]."""
+        if len(sought := self.sought) and not self.positions.used.any():  # a straight walk can be anywhere along itself
+            reach = float(np.sum(self.chain.pieces.length) + np.hypot(*np.ptp(sought, axis=0)))
+            return start_near(sought.mean(axis=0), reach, heading)
         located = [kind for kind in self._measurements if kind.determines_position and not isinstance(kind, Locating)]
         if self.positions.used.any() or any(kind is not self.positions for kind in located):
             return first_heading_prior(heading)
@@ -265,6 +270,12 @@ class WalkGraph:
         """True if no measurement says where on its plan the walk was."""
         placing = any(kind.determines_position and kind is not self.positions for kind in self._measurements)
         return self.floor_sequence is not None and not self.positions.used.any() and not placing
+
+    @property
+    def sought(self) -> Array:
+        """Places ``(n, 2)`` that the walk passed at unknown times [m]."""
+        found = [kind.places for kind in self._measurements if isinstance(kind, Searching)]
+        return np.concatenate([np.empty((0, 2)), *found])
 
     @property
     def pieces(self) -> Pieces:
@@ -363,6 +374,12 @@ class WalkGraph:
         """Poses and covariances at any times by the graph of an estimate, see `poses_between`."""
         assert self.optimum is not None, "asked of the graph of an estimate"
         return between_of(self.evaluate(self.optimum), self.prior.mean)
+
+    def starts(self) -> list[State]:
+        """Where the search must start, beside ``start``, by the kinds that fit in several places."""
+        at = self.chain.evaluate(self.start)
+        kinds = [kind for kind in self._measurements if isinstance(kind, Searching)]
+        return [state for kind in kinds for state in kind.starts(at, self.positions, self.sigma_direction)]
 
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""

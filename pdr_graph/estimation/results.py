@@ -33,6 +33,7 @@ from pdr_graph.types import (
     Index,
     Steps,
     Trajectory,
+    UntimedFixReport,
 )
 
 REPEATED = "a better fix at the same time: not used"  # reason in reports
@@ -87,7 +88,9 @@ def warnings(
     outside, frozen = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still], int(fixes.still.sum())
     held = f"{frozen} fixes of a receiver that held its position while the walk went on were not used"
     return (
-        *placement_warnings(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled),
+        *placement_warnings(
+            int(fixes.used.sum()) + len(graph.sought), headings, graph.floor_sequence is not None, graph.walled
+        ),
         *outside_warnings(outside, graph.steps.start, graph.steps.end),
         *((held,) if frozen else ()),
         *(text for text, holds in warned.items() if holds),
@@ -143,6 +146,14 @@ def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
     places = "; ".join(f"at {fix.time:.0f} s, {fix.residual:.0f} m from the walk" for fix in farthest)
     more = f"; and {len(rejected) - MOST_NAMED_FIXES} more" * (len(rejected) > MOST_NAMED_FIXES)
     return (f"{count(len(rejected), 'fix')} rejected, weight 0: {places}{more}",) if rejected else ()
+
+
+def place_warnings(places: Sequence[UntimedFixReport]) -> tuple[str, ...]:
+    """Name the places without a time that are not on the walk."""
+    away = [place for place in places if place.weight < REPORTS.rejected]
+    text = "; ".join(f"{place.label}, {place.distance:.0f} m from the walk" for place in away[:MOST_NAMED_FIXES])
+    more = f"; and {len(away) - MOST_NAMED_FIXES} more" * (len(away) > MOST_NAMED_FIXES)
+    return (f"{count(len(away), 'place')} without a time not visited, weight 0: {text}{more}",) if away else ()
 
 
 def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:

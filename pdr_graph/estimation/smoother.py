@@ -17,6 +17,7 @@ from pdr_graph.estimation.results import (
     calibration_of,
     contradiction_warnings,
     movement_contradictions,
+    place_warnings,
     plan_contradictions,
     stated_probability,
     time_on_steps,
@@ -24,7 +25,7 @@ from pdr_graph.estimation.results import (
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
 from pdr_graph.priors import INITIAL, REPORTS, SEARCH
-from pdr_graph.types import Array, Estimate, Trajectory
+from pdr_graph.types import Array, Estimate, Trajectory, UntimedFixReport
 
 
 @one_thread
@@ -48,7 +49,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     # Every step, with its covariance; dead reckoning before that, since covariances take most memory
     rows, used = poses_of_rows(best), graph.positions
     track = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors)
-    aligned = positions_of(track) if graph.unplaced else used.fixes[used.consistent]
+    aligned = used.fixes[used.consistent] if used.consistent.any() else positions_of(track)
     dead_reckoning = lay_dead_reckoning(graph.steps, aligned)
     path = paths(optima)
     share = probabilities(optima, path)
@@ -59,7 +60,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         covariance[:, :2, :2] = ways.widened(track.time, rows[:, :2], covariance[:, :2, :2])
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum())
-    if not (path.any() or graph.walled or graph.sigma_direction >= INITIAL.ambiguous):
+    if not (path.any() or graph.walled or len(graph.sought) or graph.sigma_direction >= INITIAL.ambiguous):
         of_path = np.nan  # no other route was tried
     if not fits:  # nothing keeps the walk in one aisle: the probability that it is within SEARCH.same_path
         variance = np.trace(_covariance_of_rows(best)[:, :2, :2], axis1=1, axis2=2).mean() / 2
@@ -108,6 +109,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     warned = (
         *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
+        *place_warnings([each for of in reports.values() for each in of if isinstance(each, UntimedFixReport)]),
         *(() if ways is None else ways.warnings()),
     )
     return replace(estimate, probability=stated, warnings=warned)

@@ -17,7 +17,17 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.results import REPEATED, is_a_guess, is_measured, used_fixes
 from pdr_graph.geometry import horizontal_sigma, interpolate, peaks
 from pdr_graph.priors import FIXES, PATHS, RECEIVERS, REPORTS, VERDICTS
-from pdr_graph.types import DOUBTFUL, FAILED, LOUD_BEACON, Array, Contradiction, Estimate, FixReport, Verdict
+from pdr_graph.types import (
+    DOUBTFUL,
+    FAILED,
+    LOUD_BEACON,
+    Array,
+    Contradiction,
+    Estimate,
+    FixReport,
+    UntimedFixReport,
+    Verdict,
+)
 
 NORMAL_MEDIAN = 0.67  # [σ] of the size of honest residuals; times √n, this median has a sigma of 0.79
 BESIDE_JUMP = 5  # fixes before and after a jump, whose medians are compared
@@ -31,7 +41,7 @@ FIXES_COMPARED = 200  # among which the two farthest apart are searched
 
 def verdict(estimate: Estimate) -> Verdict:
     """The verdict on an estimate: the contradictions found when it was solved, and those that its reports show."""
-    found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _network)
+    found = (_place, _rejected_fixes, _distant_fixes, _jumps, _beacons, _headings, _network, _untimed)
     found = (*found, _stride, _probability, _width, _convergence)
     return Verdict.of((*estimate.contradictions, *(reason for rule in found for reason in rule(estimate))))
 
@@ -150,6 +160,17 @@ def _network(estimate: Estimate) -> Iterator[Contradiction]:
         text = "the network's velocities contradict the steps throughout: they are not used"
         check = "--learned: its units, axes and order of sensors, and how the network was trained"
         yield Contradiction("network", "steps", 1.0, "share", text, check)
+
+
+def _untimed(estimate: Estimate) -> Iterator[Contradiction]:
+    """Places without a time, too many of which are not on the walk."""
+    places = [each for of in estimate.reports.values() for each in of if isinstance(each, UntimedFixReport)]
+    rejected = sum(place.weight < REPORTS.rejected for place in places)
+    if (share := rejected / max(len(places), 1)) > VERDICTS.doubtful:
+        text = f"{rejected} of {count(len(places), 'place')} without a time are not on the walk"
+        yield Contradiction(
+            "visited", STEPS_AND_REST, share, "share", text, "whose places, of which day, on which plan?"
+        )
 
 
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,11 +32,13 @@ from pdr_graph.types import (
     Ranges,
     Recording,
     Trajectory,
+    UntimedFixes,
     minor_number,
 )
 
 if TYPE_CHECKING:
     from pdr_graph.floor.cells import Area
+    from pdr_graph.floor.plan import FloorPlan
 
 
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
@@ -212,6 +215,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None, geodet
     )
 
 
+TIMES = ("time", "earliest", "latest")  # columns that may have ISO 8601
 ALIASES = {"timestamp": "time", "yaw": "heading"}  # names in the PDR Benchmark's tools: ours
 
 
@@ -242,15 +246,16 @@ def read_table(
         if line.count(rows.delimiter) != width - 1 and (found := len(delimited.split(line, rows.delimiter))) != width:
             raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
     names = [*present, *(name for name in optional if name in header)]
-    times = _iso_times(path, table, header.index("time"), recording) if "time" in present else None
-    plain = [name for name in names if times is None or name != "time"]
+    dated = {name: _iso_times(path, table, header.index(name), recording) for name in names if name in TIMES}
+    times = {name: time for name, time in dated.items() if time is not None}
+    plain = [name for name in names if name not in times]
     for name in plain:
         cell = table.rows.words(header.index(name))[0]
         if cell.lower() not in MISSING and np.isnan(float_of(cell)):  # in the first row, with the likely cause
             found = f"{cell[:40]!r}{number_hint(cell)}"
             raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
     values = table.rows.floats([header.index(name) for name in plain], cut_off_allowed=False)
-    numbers = dict(zip(plain, values.T, strict=True)) | ({} if times is None else {"time": times})
+    numbers = dict(zip(plain, values.T, strict=True)) | times
     for name in present:
         for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
             cell = table.rows.words(header.index(name))[row]
@@ -264,13 +269,16 @@ def read_table(
 def _iso_times(path: Path, table: Table, column: int, recording: Recording | None) -> Array | None:
     """A column of ISO 8601 times as seconds on the recorder's clock ``(n,)``; None if its first cell is none.
 
-    Raises InputError naming the line, or if the recording has no clock.
+    Empty cells are NaN where the column is optional. Raises InputError naming the line, or if the recording has no
+    clock.
     """
     cells = table.rows.words(column)
-    if np.isnan(iso_time(cells[0])) or not np.isnan(float_of(cells[0])):
+    empty = np.array([table.header[column].lower() != "time" and cell.lower() in MISSING for cell in cells])
+    first = next((cell for cell, missing in zip(cells, empty, strict=True) if not missing), "")
+    if np.isnan(iso_time(first)) or not np.isnan(float_of(first)):
         return None
-    times = np.array([iso_time(cell) for cell in cells])
-    for row in np.flatnonzero(np.isnan(times))[:1]:
+    times = np.array([np.nan if missing else iso_time(cell) for cell, missing in zip(cells, empty, strict=True)])
+    for row in np.flatnonzero(np.isnan(times) & ~empty)[:1]:
         expected = "ISO 8601 as in the first row, 2024-05-01T12:00:00Z"
         raise InputError(path, f"line {table.rows.numbers[row]}, time", repr(cells[row][:40]), expected)
     if recording is None:
@@ -437,3 +445,68 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
     check_clock(path, time, recording)
     measured = time[order], anchor[order], distance[order], sigma[order]
     return Ranges(*measured, anchors.label, anchors.position, anchors.sigma)
+
+
+VISIT_SIGMA = 1.0  # [m] per axis of a place without a size, if the table has no sigma; chosen by hand
+
+
+def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] = ()) -> tuple[UntimedFixes, int | None]:
+    """Read places that were visited at unknown times, and the projection of their positions.
+
+    Columns are ``x,y`` in the output frame, ``lat,lon``, or ``place``, the name of an area of the plan; beside them
+    ``place`` as a label, ``earliest``, ``latest`` on the recorder's clock [s] or ISO 8601, empty cells for the whole
+    recording, and ``sigma`` per axis [m]. An area is uniform: its sigma per axis is that of a square of its size, and
+    what is not walkable, as a shop, is visited at its nearest walkable point. floors: of the plan.
+
+    Raises InputError naming the line; also for names that no area has, or several have.
+    """
+    optional = ("earliest", "latest", "sigma")
+    numbers, words = read_table(path, [("x", "y"), ("lat", "lon"), ()], optional, ("place",), recording)
+    label, count = words["place"], len(words["place"])
+    epsg, unstated = None, np.full(count, VISIT_SIGMA)
+    if "lat" in numbers:
+        check_geodetic(path, numbers)
+        position, epsg = np.stack([numbers["lon"], numbers["lat"]], axis=1), LONLAT
+    elif "x" in numbers:
+        position = np.stack([numbers["x"], numbers["y"]], axis=1)
+    elif not any(label):
+        raise InputError(path, "line 1", "no place", "place (a name on the plan), x,y or lat,lon in each row")
+    else:
+        found = [_named_area(path, row, name, floors) for row, name in enumerate(label)]
+        position, unstated = np.array([place for place, _ in found]), np.array([sigma for _, sigma in found])
+    sigma = numbers.get("sigma", np.full(count, np.nan))
+    sigma = np.where(np.isnan(sigma), unstated, sigma)
+    check_rows(path, sigma < FINEST, sigma, "sigma", f"a standard deviation of {FINEST:g} m or more")
+    signals = list(recording.signals.values())
+    span = (min(s.time[0] for s in signals), max(s.time[-1] for s in signals)) if signals else (0.0, DAY_LENGTH)
+    time = np.empty((count, 2))
+    for column, name in enumerate(("earliest", "latest")):
+        given = numbers.get(name, np.full(count, np.nan)) - recording.clock_origin
+        time[:, column] = np.where(np.isnan(given), span[column], given)
+    for row in np.flatnonzero((time[:, 0] > span[1] + CLOCK_MARGIN) | (time[:, 1] < span[0] - CLOCK_MARGIN))[:1]:
+        both = time[row] + recording.clock_origin
+        begin, end = np.array(span) + recording.clock_origin
+        found = f"{both[0]:.0f} to {both[1]:.0f}{clock_hint((both[0], both[1]), (begin, end))}"
+        expected = f"times within the recording, {begin:.0f} to {end:.0f}, or a row less"
+        raise InputError(path, f"data row {row + 1}, earliest", found, expected)
+    check_rows(path, time[:, 0] > time[:, 1], time[:, 0] + recording.clock_origin, "earliest", "a time before latest")
+    named = tuple(name or f"place {row + 1}" for row, name in enumerate(label))
+    return UntimedFixes(time, position, sigma, named), epsg
+
+
+def _named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
+    """Position ``(2,)`` and sigma [m] of the only area with a name."""
+    wanted = name.strip().casefold()
+    areas = [(floor, area) for floor in floors for area in floor.areas]
+    found = [(floor, area) for floor, area in areas if area.name.strip().casefold() == wanted]
+    where, place = f"data row {row + 1}, place", repr(name[:40])
+    if not floors:
+        raise InputError(path, where, place, "--map, a plan with the places' names; or x,y or lat,lon in each row")
+    if len(found) != 1 or not wanted:
+        names = list(dict.fromkeys(area.name for _, area in areas if area.name))
+        alike = ", ".join(get_close_matches(name, names, 3, 0.4) or names[:3]) or "no area of the plan has one"
+        several = f" of {len(found)} areas" if found else ""
+        raise InputError(path, where, f"{place}{several}", f"the name of one area of the plan ({alike}), or x,y")
+    [(floor, area)] = found
+    middle = shapely.get_coordinates(shapely.point_on_surface(area.shape))[0]
+    return floor.nearest_walkable(middle), max(float(np.sqrt(shapely.area(area.shape) / 12)), VISIT_SIGMA)

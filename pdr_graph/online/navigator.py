@@ -19,6 +19,7 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
+from pdr_graph.estimation.factors.base import Searching
 from pdr_graph.estimation.factors.registry import COLLECTORS, kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
@@ -168,6 +169,9 @@ class Navigator:
                 self._extend(steps)
         elif isinstance(event, Scan):
             self._scan(event)
+        elif issubclass(kind_of(event), Searching):
+            found = f"{type(event).__name__}, whose times are found from the whole walk"
+            raise TypeError(f"Navigator.push: found {found}, expected measurements with a time: smooth(WalkGraph(…))")
         elif (data := self._checks.valid(kind_of(event).name, event)) is not None:
             self._fix(data) if isinstance(data, Fixes) else self._measure(data)
 

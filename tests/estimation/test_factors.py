@@ -17,11 +17,12 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.learned_velocity import LearnedVelocityFactor
 from pdr_graph.estimation.factors.registry import KINDS
+from pdr_graph.estimation.factors.untimed_fixes import UntimedFixFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.learned import Velocities
 from pdr_graph.geometry import interpolate
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Closures, Drifts, Headings, Ranges
+from pdr_graph.types import Closures, Drifts, Headings, Ranges, UntimedFixes
 
 HALL = plan(("corridor", shapely.box(-6, -6, 6, 6) - shapely.box(-1, -1, 1, 1)))  # with a pillar: walks press on walls
 
@@ -86,7 +87,18 @@ def beside_a_network():
     return graph
 
 
+def past_places():
+    """Two places beside the walk, one before its start and one at no place of it, bound to the nearest intervals."""
+    steps = wandering_walk(24, 5)
+    track = dead_reckon(steps)
+    place = track.position[[5, 11, 0, 18]] + np.array([[0.6, 0.4], [-0.5, 0.7], [-4.0, -1.0], [5.0, 8.0]])
+    span = np.tile([steps.start, steps.end], (4, 1))
+    graph = WalkGraph(steps, measurements=[UntimedFixes(span, place, np.full(4, 0.8), tuple("abcd"))])
+    return graph.assuming((graph.find(UntimedFixFactor).bound_at(graph.evaluate(graph.start)),))
+
+
 GRAPHS = {
+    "places without a time": past_places,
     "walls": walled_graph,
     "rough walls": lambda: walled_graph(seed=6).staged(Stage.ROUGH),
     "turns": lambda: in_corridors("turns"),

@@ -128,7 +128,12 @@ def content(report: WalkReport) -> dict[str, Any]:
         "end": float(path.time[-1]),
         "maps": list(_maps(report)),
         "tracks": _tracks(report),
-        "marks": [*_fixes(fixes, fix_labels, path, labels), *_beacons(estimate), *_headings(report)],
+        "marks": [
+            *_fixes(fixes, fix_labels, path, labels),
+            *_beacons(estimate),
+            *_untimed(estimate),
+            *_headings(report),
+        ],
         "charts": [
             charts_and_tables.sigma(report.tracks),
             *([] if report.truth is None else [charts_and_tables.errors(report.tracks, report.truth)]),
@@ -281,6 +286,17 @@ def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
         if group:
             place = np.array([(b.x, b.y) for b in group])
             drawn.append(_marks(name, colour, place, [f"{b.label}\n{b.reason}" for b in group]))
+            drawn[-1] |= {"on": [[ON_EVERY_MAP, len(group)]], "symbol": "diamond-open"}
+    return drawn
+
+
+def _untimed(estimate: Estimate) -> list[dict[str, Any]]:
+    """Places without a time, with the time that was found; those off the walk in another colour."""
+    drawn, places = [], estimate.reports.get("untimed", ())
+    for name, colour, off in (("places without a time", BLUE, False), ("places not visited", RED, True)):
+        if group := [place for place in places if (place.weight < REPORTS.rejected) == off]:
+            labels = [f"{place.label}\nat {place.time:.0f} s, {place.reason}" for place in group]
+            drawn.append(_marks(name, colour, np.array([(place.x, place.y) for place in group]), labels))
             drawn[-1] |= {"on": [[ON_EVERY_MAP, len(group)]], "symbol": "diamond-open"}
     return drawn
 

@@ -150,6 +150,7 @@ def _draw_walk(
     _draw_fixes(axes, estimate, label)
     if label in (None, estimate.trajectory.floor[0]):
         _draw_beacons(axes, estimate)
+        _draw_untimed(axes, estimate)
     axes.plot(*track.T, color=BLUE, lw=2.2, label=_name_of(estimate), solid_joinstyle="round")
     _draw_truth(axes, truth, label, "surveyed points", "true path")
     marks: dict[str, Any] = {"mec": BLUE, "mew": 1.5, "ls": "none", "zorder": 3}
@@ -362,6 +363,15 @@ def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
             style: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": colour, "label": None if number else label}
             axes.plot(b.x, b.y, marker="D", **style)
             axes.annotate(printable(b.label), (b.x, b.y), (5, 5), textcoords="offset points", color=colour)
+
+
+def _draw_untimed(axes: Axes, estimate: Estimate) -> None:
+    """Draw places without a time, those that were not visited in another colour."""
+    places = estimate.reports.get("untimed", ())
+    for colour, off, label in ((BLUE, False, "place without a time"), (RED, True, "place not visited")):
+        if group := [(place.x, place.y) for place in places if (place.weight < REPORTS.rejected) == off]:
+            style: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": colour, "label": label}
+            axes.plot(*np.array(group).T, marker="D", **style)
 
 
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:

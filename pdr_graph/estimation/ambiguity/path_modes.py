@@ -15,11 +15,12 @@ from itertools import islice
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import pruned
-from pdr_graph.estimation.factors.base import State
+from pdr_graph.estimation.factors.base import Stage, State
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import OPEN_DIRECTIONS
 from pdr_graph.estimation.linear_system import Solution
 from pdr_graph.estimation.optimizer import (
+    ROUGHLY,
     Optimum,
     continued,
     optimize,
@@ -47,15 +48,17 @@ def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Op
     if missing.
     """
     if not graph.walled:
-        return pruned([solve_robust(start) for start in rotated(graph)])
+        return pruned([solve_robust(start) for start in possible_starts(graph)])
 
     # Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes
-    without_walls = without_walls or solve_robust(graph.without_plan())
+    without_walls = without_walls or best_without_walls(graph)
     robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
     optima = pruned(_paths_of_fixes(robust, without_walls))
     if not optima or optima[0].surprise >= expected + SEARCH.strained:
         starts, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-        for attempt in range(FILTER_RUNS):
+        if sought := sought_starts(graph.without_plan()):
+            optima = solutions_near(robust, [continued(robust.start, start) for start in sought])
+        for attempt in range(0 if sought else FILTER_RUNS):
             optima += solutions_near(robust, path_starts(robust, attempt) + (starts if attempt == 0 else []))
             if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
                 break
@@ -75,11 +78,26 @@ def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = No
 def different_directions(optimum: Optimum) -> list[Optimum]:
     """The distinct optima near a walk, rotated if the measurements do not determine its direction."""
     graph = optimum.graph
-    return pruned([optimum, *(optimize(other, other.start) for other in rotated(graph)[1:])])
+    return pruned([optimum, *(optimize(other, other.start) for other in possible_starts(graph)[1:])])
 
 
-def rotated(graph: WalkGraph) -> list[WalkGraph]:
-    """The graph, rotated to OPEN_DIRECTIONS starts if the measurements do not determine its direction."""
+def best_without_walls(graph: WalkGraph) -> Optimum:
+    """The best walk without the plan, of all places that kinds of measurements must be sought in."""
+    free = graph.without_plan()
+    starts = [free.at(start) for start in sought_starts(free)] or [free]
+    return min((solve_robust(start) for start in starts), key=lambda optimum: optimum.surprise)
+
+
+def sought_starts(graph: WalkGraph) -> list[State]:
+    """Rough optima without walls from `WalkGraph.starts`, the distinct ones; empty if a single start is enough."""
+    rough = graph.staged(Stage.ROUGH)
+    return [optimum.state for optimum in pruned([optimize(rough, start, ROUGHLY) for start in graph.starts()])]
+
+
+def possible_starts(graph: WalkGraph) -> list[WalkGraph]:
+    """The graph at each start of its search: in OPEN_DIRECTIONS if the measurements do not determine its direction."""
+    if sought := sought_starts(graph):
+        return [graph.at(start) for start in sought]
     if not graph.positions.used.any() or graph.sigma_direction < INITIAL.ambiguous:
         return [graph]
     angles = np.arange(1, OPEN_DIRECTIONS) * 2 * np.pi / OPEN_DIRECTIONS

@@ -21,6 +21,7 @@ from pdr_graph.estimation.ambiguity.bank import HypothesisBank, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Wording, wording_of
 from pdr_graph.estimation.ambiguity.path_modes import (
     FILTER_RUNS,
+    best_without_walls,
     different_directions,
     mode_starts,
     near_walk,
@@ -29,7 +30,7 @@ from pdr_graph.estimation.ambiguity.path_modes import (
 )
 from pdr_graph.estimation.factors.start import WALKER_KIND
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
+from pdr_graph.estimation.optimizer import Optimum, optimize
 from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, pose_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
@@ -63,7 +64,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
         bank = HypothesisBank(first).explain()
         bank.add(others, SEARCH.dropped)
         return bank.members
-    free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
+    free = HypothesisBank(best_without_walls(graph)).explain().members
     best, *others = free
 
     # Between the walls: on each path for the best walk without walls, then near each other one

@@ -16,8 +16,9 @@ from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.registry import COLLECTORS, ON_PLAN, RESERVED, WAYS_OUTDOORS, register
 from pdr_graph.estimation.factors.start import CalibrationFactor, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
+from pdr_graph.estimation.factors.untimed_fixes import UntimedFixFactor
 from pdr_graph.gait.learned import Velocities
-from pdr_graph.types import Beacons, Closures, Drifts, Fixes, Headings, Levels, Ranges
+from pdr_graph.types import Beacons, Closures, Drifts, Fixes, Headings, Levels, Ranges, UntimedFixes
 
 ON_PLAN |= {"directions": CorridorFactor, "turns": TurnFactor, WAYS_OUTDOORS: PathFactor}
 RESERVED |= {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, PathFactor, CalibrationFactor, StartFactor)}
@@ -28,6 +29,7 @@ register(Drifts, DriftFactor)
 register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
+register(UntimedFixes, UntimedFixFactor)
 register(Velocities, LearnedVelocityFactor)
 
 # What fixes, headings and ways outdoors are in a graph, which starts from them and follows these

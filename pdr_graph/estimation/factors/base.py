@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from pdr_graph.estimation.ambiguity.hypothesis import Proposal
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
+    from pdr_graph.estimation.factors.fixes import FixFactor
 
 
 def huber_weight(deviation: Array, width: float | None = None) -> Array:
@@ -585,7 +586,28 @@ class WeighsPoses(Measurement):
         return np.inf
 
 
-INTERFACES = (Itemized, OnPlan, Locating, Refined, Remembered, Doubted, WeighsPoses)
+class Searching(Measurement):
+    """A kind that fits a walk in several places or directions."""
+
+    @property
+    @abstractmethod
+    def places(self) -> Array:
+        """Places ``(n, 2)`` that the walk passed [m]."""
+
+    @abstractmethod
+    def starts(self, at: Evaluation, fixes: FixFactor, sigma_direction: float) -> Sequence[State]:
+        """Where the search must start, the most promising first.
+
+        at: the initial walk; fixes: of the walk; sigma_direction: how well these and headings determine its direction
+        [rad].
+        """
+
+    @abstractmethod
+    def bound_at(self, at: Evaluation) -> Self:
+        """The version whose factors keep the variables that they have at ``at``, as GTSAM's do."""
+
+
+INTERFACES = (Itemized, OnPlan, Locating, Refined, Remembered, Doubted, WeighsPoses, Searching)
 
 
 def decisions_of(kind: Measurement) -> dict[str, AnyArray]:

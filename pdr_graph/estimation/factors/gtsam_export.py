@@ -17,7 +17,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, State, insert
+from pdr_graph.estimation.factors.base import POSE, FactorBlock, Measurement, Searching, State, insert
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.types import Array
 
@@ -95,8 +95,9 @@ class _Evaluated:
     """Evaluates the walk at the values of a callback, once for all factors at the same values."""
 
     def __init__(self, chain: Chain, measurements: Sequence[Measurement], start: State):
-        self._chain, self._measurements = chain, measurements
-        self.last = chain.evaluate(start, measurements)
+        at = chain.evaluate(start, measurements)
+        self._measurements = [kind.bound_at(at) if isinstance(kind, Searching) else kind for kind in measurements]
+        self._chain, self.last = chain, chain.evaluate(start, self._measurements)
         self._linearized = dict[int, _LossRows]()
 
     def block(self, values: gtsam.Values, position: int, variables: Sequence[_Variable]) -> _LossRows:

@@ -352,3 +352,8 @@ def start_prior(heading: float, plan_size: float | None, known_heading: bool) ->
     place = FRAME_SIGMA if plan_size is None else plan_size
     turn = FRAME_SIGMA if plan_size is None and not known_heading else ANY_HEADING
     return StartFactor(np.array([0.0, 0.0, heading]), np.array([place, place, turn]))
+
+
+def start_near(place: Array, reach: float, heading: float) -> StartFactor:
+    """The start of a walk within reach [m] of a place ``(2,)``, in any direction; heading: where it is sought [rad]."""
+    return StartFactor(np.append(place, heading), np.array([reach, reach, ANY_HEADING]))
