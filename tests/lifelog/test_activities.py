@@ -59,6 +59,19 @@ def test_the_length_of_a_walk_is_right(noise, every):
     assert distance(segments, WALKING) == pytest.approx(length_along(place)[-1], rel=0.05)
 
 
+@pytest.mark.parametrize("every", [5, 30])
+@pytest.mark.parametrize("stated", [3.0, 13.0, 43.0, 75.0])
+@pytest.mark.parametrize("noise", NOISE)
+def test_a_walk_between_two_stands_is_a_walk_at_any_stated_accuracy(noise, stated, every):
+    """Receivers err by 5 m per axis whatever they state; a phone that states 75 m for all is an example."""
+    place, _ = streets([("stand", 1800), ("walk", 1200), ("stand", 1800)])
+    track = seen(place, NOISE[noise], every)
+    _, segments = follow_positions(replace(track, sigma=np.full(len(track), stated)))
+    assert time_of(segments, WALKING, 1800, 3000) > 0.9 * 1200
+    assert time_of(segments, STANDING) > 0.95 * 3600
+    assert 0.8 < distance(segments, WALKING, VEHICLE) / length_along(place)[-1] < 1.05
+
+
 @pytest.mark.parametrize(("sigma", "lasts"), [(20.0, 90.0), (60.0, 60.0), (60.0, 120.0)])
 def test_a_receiver_that_wanders_indoors_is_standing(sigma, lasts):
     """Its errors last a minute or two, whatever accuracy it states; the raw track has 20 to 60 km."""
