@@ -419,7 +419,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
 
 
 def plausible(fixes: Fixes) -> Index:
-    """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
+    """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back, and without strays.
 
     Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers. Fast
     trains are none, and flights are left out.
@@ -429,7 +429,28 @@ def plausible(fixes: Fixes) -> Index:
     first = fixes[order]
     far = np.hypot(*np.diff(first.position, axis=0).T) * _by_fast_train(first)
     way = np.cumsum(np.append(0.0, np.maximum(TRACK.fastest * np.diff(first.time), far)))
-    return order[longest_consistent_chain(first.position, FIXES.outlier * _knots(first).white, way, TRACK.jump)[1]]
+    error = FIXES.outlier * _knots(first).white
+    order = order[longest_consistent_chain(first.position, error, way, TRACK.jump)[1]]
+    return order[~_strays(fixes[order])]
+
+
+def _strays(fixes: Fixes) -> Mask:
+    """True ``(n,)`` for a single place between two fixes before and two after at one place: nobody turns so.
+
+    One who walks may have been there and turned at once; there and back by a vehicle would have been seen.
+    """
+    time, place, found = fixes.time, fixes.position, np.zeros(len(fixes), dtype=bool)
+    first = np.flatnonzero(np.append(True, np.any(np.diff(place, axis=0), axis=1)))
+    after = np.append(first[1:], len(fixes))
+    inner = (first >= 2) & (after <= len(fixes) - 2)
+    first, after = first[inner], after[inner]
+    far = np.minimum(*(np.hypot(*(place[first] - place[k]).T) for k in (first - 1, after)))
+    near = np.max([np.hypot(*(place[k] - place[first - 1]).T) for k in (first - 2, after, after + 1)], axis=0)
+    stray = (far > FIXES.outlier * _knots(fixes).white[first]) & (near < RIDING.beside * far)
+    stray &= 2 * far > TRAVEL.walk * (time[after] - time[first - 1])
+    for a, b in zip(first[stray], after[stray], strict=True):
+        found[a:b] = True
+    return found
 
 
 def _by_fast_train(fixes: Fixes) -> Mask:
