@@ -165,9 +165,9 @@ def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
 
 
 def _silent_halt(silence: TimelineEntry, ends: Array, beside: Sequence[str]) -> Iterator[_Halt]:
-    """The halt in a silence, if there is one. ends: ``(2, 3)`` places on the sphere [m]; beside: kinds before and after.
+    """The halt in a silence, if there is one: beside a walk or ride without the time that the way to its end needs.
 
-    Between a halt and a walk or ride the person left as late as the way to the other end allows, or came as early.
+    ends: ``(2, 3)`` places on the sphere [m]; beside: kinds of the entries before and after.
     """
     apart = float(np.linalg.norm(ends[1] - ends[0]))
     # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
