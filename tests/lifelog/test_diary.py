@@ -96,6 +96,8 @@ def test_two_recordings_of_an_hour_with_a_silence_between(tmp_path, silence, apa
         pytest.param(HOUR, 240.0, WALKING, (0.6, 1.2), id="a phone that wakes when its walker is on the way"),
         pytest.param(500.0, 250.0, WALKING, (0.6, 1.2), id="minutes"),
         pytest.param(500.0, 1000.0, VEHICLE, (3.0, 15.0), id="at a bus stop"),
+        pytest.param(8 * HOUR, 2000.0, VEHICLE, (3.0, 15.0), id="a night with the phone asleep"),
+        pytest.param(3 * HOUR, 9000.0, VEHICLE, None, id="a way of more than ten minutes: no data"),
     ],
 )
 @pytest.mark.parametrize("leaves", [True, False])
@@ -109,6 +111,9 @@ def test_a_silence_between_a_stay_and_a_way_has_no_more_of_the_way_than_it_needs
     start = one.trajectory.position[-1] + [apart, 0.0]
     [day] = diary_of(tmp_path, one, halts(second, epoch + 900 + silence, start=start, frame=BERLIN)).days
     rows = day.entries if leaves else day.entries[::-1]
+    if speed is None:
+        assert [row.kind for row in rows] == [STAY, GAP, kind]
+        return
     assert [row.kind for row in rows] == [STAY, kind]
     assert apart / speed[1] <= rows[1].duration - 900 <= apart / speed[0]
     assert rows[1].observed == pytest.approx(900 / rows[1].duration)

@@ -169,18 +169,19 @@ def _silent_halt(silence: TimelineEntry, ends: Array, beside: Sequence[str]) -> 
 
     ends: ``(2, 3)`` places on the sphere [m]; beside: kinds of the entries before and after.
     """
+    if silence.duration > LONGEST_BRIDGED:
+        return
     apart = float(np.linalg.norm(ends[1] - ends[0]))
-    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
-    # silent speed [m/s] between its ends at most: faster, and the person was on the way
-    near = apart <= min(300.0, 0.25 * silence.duration) and silence.duration <= LONGEST_BRIDGED
     moving = [kind in MOVING for kind in beside]
     if moving[0] != moving[1] and not {GAP, ""} & set(beside):
         # On foot along streets, of which the ends show the straight line
         needed = apart / (TRAVEL.ride if VEHICLE in beside else TRAVEL.walk - TRAVEL.walk_spread)
         start, end = (silence.start + needed, silence.end) if moving[0] else (silence.start, silence.end - needed)
-        if start < end and (near or silence.duration < SHORTEST_SILENCE):
+        if start < end and needed < SHORTEST_SILENCE:
             yield _Halt(start, end, ends[int(moving[0])], HALT_SIGMA)
-    elif near:
+    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+    # silent speed [m/s] between its ends at most: faster, and the person was on the way
+    elif apart <= min(300.0, 0.25 * silence.duration):
         yield _Halt(silence.start, silence.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA))
 
 
