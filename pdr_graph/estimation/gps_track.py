@@ -544,7 +544,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     if not len(begins):
         return np.full(len(lost), LOST), knots
     straight = straightness(knots, way, begins, ends)
-    wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), TRAVEL.widest)
+    wander = np.interp(knots.time, straight.time, straight.wander)
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
     kind = np.where(lost, LOST, moves(knots, way, begins, ends, straight))
