@@ -446,7 +446,7 @@ def _strays(fixes: Fixes) -> Mask:
     first, after = first[inner], after[inner]
     far = np.minimum(*(np.hypot(*(place[first] - place[k]).T) for k in (first - 1, after)))
     near = np.max([np.hypot(*(place[k] - place[first - 1]).T) for k in (first - 2, after, after + 1)], axis=0)
-    stray = (far > FIXES.outlier * _knots(fixes).white[first]) & (near < RIDING.beside * far)
+    stray = (far > TRAVEL.outlier_scale * fixes.sigma[first]) & (near < RIDING.beside * far)
     stray &= 2 * far > TRAVEL.walk * (time[after] - time[first - 1])
     for a, b in zip(first[stray], after[stray], strict=True):
         found[a:b] = True
