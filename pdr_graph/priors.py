@@ -978,7 +978,7 @@ class TravelPriors(Table):
     context: float = number(600.0, "s", "window of the percentile")
     percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands")
     lag: float = number(60.0, "s", "over which the wander is measured")
-    widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error")
+    scatter: float = number(3600.0, "s", "of positions whose scatter may be less than stated")
     window: float = number(40.0, "s", "over which net speeds are computed for the modes")
     lasts: float = number(300.0, "s", "usual duration of a mode")
     shuffling: float = number(0.05, "m/s", "speed while standing")

@@ -1,9 +1,11 @@
 """A lifelog beside the truth: stays of simulated days, and the shop fronts at which somebody stopped.
 
-Days of GPS are those of tests/lifelog/gps_days.py, and GeoLife's beside trackintel's recipe; days indoors are in a
-mall, and in a market hall with narrow aisles.
+Days of GPS are those of tests/lifelog/gps_days.py, GeoLife's beside trackintel's recipe, and MobilityNet's, whose
+sections were timed by hand, beside stay points; days indoors are in a mall, and in a market hall with narrow aisles.
 """
 
+import csv
+import json
 import sys
 import warnings
 from dataclasses import dataclass
@@ -20,14 +22,15 @@ from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
 from pdr_graph.apps.lifelog.build import build
-from pdr_graph.apps.lifelog.day import VEHICLE, WALKING, Stay
+from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, Stay
 from pdr_graph.apps.lifelog.diary import detailed, diary
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.observation import observe
+from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session
 from pdr_graph.apps.lifelog.stays import stays_of
-from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT
+from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, VISIT_RADIUS, on_sphere
 from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.lifelog.timeline import STAY as STAY_ROW
 from pdr_graph.floor.plan import FloorPlan
@@ -54,6 +57,7 @@ PEOPLE, DAYS = range(1, 13), 4  # of the simulation; constants were chosen on th
 
 def lifelog(days=20):
     """The tables of stays and of visits."""
+    publish("results/lifelog.md", "lifelog-timed-days", timed_days())
     publish("results/lifelog.md", "lifelog-recipe", beside_the_recipe())
     publish("results/lifelog.md", "lifelog-simulated-days", simulated_days())
     seen = [day(MAPS / f"{'market' if seed % 2 else 'mall'}.geojson", seed) for seed in range(days)]
@@ -533,3 +537,106 @@ def labelled_modes(folder):
 def mode_at(spans, time):
     """The mode of the first span ``(start, end, mode)`` around a time, None without any."""
     return next((mode for start, end, mode in spans if start <= time <= end), None)
+
+
+# Days whose sections were timed by hand
+
+WALK, RIDE, WAIT, NOTHING = "walk", "ride", "stop", "no data"
+KINDS = {WALKING: WALK, VEHICLE: RIDE, STAY_ROW: WAIT, STANDING: WAIT}
+SLOWEST_RIDE = 15 / 3.6  # [m/s] of the recipe's legs, over a minute
+
+
+def timed_days():
+    """Walks, rides and waits of the diary and of stay points, by phone."""
+    rows = []
+    for phone in sorted((DATA / "mobilitynet").iterdir()):
+        files = sorted(phone.glob("*.rec"))
+        for name, found in (("the diary", diary_rows(files)), ("stay points", stay_point_rows(files))):
+            rows.append([phone.name.removeprefix("ucb-sdb-"), len(files), name, *timed_scores(found, files)])
+    header = ["phone", "days", "by", "walks", "named", "of their time", "of that with positions", "of rides"]
+    return table([*header, "waits", "found", "others", "F1", "no data"], rows)
+
+
+def timed_scores(found, files):
+    """Cells of rows ``(start, end, kind)`` beside the sections of the files; of walks and waits of SHORTEST_VISIT."""
+    truth = [row for file in files for row in csv.DictReader(file.with_suffix(".truth.csv").open())]
+    sections = [(float(row["begin"]), float(row["end"]), row["kind"]) for row in truth]
+    named = [times_within(found, *section[:2]) for section in sections]
+    every = list(zip(sections, named, strict=True))
+    walks = [own for (a, b, kind), own in every if kind == WALK and b - a >= SHORTEST_VISIT]
+    waits = [(a, b) for a, b, kind in sections if kind == WAIT and b - a >= SHORTEST_VISIT]
+    stays = [(a, b) for a, b, kind in found if kind == WAIT and b - a >= SHORTEST_VISIT]
+    hits = len(Comparison(stays, waits).matched)
+    # A stay that is mostly walking and riding; between the sections nothing is known
+    moving = [times_within([s for s in sections if s[2] != WAIT], *stay) for stay in stays]
+    others = sum(own[NOTHING] < own[WALK] + own[RIDE] for own in moving)
+    walked, seen = (sum(sum(own.values()) - less * own[NOTHING] for own in walks) for less in (0, 1))
+    on_foot = sum(own[WALK] for own in walks)
+    ridden = [own for (_, _, kind), own in every if kind == RIDE]
+    shares = on_foot / walked, on_foot / seen, sum(own[RIDE] for own in ridden) / sum(sum(o.values()) for o in ridden)
+    right = sum(max(own, key=own.get) == WALK for own in walks)
+    silent = sum(own[NOTHING] for own in named) / 60
+    f1 = 2 * hits / (len(waits) + hits + others)
+    return [
+        len(walks),
+        right,
+        *(f"{100 * s:.0f} %" for s in shares),
+        len(waits),
+        hits,
+        others,
+        f"{f1:.2f}",
+        f"{silent:.0f} min",
+    ]
+
+
+def times_within(rows, start, end):
+    """Time [s] of each kind between two times."""
+    own = dict.fromkeys((WALK, RIDE, WAIT), 0.0)
+    for a, b, kind in rows:
+        if kind in own:
+            own[kind] += max(0.0, min(b, end) - max(a, start))
+    return own | {NOTHING: end - start - sum(own.values())}
+
+
+def diary_rows(files):
+    """Start, end and kind of the diary's rows, stays joined over midnights."""
+    with TemporaryDirectory() as folder:
+        import_past(Path(folder) / "log", files)
+        build(Path(folder) / "log")
+        with Store(Path(folder) / "log") as store:
+            days = diary(store, "me").days
+    found = []
+    for row in (row for one in days for row in one.entries):
+        kind = KINDS.get(row.kind, NOTHING)
+        if found and found[-1][2] == kind == WAIT and row.start - found[-1][1] < 1:
+            found[-1] = (found[-1][0], row.end, kind)
+        else:
+            found.append((row.start, row.end, kind))
+    return found
+
+
+def stay_point_rows(files):
+    """Stay points of VISIT_RADIUS and SHORTEST_VISIT (Li et al. 2008), and between them walks and rides by speed."""
+    found = []
+    for file in files:
+        messages = (json.loads(line[line.index("{") :]) for line in file.read_text().splitlines())
+        place = {m["tst"]: (m["lon"], m["lat"]) for m in messages if m["_type"] == "location"}
+        time, sphere = np.array(sorted(place), float), on_sphere(np.array([place[t] for t in sorted(place)]))
+        first, stays = 0, []
+        while first < len(time):
+            away = np.linalg.norm(sphere[first:] - sphere[first], axis=1) > VISIT_RADIUS
+            after = first + int(np.argmax(away)) if away.any() else len(time) - 1
+            if time[after] - time[first] >= SHORTEST_VISIT:
+                stays.append((time[first], time[after], WAIT))
+            else:
+                after = first + 1
+            first = after if after > first else len(time)
+        found += stays
+        for a, b in zip([time[0], *(s[1] for s in stays)], [*(s[0] for s in stays), time[-1]], strict=True):
+            middle = np.arange(a + 5, b, 10)
+            ends = [interpolate(middle + side, time, sphere) for side in (-30.0, 30.0)]
+            speed = np.linalg.norm(ends[1] - ends[0], axis=1) / 60
+            found += [
+                (m - 5, min(m + 5, b), RIDE if v > SLOWEST_RIDE else WALK) for m, v in zip(middle, speed, strict=True)
+            ]
+    return found

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -402,7 +402,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     """
     used = plausible(fixes)
     fixes = fixes[used]
-    knots, lost = _knots(fixes), _lost(fixes)
+    knots, lost = scaled(_knots(fixes)), _lost(fixes)
 
     # First pass: everything is a ride, and the loss is as wide as eight sigmas at first
     kind = np.where(lost, LOST, RIDES)
@@ -419,7 +419,7 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
 
 
 def plausible(fixes: Fixes) -> Index:
-    """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
+    """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back, and without strays.
 
     Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers. Fast
     trains are none, and flights are left out.
@@ -429,7 +429,28 @@ def plausible(fixes: Fixes) -> Index:
     first = fixes[order]
     far = np.hypot(*np.diff(first.position, axis=0).T) * _by_fast_train(first)
     way = np.cumsum(np.append(0.0, np.maximum(TRACK.fastest * np.diff(first.time), far)))
-    return order[longest_consistent_chain(first.position, FIXES.outlier * _knots(first).white, way, TRACK.jump)[1]]
+    error = FIXES.outlier * _knots(first).white
+    order = order[longest_consistent_chain(first.position, error, way, TRACK.jump)[1]]
+    return order[~_strays(fixes[order])]
+
+
+def _strays(fixes: Fixes) -> Mask:
+    """True ``(n,)`` for a single place between two fixes before and two after at one place: nobody turns so.
+
+    One who walks may have been there and turned at once; there and back by a vehicle would have been seen.
+    """
+    time, place, found = fixes.time, fixes.position, np.zeros(len(fixes), dtype=bool)
+    first = np.flatnonzero(np.append(True, np.any(np.diff(place, axis=0), axis=1)))
+    after = np.append(first[1:], len(fixes))
+    inner = (first >= 2) & (after <= len(fixes) - 2)
+    first, after = first[inner], after[inner]
+    far = np.minimum(*(np.hypot(*(place[first] - place[k]).T) for k in (first - 1, after)))
+    near = np.max([np.hypot(*(place[k] - place[first - 1]).T) for k in (first - 2, after, after + 1)], axis=0)
+    stray = (far > TRAVEL.outlier_scale * fixes.sigma[first]) & (near < RIDING.beside * far)
+    stray &= 2 * far > TRAVEL.walk * (time[after] - time[first - 1])
+    for a, b in zip(first[stray], after[stray], strict=True):
+        found[a:b] = True
+    return found
 
 
 def _by_fast_train(fixes: Fixes) -> Mask:
@@ -451,6 +472,39 @@ def _knots(fixes: Fixes) -> GpsKnots:
     """Knots at the fixes; fixes with a source have a slowly varying error, others are independent."""
     independent = np.where(np.array(fixes.source, dtype=str) == "", 1.0, RECEIVERS.white)
     return GpsKnots(fixes.time, fixes.position, fixes.sigma * np.sqrt(1 - independent**2), independent * fixes.sigma)
+
+
+def scaled(knots: GpsKnots) -> GpsKnots:
+    """The knots, all of which are fixes, with smaller errors where their positions scatter less than is stated.
+
+    What a receiver states may be too large by any factor. Second differences over EPOCH hardly contain the motion of a
+    person, and have an exponential distribution in units of their variance. The lower quartile around each is robust
+    against turns, stops and rides; the stated accuracy counts as one more observation (a unit information prior: Kass
+    and Wasserman, J. Am. Stat. Assoc. 90, 1995). Repeated positions are one.
+    """
+    moved = np.flatnonzero(np.append(True, np.any(np.diff(knots.position, axis=0), axis=1))).tolist()
+    chosen = moved[:1]
+    for k in moved[1:]:
+        if knots.time[k] - knots.time[chosen[-1]] >= EPOCH - INSTANT:
+            chosen.append(k)
+    if len(chosen) < 3:
+        return knots
+    time, place, slow, white = (of[chosen] for of in (knots.time, knots.position, knots.slow, knots.white))
+    share = np.diff(time)[:-1] / (time[2:] - time[:-2])
+    weights = (share - 1, np.ones(len(share)), -share)  # of the position before, of itself and of that after
+    parts = [(weight, slice(n, len(time) - 2 + n)) for n, weight in enumerate(weights)]
+    apart = np.sum([weight[:, None] * place[rows] for weight, rows in parts], axis=0)
+    variance = np.sum([(weight * white[rows]) ** 2 for weight, rows in parts], axis=0)
+    for (weight, rows), (other, columns) in product(parts, parts):
+        alike = np.exp(-np.abs(time[rows] - time[columns]) / RECEIVERS.standing)
+        variance += weight * other * slow[rows] * slow[columns] * alike
+    ratio = np.sum(apart**2, axis=1) / (2 * variance)
+    number = round(TRAVEL.scatter / EPOCH)
+    quartile = percentile_filter(ratio, 25, number + 1, mode="nearest") / -np.log(0.75)
+    number = min(number, len(ratio)) / 2  # neighbours share positions
+    scale = np.sqrt(np.minimum((1 + number * quartile) / (1 + number), 1.0))
+    scale = np.interp(knots.time, time[1:-1], scale)
+    return replace(knots, slow=scale * knots.slow, white=scale * knots.white)
 
 
 def without_data(time: Array) -> Mask:
@@ -490,7 +544,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     if not len(begins):
         return np.full(len(lost), LOST), knots
     straight = straightness(knots, way, begins, ends)
-    wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), TRAVEL.widest)
+    wander = np.interp(knots.time, straight.time, straight.wander)
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
     kind = np.where(lost, LOST, moves(knots, way, begins, ends, straight))

@@ -13,7 +13,7 @@ from walks import steps_of
 from pdr_graph import smooth
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.stays import follow_positions, segments_of
-from pdr_graph.estimation.gps_track import detect_rides
+from pdr_graph.estimation.gps_track import detect_rides, plausible
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.rides import without_rides
 from pdr_graph.gait.step_chunks import append_steps as then
@@ -59,6 +59,19 @@ def test_the_length_of_a_walk_is_right(noise, every):
     assert distance(segments, WALKING) == pytest.approx(length_along(place)[-1], rel=0.05)
 
 
+@pytest.mark.parametrize("every", [5, 30])
+@pytest.mark.parametrize("stated", [3.0, 13.0, 43.0, 75.0])
+@pytest.mark.parametrize("noise", NOISE)
+def test_a_walk_between_two_stands_is_a_walk_at_any_stated_accuracy(noise, stated, every):
+    """Receivers err by 5 m per axis whatever they state; a phone that states 75 m for all is an example."""
+    place, _ = streets([("stand", 1800), ("walk", 1200), ("stand", 1800)])
+    track = seen(place, NOISE[noise], every)
+    _, segments = follow_positions(replace(track, sigma=np.full(len(track), stated)))
+    assert time_of(segments, WALKING, 1800, 3000) > 0.9 * 1200
+    assert time_of(segments, STANDING) > 0.95 * 3600
+    assert 0.8 < distance(segments, WALKING, VEHICLE) / length_along(place)[-1] < 1.05
+
+
 @pytest.mark.parametrize(("sigma", "lasts"), [(20.0, 90.0), (60.0, 60.0), (60.0, 120.0)])
 def test_a_receiver_that_wanders_indoors_is_standing(sigma, lasts):
     """Its errors last a minute or two, whatever accuracy it states; the raw track has 20 to 60 km."""
@@ -90,6 +103,36 @@ def test_a_silence_between_two_places_is_no_stand(sigma, minutes):
     between = 14400.0, 14400.0 + 60 * minutes
     assert time_of(segments, STANDING, *between) == 0
     assert time_of(segments, STANDING) > 0.9 * (time[-1] - time[0] - 60 * minutes)
+
+
+@pytest.mark.parametrize("far", [200.0, 600.0, 1100.0, 2400.0])
+@pytest.mark.parametrize("stated", [7.0, 43.0])
+@pytest.mark.parametrize("times", [1, 2])
+def test_one_stray_place_within_a_stay_is_no_ride(far, stated, times):
+    """Under 144 km/h, there and back at once; a cached position may be repeated."""
+    time = np.arange(0.0, 5401.0, 30.0)
+    place = np.random.default_rng(0).normal(0, 4, (len(time), 2))
+    place[90 : 90 + times] = far * np.array([0.8, 0.6])
+    _, segments = follow_positions(Fixes(time, place, np.full(len(time), stated), source=("phone",) * len(time)))
+    assert kinds(segments) == [STANDING]
+
+
+def test_a_ride_of_a_minute_with_several_positions_is_a_ride():
+    time = np.arange(0.0, 3601.0, 10.0)
+    place = np.random.default_rng(0).normal(0, 4, (len(time), 2))
+    place[:, 0] += np.interp(time, [1800.0, 1860.0], [0.0, 600.0])
+    _, segments = follow_positions(Fixes(time, place, np.full(len(time), 7.0), source=("phone",) * len(time)))
+    assert kinds(segments) == [STANDING, VEHICLE, STANDING]
+    assert distance(segments, VEHICLE) == pytest.approx(600, rel=0.1)
+
+
+def test_a_walk_there_and_back_with_one_position_at_its_end_is_no_stray():
+    """To a shop 450 m off and back, 14 min each way, with a position only at home and there."""
+    time = 840.0 * np.arange(20)
+    place = np.zeros((20, 2))
+    place[10] = 450.0, 0.0
+    fixes = Fixes(time, place, np.full(20, 10.0), source=("phone",) * 20)
+    assert len(plausible(fixes)) == 20
 
 
 def test_the_convergence_of_a_receiver_is_no_ride():

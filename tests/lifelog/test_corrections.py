@@ -3,14 +3,19 @@
 import re
 import shutil
 from dataclasses import replace
+from datetime import datetime
 from itertools import pairwise
+from zoneinfo import ZoneInfo
 
 import commands
 import made_tracks as made
 import numpy as np
 import pytest
+from gps_days import METRES
 from hypothesis import given, settings
 from hypothesis import strategies as some
+from made_past import LAT, LON, overland
+from made_past import NOON as MIDDAY
 from made_tracks import HOUR, OFFICE, at, clock, place
 from observations import NOON, observation, walk
 from streets import USUAL, seen, streets
@@ -27,6 +32,7 @@ from pdr_graph.apps.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NOT_ME, PLA
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.multi_day import estimate_together
 from pdr_graph.apps.lifelog.observation import without_times
+from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
@@ -434,3 +440,32 @@ def test_the_list_and_the_page_of_a_day_show_what_was_corrected(tmp_path):
     assert " bus " in done.output
     assert "office; corrected" in done.output
     assert "office; corrected" in (tmp_path / "out" / "overview.html").read_text()
+
+
+@pytest.mark.parametrize("state", [revision.state_not_me, revision.forget])
+def test_a_correction_changes_no_metre_or_minute_outside_its_row(tmp_path, state):
+    """Of each row in turn; the stays, walks and ride beside it keep their ends to 10 s and their metres to 3 %."""
+    speeds = [(0.0, 3600), (1.3, 600), (7.8, 700), (0.0, 2700), (1.3, 480), (0.0, 1800)]
+    east = np.cumsum(np.repeat(*zip(*speeds, strict=True)))
+    time = np.arange(0, len(east), 10)
+    metres = np.random.default_rng(0).normal(0, 4, (len(time), 2)) + np.outer(east[time], [1, 0])
+    file = overland(tmp_path / "a.json", MIDDAY + time, np.array([LON, LAT]) + metres / METRES, 10)
+    import_past(tmp_path / "log", [file])
+    build(tmp_path / "log")
+    known = [row for row in rows_of(tmp_path / "log") if row.is_known]
+    assert [row.kind for row in known] == [STAY, WALKING, VEHICLE, STAY, WALKING, STAY]
+    for n, row in enumerate(known):
+        folder = tmp_path / str(n)
+        shutil.copytree(tmp_path / "log.d", folder / "log.d")
+        shutil.copy(tmp_path / "log", folder / "log")
+        local = [
+            datetime.fromtimestamp(t, ZoneInfo("Europe/Berlin")).strftime("%Y-%m-%d %H:%M:%S")
+            for t in (row.start, row.end)
+        ]
+        state(folder / "log", *local)
+        after = [other for other in rows_of(folder / "log") if other.is_known]
+        kept = [other for other in known if other is not row]
+        assert [other.kind for other in after] == [other.kind for other in kept]
+        for one, other in zip(kept, after, strict=True):
+            assert (other.start, other.end) == pytest.approx((one.start, one.end), abs=10)
+            assert other.distance == pytest.approx(one.distance, rel=0.03)

@@ -90,6 +90,36 @@ def test_two_recordings_of_an_hour_with_a_silence_between(tmp_path, silence, apa
         assert [entry.place_number for entry in days[0].entries] == [1, -1, 2]
 
 
+@pytest.mark.parametrize(
+    ("silence", "apart", "kind", "speed"),
+    [
+        pytest.param(HOUR, 240.0, WALKING, (0.6, 1.2), id="a phone that wakes when its walker is on the way"),
+        pytest.param(500.0, 250.0, WALKING, (0.6, 1.2), id="minutes"),
+        pytest.param(500.0, 1000.0, VEHICLE, (3.0, 15.0), id="at a bus stop"),
+        pytest.param(8 * HOUR, 2000.0, VEHICLE, (3.0, 15.0), id="a night with the phone asleep"),
+        pytest.param(3 * HOUR, 9000.0, VEHICLE, None, id="a way of more than ten minutes: no data"),
+    ],
+)
+@pytest.mark.parametrize("leaves", [True, False])
+def test_a_silence_between_a_stay_and_a_way_has_no_more_of_the_way_than_it_needs(
+    tmp_path, silence, apart, kind, speed, leaves
+):
+    stay, way = [(STANDING, 900, EAST)], [(kind, 900, EAST)]
+    first, second = (stay, way) if leaves else (way, stay)
+    epoch = at("2024-05-01T08:00")
+    one = halts(first, epoch, frame=BERLIN)
+    start = one.trajectory.position[-1] + [apart, 0.0]
+    [day] = diary_of(tmp_path, one, halts(second, epoch + 900 + silence, start=start, frame=BERLIN)).days
+    rows = day.entries if leaves else day.entries[::-1]
+    if speed is None:
+        assert [row.kind for row in rows] == [STAY, GAP, kind]
+        return
+    assert [row.kind for row in rows] == [STAY, kind]
+    assert apart / speed[1] <= rows[1].duration - 900 <= apart / speed[0]
+    assert rows[1].observed == pytest.approx(900 / rows[1].duration)
+    assert rows[0].observed == pytest.approx(900 / rows[0].duration)
+
+
 def test_who_comes_back_has_two_visits_of_one_place(tmp_path):
     there_and_back = [(STANDING, 900, EAST), (WALKING, 600, EAST), (STANDING, 900, EAST), (WALKING, 600, WEST)]
     found = diary_of(tmp_path, halts([*there_and_back, (STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN))

@@ -42,11 +42,11 @@ def day(data, folder):
 
 @pytest.mark.parametrize("folder", DAYS)
 def test_no_kilometres_are_invented(data, folder):
-    """Within 3 % of a cleaning by published recipes; the raw track has up to 84 % more."""
+    """Within 3.5 % of a cleaning by published recipes; the raw track has up to 84 % more."""
     fixes, segments = day(data, folder)
     cleaned = cleaned_length(fixes.time, fixes.position)
     assert raw_length(fixes.position) > 1.1 * cleaned
-    assert sum(s.distance for s in segments) == pytest.approx(cleaned, rel=0.03)
+    assert sum(s.distance for s in segments) == pytest.approx(cleaned, rel=0.035)
 
 
 @pytest.mark.parametrize("folder", DAYS)

@@ -117,6 +117,7 @@ def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Cor
         if correction.kind == PLACE_NAME or not found:
             continue
         start, end = _bounds(found, correction)
+        is_cut = [any(e.start < time < e.end for e in found) for time in (start, end)]
         found = _split_at(_split_at(found, start), end)
         if correction.kind == SPLIT:
             found = [replace(e, corrected=True) if start in (e.start, e.end) else e for e in found]
@@ -125,7 +126,27 @@ def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Cor
         if inside:
             first = found.index(inside[0])
             found[first : first + len(inside)] = [_stated(inside, correction)]
+            if correction.kind in (NOT_ME, FORGOTTEN):
+                _absorb_rests(found, first, is_cut)
     return tuple(found)
+
+
+def _absorb_rests(entries: list[TimelineEntry], blank: int, is_cut: Sequence[bool]) -> None:
+    """Add what remains of an entry beside a blank one, shorter than SLIVER, to the entry beyond.
+
+    A rebuilt day has slightly other ends for want of the masked data; times that persons state are moved to ends of
+    entries. is_cut: True where the blank entry began, or ended, within an entry.
+    """
+    for side, cut in ((1, is_cut[1]), (-1, is_cut[0])):
+        rest, beyond = blank + side, blank + 2 * side
+        if not cut or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
+            continue
+        own, other = entries[rest], entries[beyond]
+        if other.is_known:
+            parts = ((own, *other.parts) if side > 0 else (*other.parts, own)) if other.parts else ()
+            start, end = min(other.start, own.start), max(other.end, own.end)
+            entries[beyond] = replace(other, start=start, end=end, parts=parts)
+            del entries[rest]
 
 
 def place_names(corrections: Iterable[Correction]) -> list[tuple[float, float, float, str]]:
@@ -146,7 +167,7 @@ def _bounds(entries: Sequence[TimelineEntry], correction: Correction) -> tuple[f
 
 
 def _split_at(entries: Sequence[TimelineEntry], time: float) -> list[TimelineEntry]:
-    """The entries, with that which contains a time in two; its distance is divided by time."""
+    """The entries, with that which contains a time in two; its distance is that of its parts, else divided by time."""
     found: list[TimelineEntry] = []
     for entry in entries:
         if not entry.start < time < entry.end:
@@ -155,6 +176,8 @@ def _split_at(entries: Sequence[TimelineEntry], time: float) -> list[TimelineEnt
         share = (time - entry.start) / (entry.end - entry.start)
         parts = _split_at(entry.parts, time)
         before, after = (tuple(p for p in parts if (p.start < time) == first) for first in (True, False))
+        if gone := sum(part.distance for part in parts):
+            share = sum(part.distance for part in before) / gone
         found.append(replace(entry, end=time, distance=share * entry.distance, parts=before))
         found.append(replace(entry, start=time, distance=(1 - share) * entry.distance, parts=after))
     return found

@@ -29,13 +29,15 @@ from pdr_graph.apps.lifelog.facts import (
 )
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.geometry import without
-from pdr_graph.priors import TRACK
+from pdr_graph.priors import TRACK, TRAVEL
 from pdr_graph.types import Array, Mask
 
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
 LONGEST_BRIDGED = TRACK.silence  # [s] that a visit bridges
+SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
+MOVING = (WALKING, VEHICLE)
 HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact one for the middle of a visit
 
 
@@ -144,7 +146,7 @@ def visits_of(entries: Sequence[TimelineEntry], track: Track) -> list[TimelineEn
 
 def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
     """Stands, and silences in which nobody can have gone far, as visits of any duration; none on a floor plan."""
-    for entry in entries:
+    for n, entry in enumerate(entries):
         rows = track.between(entry.start, entry.end)
         if entry.kind in (STAY, STANDING) and rows.stop > rows.start and not track.plan[rows].any():
             points = track.sphere[rows]
@@ -158,11 +160,29 @@ def _halts(entries: Sequence[TimelineEntry], track: Track) -> Iterator[_Halt]:
             if max(entry.start - track.time[before], track.time[after] - entry.end) > SHORTEST_VISIT:
                 continue  # something without positions was between
             ends = track.sphere[[before, after]]
-            apart = float(np.linalg.norm(ends[1] - ends[0]))
-            # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
-            # silent speed [m/s] between its ends at most: faster, and the person was on the way
-            if apart <= min(300.0, 0.25 * entry.duration) and entry.duration <= LONGEST_BRIDGED:
-                yield _Halt(entry.start, entry.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA))
+            beside = [entries[k].kind if 0 <= k < len(entries) else "" for k in (n - 1, n + 1)]
+            yield from _silent_halt(entry, ends, beside)
+
+
+def _silent_halt(silence: TimelineEntry, ends: Array, beside: Sequence[str]) -> Iterator[_Halt]:
+    """The halt in a silence, if there is one: beside a walk or ride without the time that the way to its end needs.
+
+    ends: ``(2, 3)`` places on the sphere [m]; beside: kinds of the entries before and after.
+    """
+    if silence.duration > LONGEST_BRIDGED:
+        return
+    apart = float(np.linalg.norm(ends[1] - ends[0]))
+    moving = [kind in MOVING for kind in beside]
+    if moving[0] != moving[1] and not {GAP, ""} & set(beside):
+        # On foot along streets, of which the ends show the straight line
+        needed = apart / (TRAVEL.ride if VEHICLE in beside else TRAVEL.walk - TRAVEL.walk_spread)
+        start, end = (silence.start + needed, silence.end) if moving[0] else (silence.start, silence.end - needed)
+        if start < end and needed < SHORTEST_SILENCE:
+            yield _Halt(start, end, ends[int(moving[0])], HALT_SIGMA)
+    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+    # silent speed [m/s] between its ends at most: faster, and the person was on the way
+    elif apart <= min(300.0, 0.25 * silence.duration):
+        yield _Halt(silence.start, silence.end, ends.mean(axis=0), max(apart / 2, HALT_SIGMA))
 
 
 def _is_one_place(visit: _Halt, halt: _Halt, track: Track) -> bool:
@@ -185,11 +205,6 @@ def _joined(visit: _Halt, halt: _Halt) -> _Halt:
     apart = np.linalg.norm(halt.middle - visit.middle) / 2
     variance = (1 - share) * visit.sigma**2 + share * halt.sigma**2 + share * (1 - share) * apart**2
     return _Halt(visit.start, halt.end, middle, float(np.sqrt(variance)))
-
-
-# Chosen by hand
-SHORTEST_SILENCE = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
-MOVING = (WALKING, VEHICLE)
 
 
 def rows_of(fine: Sequence[TimelineEntry], visits: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
