@@ -197,6 +197,22 @@ class MirrorTest:
             self.log_odds = _cost(track, fix, sigma) - _cost(track.conj(), fix, sigma)
 
 
+def mirror_log_odds(steps: Steps, fixes: Fixes) -> float:
+    """Log-odds that a whole walk is its mirror image: the largest of `MirrorTest` along it, of either sign."""
+    test, found, used, begin = MirrorTest(), [0.0], 0, steps.start
+    fixes = take(fixes, np.argsort(fixes.time, kind="stable"))
+    for first in range(0, len(steps), COMPARED):
+        rows = np.arange(first, min(first + COMPARED, len(steps)))
+        end = float(steps.time[rows[-1]])
+        before, used = used, int(np.searchsorted(fixes.time, end))
+        test.add(fixes[before:used])
+        test.extend(replace(take(steps, rows), start=begin, end=end, final_turn=0.0))
+        found.append(test.log_odds)
+        begin = end
+    return max(found, key=abs)
+
+
+COMPARED = 10  # steps of a recording from comparison to comparison
 REACH, APART, DRIFT = 150.0, 5.0, 0.05  # [m], [m], and error of the track per metre from its middle
 
 

@@ -1,4 +1,4 @@
-"""Unit and sign of a sensor by the values of its samples, of a file or as they arrive; gravity that the recorder removed.
+"""Unit and sign of a sensor by its samples, of a file or as they arrive; gravity that the recorder removed.
 
 A phone that lies face up measures +9.81 m/s² along z on Android, and -1 g by CoreMotion on an iPhone. If the sign is
 wrong, up is down, and the walk comes out as its mirror image. No law of motion can tell: accelerations of the opposite
@@ -38,7 +38,10 @@ WALKED = 0.08  # swing of the magnitude in a window of walking
 MOST_WINDOWS = 10  # of walking, after which the posture is known
 FACING = 0.3, 0.5  # [g] along z from which a phone faces up or down a little, and fully
 FEWEST_WINDOWS = 2.0  # facing up or down, for the full log-odds
-LEAST_ODDS, SURE_ODDS = 0.25, 2.5  # log-odds from which another sign is taken; below which it is a guess, as by unit alone
+LEAST_ODDS, SURE_ODDS = (
+    0.25,
+    2.5,
+)  # log-odds from which another sign is taken; below which it is a guess, as by unit alone
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 
 
@@ -163,13 +166,15 @@ class SensorUnit:
 class AccelerationSign:
     """Whether accelerations have the sign opposite to Android's, as those of CoreMotion and Safari, by all evidence.
 
-    platform: one of PLATFORMS if it is stated, else ""; unit: of BY_UNIT; sign: by which the accelerations are
+    platform: one of PLATFORMS if it is stated, else ""; unit: of BY_UNIT; known: log-odds of the opposite sign by what
+    read the samples, in place of those by unit and posture, None without; sign: by which the accelerations are
     multiplied, 1 or -1; dip, fixes: log-odds of the opposite sign by the magnetic field and by fixes; up, faced: sums
     over the windows of walking so far, of which the posture is the ratio; windows, walked: number of windows so far.
     """
 
     platform: str = ""
     unit: str = METRIC
+    known: float | None = None
     sign: float = 1.0
     dip: float = 0.0
     fixes: float = 0.0
@@ -180,13 +185,13 @@ class AccelerationSign:
     window: WindowBuffer = field(default_factory=WindowBuffer)
 
     @classmethod
-    def of(cls, signal: Signal, unit: str = METRIC, platform: str = "") -> AccelerationSign:
-        """The sign by unit and posture of a whole signal ``(n, 3)`` as it was recorded."""
-        found = cls(platform, unit)
-        samples = max(2, round(WINDOW * signal.rate) + 1)
+    def of(cls, signal: Signal, unit: str = METRIC, known: float | None = None) -> AccelerationSign:
+        """The sign of a whole signal ``(n, 3)`` by unit and posture, or by what is known."""
+        found = cls(unit=unit, known=known)
+        samples = max(2, round(WINDOW * signal.rate) + 2)
         for first in range(0, len(signal) - samples + 1, samples):
             found.watch(signal.time[first : first + samples], signal.values[first : first + samples])
-        found.windows = max(found.windows, 2)
+        found.windows = 2
         found.decide()
         return found
 
@@ -207,17 +212,19 @@ class AccelerationSign:
         if sway > 2 * HELD[1]:
             return  # it is shaken, or handled
         self.walked += 1
-        held = np.prod([
-            np.clip((most - value) / (most - least), 0.0, 1.0)
-            for value, (least, most) in ((sway, HELD), (abs(mean[0]) / gravity, LEVEL))
-        ])
+        held = np.prod(
+            [
+                np.clip((most - value) / (most - least), 0.0, 1.0)
+                for value, (least, most) in ((sway, HELD), (abs(mean[0]) / gravity, LEVEL))
+            ]
+        )
         share = float(np.clip((abs(mean[2]) / gravity - FACING[0]) / (FACING[1] - FACING[0]), 0.0, 1.0)) ** 2
         self.up += float(held) * share * np.sign(mean[2])
         self.faced += share
 
     @property
     def posture(self) -> float:
-        """Log-odds of the opposite sign by the posture so far: phones face up, or stand upright, which tells nothing."""
+        """Log-odds of the opposite sign by the posture so far; a phone that stands upright tells nothing."""
         return -FACE_UP * self.up / max(self.faced, FEWEST_WINDOWS)
 
     @property
@@ -230,7 +237,7 @@ class AccelerationSign:
     @property
     def log_odds(self) -> float:
         """Log-odds of the opposite sign by all evidence."""
-        return self.by_unit + self.posture + self.dip + self.fixes
+        return (self.by_unit + self.posture if self.known is None else self.known) + self.dip + self.fixes
 
     @property
     def probability(self) -> float:
@@ -255,7 +262,7 @@ class AccelerationSign:
         if self.sign > 0:
             return ""
         unit = "platform and unit" if self.platform else f"its unit ({self.unit})"
-        evidence = {unit: self.by_unit, "the posture of the phone": self.posture}
+        evidence = {unit: self.by_unit, "the posture of the phone": self.posture} if self.known is None else {}
         evidence |= {"the dip of the magnetic field": self.dip, "the turns between fixes": self.fixes}
         by = ", ".join(name for name, odds in evidence.items() if odds > LEAST_ODDS)
         return f"accelerometer: the sign is opposite to Android's ({self.probability:.0%} by {by}): converted"

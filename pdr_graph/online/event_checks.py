@@ -72,7 +72,7 @@ class EventChecks:
         self._leads = dict[str, tuple[int, float]]()  # of each source: number of fixes, least lead of the sensors [s]
 
     def watch(self, sensor: str, time: Array, values: Array) -> bool:
-        """Examine a sensor's samples ``(n, k)`` at times ``(n,)`` [s]; True if its unit or sign is another than before."""
+        """Examine samples ``(n, k)`` at times ``(n,)`` [s]; True if the unit or sign of the sensor changed."""
         stamps, values = np.asarray(time, dtype=float).reshape(-1), np.asarray(values, dtype=float)
         if not _are_rows(stamps, values):
             return False

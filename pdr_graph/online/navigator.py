@@ -78,7 +78,9 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
-KEPT = 300.0  # [s] of events that are kept to begin anew with, if the unit or the sign of a sensor is found to be another
+KEPT = (
+    300.0  # [s] of events that are kept to begin anew with, if the unit or the sign of a sensor is found to be another
+)
 CAUGHT_UP = 1.0  # [s] of earlier events that a push takes, until the walk that began anew has caught up
 MIRRORED = "the walk before {:.0f} s is its mirror image: only then was the sign of the accelerations recognised"
 
@@ -99,10 +101,10 @@ class Navigator:
     start_floor: label of the floor where the walk begins, for a building of several floors; start_heading,
     start_heading_sigma: direction of the first step, counter-clockwise from +x of the frame, and its sigma [rad];
     epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; platform: "android" or "ios" if it is
-    known, a hint for unit and sign of the samples, else "": they are recognised by themselves; executor: computes long answers beside
-    the walk, of which each is used at a fixed later time of the walk; by default a thread that all navigators of the
-    process share, if it has several cores. With None, `review` or the push that needs an answer computes it, with equal
-    results.
+    known, a hint for the sign of the accelerations, which is recognised without it; executor: computes long answers
+    beside the walk, of which each is used at a fixed later time of the walk; by default a thread that all navigators of
+    the process share, if it has several cores. With None, `review` or the push that needs an answer computes it, with
+    equal results.
     """
 
     def __init__(
@@ -127,10 +129,19 @@ class Navigator:
         if lag is not None and not lag > 0:
             raise ValueError(f"Navigator, lag: found {lag}, expected seconds above 0, or None to finalize nothing")
         if platform not in ("", *PLATFORMS):
-            raise ValueError(f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if it is not known")
+            raise ValueError(
+                f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if it is not known"
+            )
         self._begin_anew = partial(
             *(Navigator.__init__, self, floor),
-            **{"lag": lag, "walker": walker, "frame": frame, "prior": prior, "beacons": beacons, "radio_map": radio_map},
+            **{
+                "lag": lag,
+                "walker": walker,
+                "frame": frame,
+                "prior": prior,
+                "beacons": beacons,
+                "radio_map": radio_map,
+            },
             **{"paths": paths, "start_floor": start_floor, "start_heading": start_heading, "epoch": epoch},
             **{"start_heading_sigma": start_heading_sigma, "platform": platform, "executor": executor},
         )
@@ -640,7 +651,7 @@ class Navigator:
 
 
 def _copied(event: Event) -> Event:
-    """Samples of their own, whatever the caller writes into its arrays later; other events are not changed by anyone."""
+    """The event with copies of its samples, whose arrays the caller may use again."""
     return replace(event, time=event.time.copy(), values=event.values.copy()) if isinstance(event, Samples) else event
 
 
