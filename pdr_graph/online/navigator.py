@@ -263,6 +263,11 @@ class Navigator:
         self._graph.review()
 
     @property
+    def sign(self) -> float:
+        """By which the accelerations are multiplied: 1, or -1 if their sign is opposite to Android's."""
+        return self._checks.sign.sign
+
+    @property
     def steps(self) -> int:
         """Number of steps so far, with the provisional ones."""
         return self._certain + (0 if self._tail is None else int((~self._tail.is_gap).sum()))
