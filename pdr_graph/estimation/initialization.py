@@ -156,7 +156,7 @@ class MirrorTest:
         self._fixes = np.empty((0, 4))  # time [s], x, y, sigma [m]
 
     def extend(self, steps: Steps) -> None:
-        """Append the next steps; after a gap the turns are not known, and the comparison starts anew."""
+        """Append the next steps; after a gap the turns are not known, and the comparison restarts."""
         rows = dead_reckon(steps, heading=self._heading)
         led = np.concatenate([[0.0], np.cumsum(steps.length), [np.sum(steps.length)]])
         first = int(np.flatnonzero(np.append(True, steps.is_gap))[-1])  # row after the last gap

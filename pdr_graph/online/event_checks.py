@@ -73,7 +73,7 @@ class EventChecks:
 
     def watch(self, sensor: str, time: Array, values: Array) -> bool:
         """Examine samples ``(n, k)`` at times ``(n,)`` [s]; True if the unit or sign of the sensor changed."""
-        stamps, values = np.asarray(time, dtype=float).reshape(-1), np.asarray(values, dtype=float)
+        stamps, values = np.array(time, dtype=float).reshape(-1), np.array(values, dtype=float)  # kept for a window
         if not _are_rows(stamps, values):
             return False
         unit = self.units.setdefault(sensor, SensorUnit(sensor))

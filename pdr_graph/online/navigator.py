@@ -78,10 +78,8 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
-KEPT = (
-    300.0  # [s] of events that are kept to begin anew with, if the unit or the sign of a sensor is found to be another
-)
-CAUGHT_UP = 1.0  # [s] of earlier events that a push takes, until the walk that began anew has caught up
+KEPT = 300.0  # [s] of events that are kept, to restart the walk if the unit or sign of a sensor is another
+CAUGHT_UP = 1.0  # [s] of earlier events that a push takes after a restart, until the walk has caught up
 MIRRORED = "the walk before {:.0f} s is its mirror image: only then was the sign of the accelerations recognised"
 
 
@@ -129,22 +127,12 @@ class Navigator:
         if lag is not None and not lag > 0:
             raise ValueError(f"Navigator, lag: found {lag}, expected seconds above 0, or None to finalize nothing")
         if platform not in ("", *PLATFORMS):
-            raise ValueError(
-                f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if it is not known"
-            )
-        self._begin_anew = partial(
-            *(Navigator.__init__, self, floor),
-            **{
-                "lag": lag,
-                "walker": walker,
-                "frame": frame,
-                "prior": prior,
-                "beacons": beacons,
-                "radio_map": radio_map,
-            },
-            **{"paths": paths, "start_floor": start_floor, "start_heading": start_heading, "epoch": epoch},
-            **{"start_heading_sigma": start_heading_sigma, "platform": platform, "executor": executor},
-        )
+            raise ValueError(f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if unknown")
+        self._arguments: dict[str, Any] = {
+            **{"floor": floor, "lag": lag, "walker": walker, "frame": frame, "prior": prior, "beacons": beacons},
+            **{"radio_map": radio_map, "paths": paths, "start_floor": start_floor, "start_heading": start_heading},
+            **{"start_heading_sigma": start_heading_sigma, "epoch": epoch, "platform": platform, "executor": executor},
+        }
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame: Frame | None = None
@@ -170,7 +158,7 @@ class Navigator:
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._checks = EventChecks(sign=AccelerationSign(platform))
         self._mirror, self._mirrored_until = MirrorTest(), np.nan
-        self._kept: list[Event] | None = []  # all events so far; None once rows were handed out, or after KEPT seconds
+        self._kept: list[Event] | None = []  # all events so far; None once rows were finalised, or after KEPT seconds
         self._since = np.nan  # time of the first sample [s]
         self._waiting, self._again = deque[Event](), 0  # events to use, and how many of them are used once more
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
@@ -188,7 +176,7 @@ class Navigator:
     def push(self, event: Event) -> None:
         """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
         expect("Navigator.push, event", event, *event_types(), instead="events_of(recording)")
-        self._waiting.append(event)
+        self._waiting.append(_copied(event) if self._again else event)
         self._catch_up(CAUGHT_UP)
 
     def _catch_up(self, seconds: float) -> None:
@@ -227,7 +215,7 @@ class Navigator:
             return False
         kept, since, units = [*self._kept, _copied(event)], self._since, self._checks.units
         waiting = [*kept, *self._waiting]
-        self._begin_anew()
+        Navigator.__init__(self, **self._arguments)
         self._checks, self._kept, self._since = EventChecks(units, sign), kept, since
         self._waiting, self._again = deque(waiting), len(kept)
         return True
@@ -426,7 +414,7 @@ class Navigator:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._chunks = self._chunks[-1:]
         rows = trajectory_of_rows(self._graph.graph.finalized.pop_finalized())
-        self._kept = None if len(rows) else self._kept  # rows that were returned do not change any more
+        self._kept = None if len(rows) else self._kept  # rows that were returned stay
         return rows
 
     def finish(self) -> Estimate:
