@@ -433,13 +433,7 @@ def observe(evidence: Evidence) -> Evidence:
     Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
     """
     if evidence.walk.has_acceleration or not (evidence.steps or len(evidence.fixes)):
-        gaits = gait_signals(evidence.walk)
-        compass = LiveCompass(reach=2 * COMPASS.longest_stretch)
-        steps, headings, drifts = detected(evidence, gaits, compass)
-        sign = acceleration_sign(evidence, steps, compass.mirrored)
-        if sign is not None and sign.sign < 0:
-            return observe(with_opposite_sign(evidence, sign))
-        evidence = replace(evidence, doubts=() if sign is None else sign.contradictions())
+        evidence, gaits, steps, headings, drifts = detected(evidence)
         evidence = replace(evidence, steps=steps, headings=headings, measurements=(drifts,) if len(drifts) else ())
         evidence = with_network(evidence, gaits)
     return with_tables(evidence)
@@ -484,18 +478,22 @@ def with_network(evidence: Evidence, gaits: list[GaitSignals]) -> Evidence:
 
 
 def detected(
-    evidence: Evidence, gaits: list[GaitSignals], compass: LiveCompass | None = None
-) -> tuple[Steps, Headings, Drifts]:
-    """The steps in the gait signals of a walk, and headings and drifts by its compass.
+    evidence: Evidence, sign: AccelerationSign | None = None
+) -> tuple[Evidence, list[GaitSignals], Steps, Headings, Drifts]:
+    """The walk in the sign of its accelerations, its gait signals and steps, and headings and drifts by its compass.
 
-    A stated start heading is the first heading.
+    A stated start heading is the first heading. sign: of the accelerations if it was judged.
     """
+    gaits, compass = gait_signals(evidence.walk), LiveCompass(reach=2 * COMPASS.longest_stretch)
     steps = detect_steps(gaits, evidence.walker)
     headings, drifts = compass_measurements(gaits, evidence.frame, evidence.near, compass)
+    if sign is None and (sign := acceleration_sign(evidence, steps, compass.mirrored)) is not None and sign.sign < 0:
+        return detected(with_opposite_sign(evidence, sign), sign)
+    evidence = replace(evidence, doubts=() if sign is None else sign.contradictions())
     if evidence.start_heading is not None and len(steps):
         row = (steps.time[:1], np.array([evidence.start_heading]), np.array([INITIAL.heading_sigma]), (START,))
         headings = Headings.concatenate([Headings(*row), headings])
-    return steps, headings, drifts
+    return evidence, gaits, steps, headings, drifts
 
 
 def with_tables(evidence: Evidence) -> Evidence:
