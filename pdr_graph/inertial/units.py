@@ -35,6 +35,7 @@ MOST_BY_FIXES = 8.0  # log-odds
 HELD = 7.0, 9.0  # [°] largest sway of a phone in the hand, 2 to 6.8, and from which it is in a pocket, 4.4 to 13
 LEVEL = 0.2, 0.4  # [g] along x: a screen that is read is level, up to 0.17; in a pocket it may lie askew
 WALKED = 0.08  # swing of the magnitude in a window of walking
+PARTS = 8  # of a window, whose mean directions are compared
 MOST_WINDOWS = 10  # of walking, after which the posture is known
 FACING = 0.3, 0.5  # [g] along z from which a phone faces up or down a little, and fully
 FEWEST_WINDOWS = 2.0  # facing up or down, for the full log-odds
@@ -203,9 +204,9 @@ class AccelerationSign:
         size = np.linalg.norm(window.values, axis=1)
         mean = window.values.mean(axis=0)
         gravity = float(np.linalg.norm(mean))
-        if not size.std() > WALKED * np.median(size) or gravity < np.median(size) / 2:
+        if len(window) < 2 * PARTS or size.std() <= WALKED * np.median(size) or gravity < np.median(size) / 2:
             return
-        parts = np.array([part.mean(axis=0) for part in np.array_split(window.values, 8)])  # quarters of a second
+        parts = np.array([part.mean(axis=0) for part in np.array_split(window.values, PARTS)])
         along = parts @ mean / gravity
         across = np.sqrt(np.maximum((parts**2).sum(axis=1) - along**2, 0.0))
         sway = np.degrees(np.sqrt(np.mean(np.arctan2(across, along) ** 2)))
