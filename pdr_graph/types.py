@@ -450,6 +450,8 @@ class Recording(OneLineRepr):
     truth: surveyed positions inside the recording, for scoring and plots only: no estimate reads it.
     measurements: tables of any other kind, such as ``Levels``.
     notes: what the reader left out or assumed, one line each.
+    sign_odds: log-odds that the accelerations have the sign opposite to Android's, by what the reader knows of the
+    recorder; None if it knows nothing: then posture, magnetic field and fixes tell.
     """
 
     source: str
@@ -468,6 +470,7 @@ class Recording(OneLineRepr):
     measurements: tuple[Any, ...] = ()
     notes: tuple[str, ...] = ()
     step_counter: Signal | None = None
+    sign_odds: float | None = None
 
     def __post_init__(self) -> None:
         """Raise TypeError unless each sensor is a `Signal`."""

@@ -25,6 +25,7 @@ from pdr_graph.estimation.factors.heading_prior import heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.gps_track import Stated, detect_rides, follow, with_stated_rides
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.initialization import mirror_log_odds
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import POSITIONS_ALONE
 from pdr_graph.estimation.rides import ridden, ride_contradictions, ride_notes, stepping, without_rides
@@ -33,11 +34,12 @@ from pdr_graph.estimation.verdict import FIRST_ONLY, ROUTE, missing_of, verdict
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
-from pdr_graph.gait.compass import compass_measurements
+from pdr_graph.gait.compass import LiveCompass, compass_measurements
 from pdr_graph.gait.steps import GaitSignals, detect_steps, gait_signals
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.inertial.barometer import with_stair_lengths
+from pdr_graph.inertial.units import AccelerationSign
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import (
     ANCHOR_SIGMA,
@@ -53,7 +55,7 @@ from pdr_graph.io.tables import (
 )
 from pdr_graph.options import Options
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
-from pdr_graph.priors import INITIAL, changed, entries, tables
+from pdr_graph.priors import COMPASS, INITIAL, changed, entries, tables
 from pdr_graph.types import (
     LONLAT,
     START,
@@ -455,11 +457,33 @@ def observe(evidence: Evidence) -> Evidence:
     Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
     """
     if evidence.walk.has_acceleration or not (evidence.steps or len(evidence.fixes)):
-        gaits = gait_signals(evidence.walk)
-        steps, headings, drifts = detected(evidence, gaits)
+        evidence, gaits, steps, headings, drifts = detected(evidence)
         evidence = replace(evidence, steps=steps, headings=headings, measurements=(drifts,) if len(drifts) else ())
         evidence = with_network(evidence, gaits)
     return with_tables(evidence)
+
+
+def acceleration_sign(evidence: Evidence, steps: Steps, dip: float) -> AccelerationSign | None:
+    """The sign of the accelerations by all evidence, as live; None without sensors that see turns.
+
+    dip: log-odds of the opposite sign by the magnetic field.
+    """
+    walk = evidence.walk
+    if walk.accelerometer is None or walk.gyroscope is None:
+        return None
+    sign = AccelerationSign.of(walk.accelerometer, known=walk.sign_odds)
+    sign.sign = 1.0  # of the walk as it was evaluated
+    sign.observe(dip, mirror_log_odds(steps, evidence.fixes))
+    sign.decide()
+    return sign
+
+
+def with_opposite_sign(evidence: Evidence, sign: AccelerationSign) -> Evidence:
+    """The walk with its accelerations negated, and a note of it."""
+    signal = evidence.walk.accelerometer
+    turned = None if signal is None else replace(signal, values=-signal.values)
+    walk = replace(evidence.walk, accelerometer=turned, sign_odds=-sign.log_odds)
+    return replace(evidence, walk=walk, notes=(*evidence.notes, sign.note))
 
 
 def with_network(evidence: Evidence, gaits: list[GaitSignals]) -> Evidence:
@@ -477,17 +501,23 @@ def with_network(evidence: Evidence, gaits: list[GaitSignals]) -> Evidence:
     return replace(evidence, walk=walk, notes=(*evidence.notes, *notes))
 
 
-def detected(evidence: Evidence, gaits: list[GaitSignals]) -> tuple[Steps, Headings, Drifts]:
-    """The steps in the gait signals of a walk, and headings and drifts by its compass.
+def detected(
+    evidence: Evidence, sign: AccelerationSign | None = None
+) -> tuple[Evidence, list[GaitSignals], Steps, Headings, Drifts]:
+    """The walk in the sign of its accelerations, its gait signals and steps, and headings and drifts by its compass.
 
-    A stated start heading is the first heading.
+    A stated start heading is the first heading. sign: of the accelerations if it was judged.
     """
+    gaits, compass = gait_signals(evidence.walk), LiveCompass(reach=2 * COMPASS.longest_stretch)
     steps = detect_steps(gaits, evidence.walker)
-    headings, drifts = compass_measurements(gaits, evidence.frame, evidence.near)
+    headings, drifts = compass_measurements(gaits, evidence.frame, evidence.near, compass)
+    if sign is None and (sign := acceleration_sign(evidence, steps, compass.mirrored)) is not None and sign.sign < 0:
+        return detected(with_opposite_sign(evidence, sign), sign)
+    evidence = replace(evidence, doubts=() if sign is None else sign.contradictions())
     if evidence.start_heading is not None and len(steps):
         row = (steps.time[:1], np.array([evidence.start_heading]), np.array([INITIAL.heading_sigma]), (START,))
         headings = Headings.concatenate([Headings(*row), headings])
-    return steps, headings, drifts
+    return evidence, gaits, steps, headings, drifts
 
 
 def with_tables(evidence: Evidence) -> Evidence:
@@ -522,7 +552,7 @@ def _on_foot(evidence: Evidence) -> Evidence:
         headings=take(headings, ~ridden(headings.time, headings.time, rides)),
         notes=(*evidence.notes, *ride_notes(rides)),
         rides=rides,
-        doubts=ride_contradictions(rides, stepping(steps, rides)),
+        doubts=(*evidence.doubts, *ride_contradictions(rides, stepping(steps, rides))),
     )
 
 

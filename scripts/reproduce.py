@@ -31,6 +31,7 @@ import paths
 import recordings
 import routes
 import settings
+import signs
 from conditions import DATA
 from tables import (
     DIFFERENCES,
@@ -119,6 +120,7 @@ TABLES = {  # in the order of docs/results/index.md
     "protection": Made(lambda: assumptions.protection(DATA), quick=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
+    "signs": Made(lambda: signs.signs(DATA)),
     "lifelog": Made(lifelog.lifelog),
     "settings": Made(lambda words=(), *_: settings.settings(DATA, words), some=True, quick=quick_settings),
 }

@@ -38,13 +38,13 @@ LONLAT
 Measurement()
 Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, paths=, start_floor=, start_heading=, \
-start_heading_sigma=, epoch=, executor=)
+start_heading_sigma=, epoch=, platform=, executor=)
 PathNetwork(lines, classes, notes=, frame=, target=, building=, area=)
 Pose(time, x, y, heading, floor, covariance, modes=, display=, placed=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, another=, usual=)
 ROW
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
-fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=, step_counter=)
+fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=, step_counter=, sign_odds=)
 Samples(sensor, time, values)
 Scan(radio, heard)
 Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, user_fixes=, \

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -23,6 +24,7 @@ from pdr_graph.estimation.verdict import missing_of
 from pdr_graph.floor.plan_files import plan_fingerprint
 from pdr_graph.gait.step_counter import one_by_one
 from pdr_graph.gait.steps import gait_signals
+from pdr_graph.inertial.units import SURE_ODDS
 from pdr_graph.io.tables import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.filter_beside import disagree
@@ -181,6 +183,9 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
         known = {"floor": evidence.building, "walker": evidence.walker, "frame": evidence.frame}
         known |= {"beacons": evidence.beacons, "radio_map": evidence.radio_map}
         known |= {} if evidence.paths is None else {"paths": evidence.paths}
+        odds = evidence.walk.sign_odds
+        if odds is not None and odds <= -SURE_ODDS and (kind is None or takes(kind, "platform")):
+            known["platform"] = "android"  # whose sign the reader converts to
         if evidence.start_heading is not None:  # another class of navigator need not have it
             known["start_heading"] = evidence.start_heading
     else:
@@ -196,6 +201,12 @@ def navigator_of(options: Options, evidence: Evidence | None = None, kind: Any =
 
         kind = Navigator
     return partial(kind, **known, lag=options.lag, start_floor=options.floor)
+
+
+def takes(kind: Callable[..., Any], name: str) -> bool:
+    """True if a class of navigators has an argument of a name."""
+    arguments = signature(kind).parameters
+    return name in arguments or any(argument.kind is Parameter.VAR_KEYWORD for argument in arguments.values())
 
 
 def _paths(path: Path, building: Building | None) -> PathNetwork:

@@ -140,6 +140,96 @@ def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
     return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
 
 
+class MirrorTest:
+    """Compares a walk and its mirror image with its fixes: turns of the wrong sign are those of a phone upside down.
+
+    Both tracks are moved, turned and scaled to the fixes of the last REACH metres, of which those within APART metres
+    are one. A straight walk tells nothing.
+
+    log_odds: that the walk is its mirror image, by the last comparison.
+    """
+
+    def __init__(self) -> None:
+        self.log_odds = 0.0
+        self._track = np.empty((0, 4))  # time [s], distance walked [m], x, y [m]
+        self._heading, self._compared = 0.0, 0.0  # [rad]; distance at the last comparison [m]
+        self._fixes = np.empty((0, 4))  # time [s], x, y, sigma [m]
+
+    def extend(self, steps: Steps) -> None:
+        """Append the next steps; after a gap the turns are not known, and the comparison restarts."""
+        rows = dead_reckon(steps, heading=self._heading)
+        led = np.concatenate([[0.0], np.cumsum(steps.length), [np.sum(steps.length)]])
+        first = int(np.flatnonzero(np.append(True, steps.is_gap))[-1])  # row after the last gap
+        if first > 0 or not len(self._track):
+            self._track, self._fixes = np.empty((0, 4)), self._fixes[self._fixes[:, 0] > rows.time[first]]
+            self._compared = float(led[first])
+            before = np.zeros(3)
+        else:
+            before = self._track[-1, 1:]
+        new = np.column_stack([rows.time, led, rows.position]) + np.append(0.0, before)
+        self._track = np.concatenate([self._track, new[first:]])
+        self._track = self._track[self._track[:, 1] >= self._track[-1, 1] - 2 * REACH]
+        self._heading = float(rows.heading[-1])
+        if self._track[-1, 1] >= self._compared + APART and len(self._fixes):
+            self._compared = float(self._track[-1, 1])
+            self._compare()
+
+    def add(self, fixes: Fixes) -> None:
+        """Add fixes, which are compared when the steps of their time are known."""
+        self._fixes = np.concatenate([self._fixes, np.column_stack([fixes.time, fixes.position, fixes.sigma])])
+
+    def _compare(self) -> None:
+        time, led, x, y = self._track.T
+        self._fixes = self._fixes[self._fixes[:, 0] >= time[0]]
+        fixes = self._fixes[self._fixes[:, 0] <= time[-1]]
+        walked = np.interp(fixes[:, 0], time, led)
+        latest = walked >= np.max(walked, initial=0.0) - REACH
+        fixes, walked = fixes[latest], walked[latest]
+        if len(fixes) < 3:
+            return
+        columns = (walked, *(np.interp(fixes[:, 0], time, column) for column in (x, y)), *fixes[:, 1:].T)
+        part = np.unique(walked // APART, return_inverse=True)[1]
+        number = np.bincount(part)
+        walked, x, y, fix_x, fix_y, sigma = (np.bincount(part, column) / number for column in columns)
+        sigma = np.hypot(sigma, DRIFT * np.abs(walked - walked.mean()))
+        track, fix = x + 1j * y, fix_x + 1j * fix_y
+        if len(number) > 2:
+            self.log_odds = _cost(track, fix, sigma) - _cost(track.conj(), fix, sigma)
+
+
+def mirror_log_odds(steps: Steps, fixes: Fixes) -> float:
+    """Log-odds that a whole walk is its mirror image: the largest of `MirrorTest` along it, of either sign."""
+    test, found, used, begin = MirrorTest(), [0.0], 0, steps.start
+    fixes = take(fixes, np.argsort(fixes.time, kind="stable"))
+    for first in range(0, len(steps), COMPARED):
+        rows = np.arange(first, min(first + COMPARED, len(steps)))
+        end = float(steps.time[rows[-1]])
+        before, used = used, int(np.searchsorted(fixes.time, end))
+        test.add(fixes[before:used])
+        test.extend(replace(take(steps, rows), start=begin, end=end, final_turn=0.0))
+        found.append(test.log_odds)
+        begin = end
+    return max(found, key=abs)
+
+
+COMPARED = 10  # steps of a recording from comparison to comparison
+REACH, APART, DRIFT = 150.0, 5.0, 0.05  # [m], [m], and error of the track per metre from its middle
+
+
+def _cost(track: Complex, fix: Complex, sigma: Array) -> float:
+    """Cost of the fixes ``(n,)`` at the places of a track ``(n,)`` that is moved, turned and scaled to them. [nats]"""
+    weight = sigma**-2.0
+    residual = np.zeros(len(fix))
+    for _ in range(2 * REWEIGHTINGS):
+        share = weight / weight.sum()
+        z, f = track - np.sum(share * track), fix - np.sum(share * fix)
+        turn = np.sum(share * f * z.conj()) / max(float(np.sum(share * np.abs(z) ** 2)), 1e-9)
+        stride = float(np.clip(np.abs(turn), 1 / FIXES.stretched, FIXES.stretched))
+        residual = np.abs(f - stride * np.exp(1j * np.angle(turn)) * z) / sigma
+        weight = sigma**-2.0 / (1 + (residual / ROBUST) ** 2)  # Cauchy's
+    return float(np.sum(np.log1p((residual / ROBUST) ** 2)))
+
+
 def positions_of(track: Trajectory) -> Fixes:
     """The positions of a track as fixes of equal sigma, for `lay_dead_reckoning`."""
     return Fixes(track.time, track.position, np.ones(len(track)))

@@ -30,6 +30,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import gaussian_weights, interpolate, nearest, wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.inertial.sensor_stream import SensorStream
+from pdr_graph.inertial.units import BY_DIP
 from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MAGNETOMETER, MOTION, NORTH, REST, WALKER
 from pdr_graph.types import Array, Drifts, Headings, Index, Recording, Signal
 
@@ -45,9 +46,9 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
 
 
 def compass_measurements(
-    recording: Recording | list[GaitSignals], frame: Frame, near: Array
+    recording: Recording | list[GaitSignals], frame: Frame, near: Array, compass: LiveCompass | None = None
 ) -> tuple[Headings, Drifts]:
-    """The `magnetic_headings`, and the drifts of the gyroscope against the magnetic field."""
+    """The `magnetic_headings`, and the drifts of the gyroscope against the magnetic field. compass: that finds them."""
     expect("magnetic_headings, recording", recording, Recording, list, instead="load(path)")
     expect("magnetic_headings, frame", frame, Frame, instead="FloorPlan.frame or frame_of(fixes)")
     expect("magnetic_headings, near", near, np.ndarray, instead="fixes.position[0]")
@@ -55,7 +56,7 @@ def compass_measurements(
     field = whole.magnetometer
     if not frame.georeferenced or field is None or whole.accelerometer is None or whole.gyroscope is None:
         return Headings.none(), Drifts(*np.empty((3, 0)))
-    compass, used = LiveCompass(reach=2 * COMPASS.longest_stretch), 0
+    compass, used = compass or LiveCompass(reach=2 * COMPASS.longest_stretch), 0
     compass.locate(frame, near, whole.epoch)
     headings, drifts = dict[int, StretchValue](), dict[int, StretchValue]()
     for gait in gait_signals(recording):
@@ -145,7 +146,7 @@ class LiveCompass:
         self._found: list[StretchValue] = []
         self._drifts: list[StretchValue] = []
         self._drift_at = np.nan  # time of the stretch's drift, if it has one [s]
-        self.upside_down = False  # the field pointed up by as much as the earth's points down: accelerations negated
+        self.dips = np.zeros(3)  # samples of the field: all, with the earth's dip, and with its opposite
 
     def locate(self, frame: Frame, near: Array, epoch: float | None = None) -> None:
         """Set the location: near ``(2,)`` in the frame of the headings [m]; epoch: Unix time of time 0 [s]."""
@@ -261,14 +262,20 @@ class LiveCompass:
         early = [count * step for count in FIRST_STEPS]
         return next((time for time in early if time > 1.05 * self.evaluated), self.evaluated + EVALUATED)
 
-    def _check_signs(self) -> None:
-        """Compare the dip of the field with the earth's: an app may state accelerations with the signs of iOS."""
-        known = self.samples[: self.field_count]
-        known = known[np.any(known[:, FIELD], axis=1)]
-        if self._earth is None or abs(self._earth.dip) < 2 * NORTH.disturbed or len(known) < FEWEST_FIELDS:
+    def _count_dips(self, samples: Array) -> None:
+        """Compare the dip of the field in samples with the earth's."""
+        known = samples[np.any(samples[:, FIELD], axis=1)]
+        if self._earth is None or abs(self._earth.dip) < 2 * NORTH.disturbed or not len(known):
             return
         world = Rotation.from_quat(known[:, ATTITUDE]).apply(known[:, FIELD])
-        self.upside_down |= bool(np.median(dip_error(world, -self._earth.dip)) < NORTH.disturbed)
+        earths, opposite = (dip_error(world, sign * self._earth.dip) < NORTH.disturbed for sign in (1, -1))
+        self.dips += np.array([len(known), earths.sum(), opposite.sum()])
+
+    @property
+    def mirrored(self) -> float:
+        """Log-odds that the accelerations have the wrong sign, by the dip of the field; 0 before two seconds of it."""
+        number, earths, opposite = self.dips.tolist()
+        return BY_DIP * (opposite - earths) / number if number >= FEWEST_FIELDS else 0.0
 
     @staticmethod
     def _usual_step(durations: Array) -> float:
@@ -357,7 +364,7 @@ class LiveCompass:
         time = self.begin + self.spacing * np.arange(new.start, new.stop, dtype=float)
         self.samples[new, FIELD] = self.field.at(time, Rotation.from_quat(self.samples[new, ATTITUDE]))
         self.field_count = len(self.samples)
-        self._check_signs()
+        self._count_dips(self.samples[new])
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,13 @@ class StepStream:
         alone = gyroscope.last < accelerometer.last - REST.longest_bridged
         return self._advance(accelerometer.last if alone else min(accelerometer.last, gyroscope.last), last=True)
 
+    def break_off(self) -> Steps | None:
+        """The remaining steps; samples that follow are of other axes, after a gap."""
+        last = self.finish()
+        for sensor in self._sensors.values():
+            sensor.drop_until(sensor.last)
+        return last
+
     def _advance(self, until: float, last: bool) -> Steps | None:
         """Process the samples up to a time [s]; returns the steps that became certain."""
         accelerometer, gyroscope = self._sensors.values()

@@ -1,4 +1,10 @@
-"""The unit of a sensor by the values of its samples, of a file or as they arrive; gravity that the recorder removed."""
+"""Unit and sign of a sensor by its samples, of a file or as they arrive; gravity that the recorder removed.
+
+A phone that lies face up measures +9.81 m/s² along z on Android, and -1 g by CoreMotion on an iPhone. If the sign is
+wrong, up is down, and the walk comes out as its mirror image. No law of motion can tell: accelerations of the opposite
+sign are those of the mirrored world, in which the same laws hold. Only what is no motion tells: the unit, how people
+hold a phone, the dip of the magnetic field, and fixes. Each is a log-odds in `AccelerationSign`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
-from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Signal
+from pdr_graph.types import STANDARD_GRAVITY, Array, Contradiction, Mask, Signal
 
 GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over WINDOW; 9.5–10.2 on real walks
 GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
@@ -18,6 +24,25 @@ WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration
 ACCEPTED_FIELD = (4.0, 5000.0)  # [µT] accepted medians: the earth's field has 22 to 67, a phone's iron up to 2000
 FIELD_UNITS = ((1e-3, "T", 1e6), (0.15, "mT", 1e3), (4.0, "gauss", 100.0), (np.inf, "nT", 1e-3))  # below which median
 FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
+PLATFORMS = "android", "ios"
+G, METRIC, WEB = "g", "m/s²", "m/s², turns in °/s"  # units that tell of the sign; the last is of browsers
+# Log-odds of the opposite sign: g is CoreMotion's unit, and Expo's on Android too; m/s² are Android's, and Safari's
+BY_UNIT = {G: 2.0, METRIC: -2.0, WEB: 0.0}
+BY_PLATFORM = 6.0  # of Android for its own sign; of iOS, in g, for the opposite one: plug-ins in m/s² convert it or not
+FACE_UP = 4.0  # log-odds that a phone held level and steady while walking faces up: all of 12 persons
+BY_DIP = 6.0  # log-odds of a field that points as the earth's: never the wrong way in 700 windows of 10 s of 81 walks
+MOST_BY_FIXES = 8.0  # log-odds
+HELD = 7.0, 9.0  # [°] largest sway of a phone in the hand, 2 to 6.8, and from which it is in a pocket, 4.4 to 13
+LEVEL = 0.2, 0.4  # [g] along x: a screen that is read is level, up to 0.17; in a pocket it may lie askew
+WALKED = 0.08  # swing of the magnitude in a window of walking
+PARTS = 8  # of a window, whose mean directions are compared
+MOST_WINDOWS = 10  # of walking, after which the posture is known
+FACING = 0.3, 0.5  # [g] along z from which a phone faces up or down a little, and fully
+FEWEST_WINDOWS = 2.0  # facing up or down, for the full log-odds
+LEAST_ODDS, SURE_ODDS = (
+    0.25,
+    2.5,
+)  # log-odds from which another sign is taken; below which it is a guess, as by unit alone
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 
 
@@ -82,12 +107,32 @@ def axis_scales(signal: Signal) -> Array | None:
 
 
 @dataclass
+class WindowBuffer:
+    """Packets of samples until they fill a window of `WINDOW`."""
+
+    time: list[Array] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+    def filled(self, time: Array, values: Array) -> Signal | None:
+        """Add samples ``(n,)`` [s], ``(n, k)``; returns the window that they complete, without damaged samples."""
+        self.time.append(time)
+        self.values.append(values)
+        if not len(time) or abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
+            return None
+        time, values = np.concatenate(self.time), np.concatenate(self.values)
+        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
+        window = Signal(time[usable], values[usable])
+        complete = len(window) > 0 and abs(window.time[-1] - window.time[0]) >= WINDOW
+        self.time, self.values = ([], []) if complete or not len(window) else ([window.time], [window.values])
+        return window if complete else None
+
+
+@dataclass
 class SensorUnit:
     """The unit of a sensor's samples by their values, as in files; once another than the expected is sure it is kept.
 
     sensor: its name; factor: to its unit; gravity: restores what the recorder removed, None if it did not; note: what
-    differs from the expected, "" without; before: found in the last window; time, values: of the present window, in
-    packets.
+    differs from the expected, "" without; before: found in the last window; window: samples of the present one.
     """
 
     sensor: str
@@ -95,24 +140,13 @@ class SensorUnit:
     gravity: GravityRestorer | None = None
     note: str = ""
     before: tuple[str, float, str] = ("", 1.0, "")
-    time: list[Array] = field(default_factory=list)
-    values: list[Array] = field(default_factory=list)
+    window: WindowBuffer = field(default_factory=WindowBuffer)
 
     def watch(self, time: Array, values: Array) -> None:
         """Examine samples ``(n,)`` [s], ``(n, k)``: two windows of `WINDOW` in a row that agree decide."""
-        if self.note or not len(time):
+        if self.note or not len(time) or (window := self.window.filled(time, values)) is None:
             return
-        self.time.append(time)
-        self.values.append(values)
-        if abs(self.time[-1][-1] - self.time[0][0]) < WINDOW:
-            return
-        time, values = np.concatenate(self.time), np.concatenate(self.values)
-        usable = np.isfinite(time) & (np.abs(values) < IMPLAUSIBLE).all(axis=1)
-        window, notes = Signal(time[usable], values[usable]), list[str]()
-        complete = len(window) > 0 and abs(window.time[-1] - window.time[0]) >= WINDOW
-        self.time, self.values = ([], []) if complete or not len(window) else ([window.time], [window.values])
-        if not complete:
-            return
+        notes = list[str]()
         try:
             kind, factor = unit_of("", self.sensor, window, notes)
         except InputError as error:
@@ -127,6 +161,120 @@ class SensorUnit:
         """Samples ``(n, k)`` in the expected unit, with gravity."""
         values = values if self.factor == 1.0 else self.factor * values
         return values if self.gravity is None else self.gravity.restored(values)
+
+
+@dataclass
+class AccelerationSign:
+    """Whether accelerations have the sign opposite to Android's, as those of CoreMotion and Safari, by all evidence.
+
+    platform: one of PLATFORMS if it is stated, else ""; unit: of BY_UNIT; known: log-odds of the opposite sign by what
+    read the samples, in place of those by unit and posture, None without; sign: by which the accelerations are
+    multiplied, 1 or -1; dip, fixes: log-odds of the opposite sign by the magnetic field and by fixes; up, faced: sums
+    over the windows of walking so far, of which the posture is the ratio; windows, walked: number of windows so far.
+    """
+
+    platform: str = ""
+    unit: str = METRIC
+    known: float | None = None
+    sign: float = 1.0
+    dip: float = 0.0
+    fixes: float = 0.0
+    up: float = 0.0
+    faced: float = 0.0
+    windows: int = 0
+    walked: int = 0
+    window: WindowBuffer = field(default_factory=WindowBuffer)
+
+    @classmethod
+    def of(cls, signal: Signal, unit: str = METRIC, known: float | None = None) -> AccelerationSign:
+        """The sign of a whole signal ``(n, 3)`` by unit and posture, or by what is known."""
+        found = cls(unit=unit, known=known)
+        samples = max(2, round(WINDOW * signal.rate) + 2)
+        for first in range(0, len(signal) - samples + 1, samples):
+            found.watch(signal.time[first : first + samples], signal.values[first : first + samples])
+        found.windows = 2
+        found.decide()
+        return found
+
+    def watch(self, time: Array, values: Array) -> None:
+        """Examine samples ``(n,)`` [s], ``(n, 3)`` in any unit: which way a phone faces that is held while walking."""
+        if self.walked >= MOST_WINDOWS or not len(time) or (window := self.window.filled(time, values)) is None:
+            return
+        self.windows += 1
+        size = np.linalg.norm(window.values, axis=1)
+        mean = window.values.mean(axis=0)
+        gravity = float(np.linalg.norm(mean))
+        if len(window) < 2 * PARTS or size.std() <= WALKED * np.median(size) or gravity < np.median(size) / 2:
+            return
+        parts = np.array([part.mean(axis=0) for part in np.array_split(window.values, PARTS)])
+        along = parts @ mean / gravity
+        across = np.sqrt(np.maximum((parts**2).sum(axis=1) - along**2, 0.0))
+        sway = np.degrees(np.sqrt(np.mean(np.arctan2(across, along) ** 2)))
+        if sway > 2 * HELD[1]:
+            return  # it is shaken, or handled
+        self.walked += 1
+        held = np.prod(
+            [
+                np.clip((most - value) / (most - least), 0.0, 1.0)
+                for value, (least, most) in ((sway, HELD), (abs(mean[0]) / gravity, LEVEL))
+            ]
+        )
+        share = float(np.clip((abs(mean[2]) / gravity - FACING[0]) / (FACING[1] - FACING[0]), 0.0, 1.0)) ** 2
+        self.up += float(held) * share * np.sign(mean[2])
+        self.faced += share
+
+    @property
+    def posture(self) -> float:
+        """Log-odds of the opposite sign by the posture so far; a phone that stands upright tells nothing."""
+        return -FACE_UP * self.up / max(self.faced, FEWEST_WINDOWS)
+
+    @property
+    def by_unit(self) -> float:
+        """Log-odds of the opposite sign by unit and platform."""
+        if self.platform == "ios":
+            return BY_PLATFORM if self.unit == G else BY_UNIT[WEB]
+        return -BY_PLATFORM if self.platform else BY_UNIT[self.unit]
+
+    @property
+    def log_odds(self) -> float:
+        """Log-odds of the opposite sign by all evidence."""
+        return (self.by_unit + self.posture if self.known is None else self.known) + self.dip + self.fixes
+
+    @property
+    def probability(self) -> float:
+        """Probability of the present sign."""
+        return float(1 / (1 + np.exp(self.sign * self.log_odds)))
+
+    def decide(self) -> bool:
+        """Take the more probable sign, from the second window on; True if it changed."""
+        changed = self.windows > 1 and self.sign * self.log_odds > LEAST_ODDS
+        self.sign = -self.sign if changed else self.sign
+        return changed
+
+    def observe(self, dip: float = 0.0, fixes: float = 0.0) -> None:
+        """Add evidence of the walk at the present sign: log-odds that up is down. The strongest of each kind counts."""
+        dip, fixes = self.sign * dip, self.sign * float(np.clip(fixes, -MOST_BY_FIXES, MOST_BY_FIXES))
+        self.dip = dip if abs(dip) > abs(self.dip) else self.dip
+        self.fixes = fixes if abs(fixes) > abs(self.fixes) else self.fixes
+
+    @property
+    def note(self) -> str:
+        """What was converted, by which evidence; "" for Android's sign."""
+        if self.sign > 0:
+            return ""
+        unit = "platform and unit" if self.platform else f"its unit ({self.unit})"
+        evidence = {unit: self.by_unit, "the posture of the phone": self.posture} if self.known is None else {}
+        evidence |= {"the dip of the magnetic field": self.dip, "the turns between fixes": self.fixes}
+        by = ", ".join(name for name, odds in evidence.items() if odds > LEAST_ODDS)
+        return f"accelerometer: the sign is opposite to Android's ({self.probability:.0%} by {by}): converted"
+
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """The doubt about the sign, if it is a guess after some seconds of walking."""
+        if self.walked <= FEWEST_WINDOWS or abs(self.log_odds) >= SURE_ODDS:
+            return ()
+        text = f"the sign of the accelerations is {self.probability:.0%} sure: the walk may be its mirror image"
+        check = "platform='android' or 'ios'; a magnetometer, or fixes around a corner, tell too"
+        return (Contradiction("accelerometer", "its sign", self.probability, "probability", text, check),)
 
 
 @dataclass

@@ -24,9 +24,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
+from pdr_graph.inertial.units import BY_PLATFORM
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
-from pdr_graph.io.sensor_logger import sign_by_gravity
+from pdr_graph.io.sensor_logger import sign_by_posture
 from pdr_graph.io.signatures import ABOVE_HEADER, NAMED_COLUMNS, plain
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, float_of, in_seconds, iso_time, receiver_fixes
@@ -109,7 +110,7 @@ def read(source: Source) -> Recording:
     where, content = source.where(name), source.utf8(name, errors="replace")
     above = ABOVE_HEADER.match(content)
     table = delimited.table(where, content[above.end() :] if above else content)
-    columns, notes = {plain(name): k for k, name in enumerate(table.header)}, list[str]()
+    columns, notes, sign_odds = {plain(name): k for k, name in enumerate(table.header)}, list[str](), -BY_PLATFORM
     kind = next(kind for kind, marks in NAMED_COLUMNS.items() if columns.keys() >= set(marks))
     words = TABLES_OF[kind]
     logged, unit = _times(table, columns, kind, above[0].decode("utf-8", "replace") if above else "")
@@ -123,7 +124,7 @@ def read(source: Source) -> Recording:
     if unit == DOT and "gyroscope" in tables:
         tables["gyroscope"][:, 1:] *= DEGREE
     if kind == DEVICE_MOTION and "accelerometer" in tables:
-        sign, system = sign_by_gravity(tables["accelerometer"][:, 3])
+        sign, sign_odds, system = sign_by_posture(tables["accelerometer"])
         tables["accelerometer"][:, 1:] *= sign
         notes.append(f"accelerometer: the signs of {system} assumed from gravity's sign")
     located, counted = tables.pop(POSITIONS, None), None
@@ -141,6 +142,7 @@ def read(source: Source) -> Recording:
         None if located is None else receiver_fixes(located, notes),
         notes=notes,
         counted=counted,
+        sign_odds=sign_odds,
     )
 
 

@@ -14,11 +14,12 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.units import BY_PLATFORM, BY_UNIT, LEAST_ODDS, METRIC, WEB, AccelerationSign
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, fullest, receiver_fixes
-from pdr_graph.types import Array, Recording, Sightings
+from pdr_graph.types import Array, Recording, Sightings, Signal
 
 XYZ = ("x", "y", "z")
 NANOSECOND = 1e-9  # [s]
@@ -32,7 +33,7 @@ LOCATIONS = "Location.csv", "LocationGps.csv", "LocationNetwork.csv"
 def read(source: Source) -> Recording:
     """Read one recording. Raises InputError if a table is damaged."""
     notes: list[str] = []
-    tables = _accelerations(source, notes)
+    tables, sign_odds = _accelerations(source, notes)
     for sensor, files in PLAIN_FILES.items():
         if (table := _samples(source, *_longest_first(source, files, notes))) is not None:
             tables[sensor] = table
@@ -53,49 +54,63 @@ def read(source: Source) -> Recording:
         wifi=_sightings(source, "WiFi.csv", "bssid", "level"),
         notes=notes,
         counted=_samples(source, "Pedometer.csv", values=("steps",)),
+        sign_odds=sign_odds,
     )
 
 
-def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
-    """Acceleration with gravity [m/s²] in Android's signs, from the tables recorded; else the one without gravity."""
+def _accelerations(source: Source, notes: list[str]) -> tuple[dict[str, Array], float]:
+    """Acceleration with gravity [m/s²] in Android's signs, from the tables recorded; else the one without gravity.
+
+    Also the log-odds that the sign is wrong.
+    """
     total = _samples(source, "TotalAcceleration.csv")
     if total is not None:  # written on Android only; the other tables need not be read
-        return {"accelerometer": total}
+        return {"accelerometer": total}, -BY_PLATFORM
     linear, gravity = _samples(source, "Accelerometer.csv"), _samples(source, "Gravity.csv")
     raw = _samples(source, "AccelerometerUncalibrated.csv")
     if linear is None and raw is None and source.single:
         total = _samples(source, PurePosixPath(source.single).name)  # one table, renamed by its user
-        return {} if total is None else {"accelerometer": total}
-    sign = _sign(source, gravity if gravity is not None else raw, notes)
+        return ({} if total is None else {"accelerometer": total}), BY_UNIT[METRIC]
     valid = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
     if linear is not None and len(linear) and len(valid):
         at_linear = interpolate(linear[:, 0], valid[:, 0], valid[:, 1:])
-        return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + at_linear)])}
-    if raw is not None:
-        return {"accelerometer": raw * (1, sign, sign, sign)}
-    return {} if linear is None else {"linear_acceleration": linear * (1, sign, sign, sign)}
+        total = np.column_stack([linear[:, 0], linear[:, 1:] + at_linear])
+    else:
+        total = raw
+    sign, odds = _sign(source, total, notes)
+    if total is not None:
+        return {"accelerometer": total * (1, sign, sign, sign)}, odds
+    return ({} if linear is None else {"linear_acceleration": linear * (1, sign, sign, sign)}), odds
 
 
-def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float:
-    """−1 if accelerations have the signs of iOS, else 1.
+def _sign(source: Source, total: Array | None, notes: list[str]) -> tuple[float, float]:
+    """−1 if accelerations have the signs of iOS, else 1, and the log-odds that this is wrong.
 
-    Without metadata the sign of gravity decides: the screen of a carried phone faces up more than down.
+    Without metadata the accelerations with gravity decide.
     """
     if (table := _table(source, "Metadata.csv")) is not None:
         about = {key.lower(): table.rows.words(k)[0].lower() for k, key in enumerate(table.header)}
         if "platform" in about:
-            return -1.0 if about["platform"] == "ios" and about.get("standardisation") != "true" else 1.0
-    z = np.empty(0) if with_gravity is None else with_gravity[np.isfinite(with_gravity[:, 3]), 3]
-    if not len(z):
-        return 1.0
-    sign, system = sign_by_gravity(z)
+            ios = about["platform"] == "ios" and about.get("standardisation") != "true"
+            return -1.0 if ios else 1.0, -BY_PLATFORM
+    total = np.empty((0, 4)) if total is None else total[np.isfinite(total).all(axis=1)]
+    if not len(total):
+        return 1.0, -BY_PLATFORM
+    sign, odds, system = sign_by_posture(total)
     notes.append(f"accelerometer: no Metadata.csv, so the phone is unknown; {system} assumed from gravity's sign")
-    return sign
+    return sign, odds
 
 
-def sign_by_gravity(z: Array) -> tuple[float, str]:
-    """Sign of the accelerations, and the system that has it, by components ``(n,)`` of gravity out of the screen."""
-    return (-1.0, "iOS") if np.median(z) < 0 else (1.0, "Android")
+def sign_by_posture(rows: Array) -> tuple[float, float, str]:
+    """Sign of accelerations with gravity, log-odds that it is wrong, and the system that has it.
+
+    rows: ``(n, 4)`` times [s] and values of a recorder that runs on Android and on iOS. Where the phone was not held,
+    the screen that faces up a little decides.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    found = AccelerationSign.of(Signal(rows[:, 0], rows[:, 1:]), WEB)
+    down = np.median(rows[:, 3]) < 0 if abs(found.log_odds) < LEAST_ODDS and len(rows) else found.sign < 0
+    return (-1.0, -abs(found.log_odds), "iOS") if down else (1.0, -abs(found.log_odds), "Android")
 
 
 def _longest_first(source: Source, files: tuple[str, ...], notes: list[str]) -> tuple[str, ...]:

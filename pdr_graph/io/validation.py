@@ -19,7 +19,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.units import IMPLAUSIBLE, axis_scales, check_one_unit, unit_of
+from pdr_graph.inertial.units import BY_PLATFORM, IMPLAUSIBLE, axis_scales, check_one_unit, unit_of
 from pdr_graph.types import (
     DAY_LENGTH,
     GNSS,
@@ -48,6 +48,7 @@ def build_recording(
     truth: Trajectory | None = None,
     notes: Sequence[str] = (),
     counted: Array | None = None,
+    sign_odds: float = -BY_PLATFORM,
 ) -> Recording:
     """Build the recording from a reader's raw columns, all times on the recorder's own clock.
 
@@ -55,6 +56,7 @@ def build_recording(
     tables: per sensor ``(n, 1 + k)`` times [s] and values, rows of NaN where a value is missing.
     unix_zero: Unix time at which the recorder's clock is zero [s], None if unknown.
     counted: ``(n, 2)`` times [s] and the number of steps by the phone's own counter; NaN where unknown.
+    sign_odds: as of ``Recording``; by default the recorder is known to have Android's sign, or the reader converted it.
 
     Raises InputError if a sensor's rows are damaged, or their unit is not recognised.
     """
@@ -102,6 +104,7 @@ def build_recording(
         wifi=_since(origin, wifi),
         truth=_since(origin, truth),
         notes=tuple(notes),
+        sign_odds=sign_odds,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION
-from pdr_graph.inertial.units import SensorUnit
+from pdr_graph.inertial.units import METRIC, WEB, AccelerationSign, G, GravityRestorer, SensorUnit
 from pdr_graph.priors import MOTION
 from pdr_graph.types import (
     INERTIAL,
@@ -59,11 +59,17 @@ TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
 class EventChecks:
-    """Leaves out rows of live events; unused: how many, by what the status says of them; units: of each sensor."""
+    """Leaves out rows of live events; unused: how many, by what the status says of them.
 
-    def __init__(self) -> None:
+    units: of each sensor, and sign: of the accelerations, as far as they are known from earlier events.
+    """
+
+    def __init__(self, units: dict[str, SensorUnit] | None = None, sign: AccelerationSign | None = None) -> None:
         self.unused = Counter[tuple[str, str]]()
-        self.units = dict[str, SensorUnit]()
+        self.units = units or {}
+        for unit in self.units.values():
+            unit.gravity = None if unit.gravity is None else GravityRestorer()
+        self.sign = sign or AccelerationSign()
         self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
         self._heard = dict[str, tuple[float, float, int]]()  # of each source: first and last time [s], and how often
         self._leads = dict[str, tuple[int, float]]()  # of each source: number of fixes, least lead of the sensors [s]
@@ -83,15 +89,29 @@ class EventChecks:
             if now - last > max(least, intervals * usual):
                 yield f"{source}: silent for {now - last:.0f} s"
 
+    def watch(self, sensor: str, time: Array, values: Array) -> bool:
+        """Examine samples ``(n, k)`` at times ``(n,)`` [s]; True if the unit or sign of the sensor changed."""
+        stamps, values = np.array(time, dtype=float).reshape(-1), np.array(values, dtype=float)  # kept for a window
+        if not _are_rows(stamps, values):
+            return False
+        unit = self.units.setdefault(sensor, SensorUnit(sensor))
+        before = unit.note, unit.factor
+        unit.watch(stamps, values)
+        turns = self.units.get("gyroscope")
+        if sensor == "accelerometer":
+            in_degrees = turns is not None and turns.factor != 1.0
+            self.sign.unit = G if unit.factor != 1.0 else WEB if in_degrees else METRIC
+            self.sign.watch(stamps, values)
+        return self.sign.decide() or (unit.note, unit.factor) != before
+
     def in_unit(self, sensor: str, time: Array, values: Array) -> Array:
-        """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit."""
+        """A sensor's samples ``(n, k)`` at times ``(n,)`` [s] in its unit, with Android's sign."""
         stamps, values = np.asarray(time, dtype=float).reshape(-1), np.asarray(values, dtype=float)
-        if not len(stamps) or values.ndim != 2 or len(values) != len(stamps):
+        if not _are_rows(stamps, values):
             return values
         self._check_clock(sensor, stamps)
         unit = self.units.setdefault(sensor, SensorUnit(sensor))
-        unit.watch(stamps, values)
-        return unit.converted(values)
+        return unit.converted(-values if sensor == "accelerometer" and self.sign.sign < 0 else values)
 
     def _check_clock(self, sensor: str, stamps: Array) -> None:
         """Count samples whose times ``(n,)`` are in a finer unit than seconds."""
@@ -209,7 +229,7 @@ class EventChecks:
 
     def issues(self) -> list[str]:
         """A line for each unit that is not the expected one, and for each reason why rows were left out."""
-        units = [unit.note for unit in self.units.values() if unit.note]
+        units = [note for note in (*(unit.note for unit in self.units.values()), self.sign.note) if note]
         clock = "the clock is {:.0f} s ahead of the sensors; corrected"
         clocks = [f"{source or 'fixes'}: {clock.format(lead)}" for source, lead in self._ahead.items()]
         return units + clocks + [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
@@ -220,6 +240,10 @@ class EventChecks:
             return data
         self.unused[name, reason] += int((~within).sum())
         return take(data, within) if within.any() else None
+
+
+def _are_rows(stamps: Array, values: Array) -> bool:
+    return len(stamps) > 0 and values.ndim == 2 and len(values) == len(stamps)
 
 
 def _within(data: Any, limits: Limits) -> Mask:

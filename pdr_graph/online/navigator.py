@@ -9,6 +9,7 @@ No data can end the walk: unusable data are counted, and the status states the p
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
@@ -23,7 +24,7 @@ from pdr_graph.estimation.factors.base import Searching
 from pdr_graph.estimation.factors.registry import COLLECTORS, kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
-from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.initialization import MirrorTest, lay_dead_reckoning
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window, rewound
@@ -39,6 +40,7 @@ from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import horizontal_sigma, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
+from pdr_graph.inertial.units import PLATFORMS, AccelerationSign
 from pdr_graph.online.event_checks import AHEAD, MOST_SOURCES, EventChecks
 from pdr_graph.online.filter_beside import FilterBeside, belief_of_rows
 from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, modes_of, trajectory_of_rows
@@ -61,6 +63,7 @@ from pdr_graph.types import (
     START,
     Array,
     Beacons,
+    Contradiction,
     Estimate,
     Fixes,
     FixReport,
@@ -76,8 +79,10 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
     from pdr_graph.floor.paths import PathNetwork
 
-UPSIDE_DOWN = "accelerometer: the magnetic field points up: are the signs those of iOS? Android's are expected"
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
+KEPT = 300.0  # [s] of events that are kept, to restart the walk if the unit or sign of a sensor is another
+CAUGHT_UP = 1.0  # [s] of earlier events that a push takes after a restart, until the walk has caught up
+MIRRORED = "the walk before {:.0f} s is its mirror image: only then was the sign of the accelerations recognised"
 
 
 @cache
@@ -95,10 +100,11 @@ class Navigator:
     paths: ways outdoors, in their own frame;
     start_floor: label of the floor where the walk begins, for a building of several floors; start_heading,
     start_heading_sigma: direction of the first step, counter-clockwise from +x of the frame, and its sigma [rad];
-    epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; executor: computes long answers beside
-    the walk, of which each is used at a fixed later time of the walk; by default a thread that all navigators of the
-    process share, if it has several cores. With None, `review` or the push that needs an answer computes it, with equal
-    results.
+    epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; platform: "android" or "ios" if it is
+    known, a hint for the sign of the accelerations, which is recognised without it; executor: computes long answers
+    beside the walk, of which each is used at a fixed later time of the walk; by default a thread that all navigators of
+    the process share, if it has several cores. With None, `review` or the push that needs an answer computes it, with
+    equal results.
     """
 
     def __init__(
@@ -116,11 +122,19 @@ class Navigator:
         start_heading: float | None = None,
         start_heading_sigma: float = INITIAL.heading_sigma,
         epoch: float | None = None,
+        platform: str = "",
         executor: Executor | Literal["thread"] | None = "thread",
     ):
         expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
         if lag is not None and not lag > 0:
             raise ValueError(f"Navigator, lag: found {lag}, expected seconds above 0, or None to finalize nothing")
+        if platform not in ("", *PLATFORMS):
+            raise ValueError(f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if unknown")
+        self._arguments: dict[str, Any] = {
+            **{"floor": floor, "lag": lag, "walker": walker, "frame": frame, "prior": prior, "beacons": beacons},
+            **{"radio_map": radio_map, "paths": paths, "start_floor": start_floor, "start_heading": start_heading},
+            **{"start_heading_sigma": start_heading_sigma, "epoch": epoch, "platform": platform, "executor": executor},
+        }
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame: Frame | None = None
@@ -144,7 +158,11 @@ class Navigator:
         self._tail: Steps | None = None  # the provisional steps, on stairs as long as the treads
         self._pose: Pose | None = None  # the current pose, if it was asked for since it changed last
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._checks = EventChecks()
+        self._checks = EventChecks(sign=AccelerationSign(platform))
+        self._mirror, self._mirrored_until = MirrorTest(), np.nan
+        self._kept: list[Event] | None = []  # all events so far; None once rows were finalised, or after KEPT seconds
+        self._since = np.nan  # time of the first sample [s]
+        self._waiting, self._again = deque[Event](), 0  # events to use, and how many of them are used once more
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
         self._on_steps, self._stepless = 0.0, 0.0  # [s] on certain steps, and of movement without one
         self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
@@ -160,6 +178,61 @@ class Navigator:
     def push(self, event: Event) -> None:
         """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
         expect("Navigator.push, event", event, *event_types(), instead="events_of(recording)")
+        self._waiting.append(_copied(event) if self._again else event)
+        self._catch_up(CAUGHT_UP)
+
+    def _catch_up(self, seconds: float) -> None:
+        """Use the events that wait; of those that are used once more, so many seconds."""
+        until = np.inf
+        while self._waiting:
+            event, again = self._waiting.popleft(), self._again > 0
+            if again:
+                self._again -= 1
+            elif self._examine(event):
+                continue
+            self._use(event)
+            if self._kept is not None and not again:
+                self._kept.append(_copied(event))
+            if again and until == np.inf and self._gait.newest > -np.inf:
+                until = self._gait.newest + seconds
+            if self._again and self._gait.newest >= until:
+                return
+
+    def _examine(self, event: Event) -> bool:
+        """Examine a new event; True if it tells another unit or sign, so that all events are to be used once more."""
+        if not isinstance(event, Samples):
+            return False
+        time = np.asarray(event.time, dtype=float).reshape(-1)
+        self._since = float(np.fmin(self._since, np.min(time, initial=np.inf)))
+        if np.max(time, initial=-np.inf) > self._since + KEPT:
+            self._kept = None
+        sign = self._checks.sign
+        before = sign.sign
+        sign.observe(self._compass.mirrored, self._mirror.log_odds)
+        if not self._checks.watch(event.sensor, event.time, event.values):
+            return False
+        if self._kept is None:
+            if sign.sign != before:
+                self._turn_over()
+            return False
+        kept, since, units = [*self._kept, _copied(event)], self._since, self._checks.units
+        waiting = [*kept, *self._waiting]
+        Navigator.__init__(self, **self._arguments)
+        self._checks, self._kept, self._since = EventChecks(units, sign), kept, since
+        self._waiting, self._again = deque(waiting), len(kept)
+        return True
+
+    def _turn_over(self) -> None:
+        """Continue with accelerations of the other sign: the direction is not known any more."""
+        if (last := self._gait.break_off()) is not None:
+            self._extend(last)
+        self._mirrored_until = self._now
+        self._mirror = MirrorTest()
+        self._compass.dips[:] = 0.0
+        self._pose = self._tail = self._provisional = None
+
+    def _use(self, event: Event) -> None:
+        """Process an event."""
         if isinstance(event, Samples):
             self._sample(replace(event, values=self._checks.in_unit(event.sensor, event.time, event.values)))
             return
@@ -181,6 +254,11 @@ class Navigator:
     def review(self) -> None:
         """Answer the open questions in an idle moment between pushes; the results are the same without."""
         self._graph.review()
+
+    @property
+    def sign(self) -> float:
+        """By which the accelerations are multiplied: 1, or -1 if their sign is opposite to Android's."""
+        return self._checks.sign.sign
 
     @property
     def steps(self) -> int:
@@ -323,7 +401,6 @@ class Navigator:
                 *self._checks.silences(max(self._gait.newest, self._latest_fix)),
                 *((RIDES_NOW.format(since),) if (since := self._rides.since) is not None else ()),
                 *((MOVED.format(moved),) if moved else ()),
-                *((UPSIDE_DOWN,) if self._compass.upside_down else ()),
                 *self._checks.issues(),
                 *issues_of_times(self._early, graph.graph.too_late),
                 *self._filter.issues(),
@@ -343,10 +420,13 @@ class Navigator:
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._chunks = self._chunks[-1:]
-        return trajectory_of_rows(self._graph.graph.finalized.pop_finalized())
+        rows = trajectory_of_rows(self._graph.graph.finalized.pop_finalized())
+        self._kept = None if len(rows) else self._kept  # rows that were returned stay
+        return rows
 
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""
+        self._catch_up(np.inf)
         last = self._gait.finish()
         self._tail = self._provisional = self._pose = None
         if last is not None:
@@ -357,7 +437,7 @@ class Navigator:
         if (final := self._graph.final) is not None:
             self._filter.judge(partial(belief_of_rows, final.trajectory))
             warnings = (*final.warnings, *self._rides.notes, *self._filter.warnings())
-            doubts = *self._rides.contradictions, *self._filter.contradictions()
+            doubts = *self._rides.contradictions, *self._filter.contradictions(), *self._mirror_images()
             return replace(final, warnings=warnings, contradictions=(*final.contradictions, *doubts))
         estimate = self._estimate()
         warnings = (*warnings_of(self._graph, self.building, estimate), *self._rides.notes, *self._filter.warnings())
@@ -383,10 +463,19 @@ class Navigator:
                 *movement_contradictions(self._stepless, self._on_steps),
                 *self._rides.contradictions,
                 *self._filter.contradictions(),
+                *self._mirror_images(),
             ),
             placed=smoother.graph.finalized.anchored,
             assumed=tuple(claim.label for claim in smoother.ambiguity.findings.adopted),
         )
+
+    def _mirror_images(self) -> tuple[Contradiction, ...]:
+        """The doubts about the sign of the accelerations, now and earlier."""
+        found = self._checks.sign.contradictions()
+        if np.isnan(self._mirrored_until):
+            return found
+        text, check = MIRRORED.format(self._mirrored_until), "platform='ios', which tells it from the start"
+        return (*found, Contradiction("accelerometer", "its sign", self._mirrored_until, "s", text, check))
 
     @property
     def _window(self) -> Window:
@@ -462,6 +551,7 @@ class Navigator:
             start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
             self._graph.graph.append(start, np.array([-(2**31)]))
             self._filter.add(start)
+        self._mirror.extend(steps)
         self._certain += int((~steps.is_gap).sum())
         self._on_steps += time_on_steps(steps)
         self._stepless += steps.stepless
@@ -522,6 +612,8 @@ class Navigator:
         if isinstance(data, Fixes):
             self._accepted += len(data)
             self._floors.add_fixes(data)
+        if isinstance(data, Fixes):
+            self._mirror.add(data)
         self._graph.append(data)
         self._filter.add(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
@@ -560,6 +652,11 @@ class Navigator:
         self._filter.add(fixes)
         for n in range(len(fixes)):
             self._floors.add_fixes(fixes[n])
+
+
+def _copied(event: Event) -> Event:
+    """The event with copies of its samples, whose arrays the caller may use again."""
+    return replace(event, time=event.time.copy(), values=event.values.copy()) if isinstance(event, Samples) else event
 
 
 FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up

@@ -80,6 +80,7 @@ LIES = {
     "gyroscope hangs": (samples(lambda time, values: np.where(time[:, None] > LATER, 0.1, values)), 0.85, False),
     "all sensors stop": (silent(LATER), 0.85, False),
     "all sensors stop for half a minute": (silent(LATER, LATER + 30.0), 0.85, False),
+    "accelerations of the opposite sign": (samples(lambda _, values: -values, "accelerometer"), 0.95, False),
     "axes of the gyroscope swapped": (samples(lambda _, values: values[:, [1, 0, 2]]), 0.85, False),
     "clock of the receiver 5 s ahead": (ahead(5.0), 0.85, False),
     "clock of the receiver 40 s ahead": (ahead(40.0), 0.75, False),

@@ -354,8 +354,7 @@ def test_the_pose_follows_fixes_that_go_away_while_no_step_is_recognised(speed, 
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_accelerations_with_the_signs_of_ios_are_an_issue(sign):
-    """By the dip of the magnetic field, where the walk's place is known."""
+def test_the_dip_of_the_field_tells_the_sign_where_the_place_is_known(sign):
     route = [[0.0, 0.0], {"stand": 2}, {"to": [[20.0, 0.0], [20.0, 10.0]]}, {"stand": 2}]
     made = simulate(Scenario.of({"seed": 1, "start": 1.7e9, "place": [11.08, 49.45], "route": route}))
     signals = {name: made.signals[name] for name in ("accelerometer", "gyroscope", "magnetometer")}
@@ -365,7 +364,8 @@ def test_accelerations_with_the_signs_of_ios_are_an_issue(sign):
     nav.push(Fixes(0.5, (11.08, 49.45), 5.0, epsg=LONLAT))
     for event in events_of(Recording("walk", 0.0, 1.7e9, **signals)):
         nav.push(event)
-    assert any("signs those of iOS" in issue for issue in nav.status.issues) == (sign < 0)
+    assert any("the dip of the magnetic field" in issue for issue in nav.status.issues) == (sign < 0)
+    assert nav.sign == sign
 
 
 def test_gaps_are_no_milliseconds():

@@ -24,6 +24,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, rotation
+from pdr_graph.inertial.units import BY_PLATFORM
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.tables import workbook_columns
 from pdr_graph.options import Options
@@ -210,8 +211,9 @@ def _counted(file: Path, count: int) -> BenchWalk:
 
 
 def recording_of(name: str, time: Array, acceleration: Array, rate: Array) -> Recording:
-    """A recording of an accelerometer ``(n, 3)`` [m/s²] and a gyroscope ``(n, 3)`` [rad/s] at times ``(n,)`` [s]."""
-    return Recording(name, 0.0, None, accelerometer=Signal(time, acceleration), gyroscope=Signal(time, rate))
+    """A recording of an accelerometer ``(n, 3)`` [m/s²] with Android's sign and a gyroscope ``(n, 3)`` [rad/s]."""
+    signals = {"accelerometer": Signal(time, acceleration), "gyroscope": Signal(time, rate)}
+    return Recording(name, 0.0, None, **signals, sign_odds=-BY_PLATFORM)
 
 
 def _of_foot_sensor(path: Path) -> BenchWalk:

@@ -171,7 +171,6 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
 
     Raises InputError if the recording cannot be used or has no date.
     """
-    from pdr_graph.gait.steps import gait_signals
     from pdr_graph.walk import detected
 
     options = options or RecordingOptions()
@@ -185,8 +184,9 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     measurements = walk.measurements
     last = [s.time[-1] for s in walk.signals.values()] or [inputs.fixes.time[-1]]
     if walk.has_acceleration:
-        gaits = gait_signals(walk)
-        steps, headings, drifts = detected(replace(inputs, walker=replace(inputs.walker, profile=None)), gaits)
+        usual = replace(inputs, walker=replace(inputs.walker, profile=None))
+        found, gaits, steps, headings, drifts = detected(usual)
+        inputs = replace(inputs, notes=found.notes)
         measurements = (*measurements, drifts) if len(drifts) else measurements
         looks, ends = _turns_in_pauses(gaits, steps), _fields_at_ends(gaits)
     barometer = walk.barometer

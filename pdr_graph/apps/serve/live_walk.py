@@ -203,7 +203,8 @@ class LiveWalk:
     def _push(self, events: Sequence[Event]) -> None:
         for event in events:
             if self._navigator is None:
-                self._navigator = self._make(epoch=self.intake.origin)
+                platform = "" if self.intake.signs.guessed else "android"  # whose signs the events have
+                self._navigator = self._make(epoch=self.intake.origin, platform=platform)
             try:
                 self._navigator.push(event)
             except OSError:

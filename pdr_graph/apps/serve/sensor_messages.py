@@ -25,7 +25,7 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.units import in_g
-from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_gravity
+from pdr_graph.io.sensor_logger import NANOSECOND, XYZ, sign_by_posture
 from pdr_graph.io.validation import float_of, iso_time, plausible_times, receiver_fixes, unix_time
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
 from pdr_graph.priors import FIXES
@@ -175,13 +175,14 @@ class Signs:
 
     acceleration: factor to m/s² with Android's signs, 0 while unknown; kind: of acceleration, "" while unknown;
     plain: which of calibrated and uncalibrated is used, by sensor; gravity: its last row ``(1, 4)`` time and values;
-    notes: assumptions, a line each.
+    guessed: whether only gravity's sign told the system; notes: assumptions, a line each.
     """
 
     acceleration: float = 0.0
     kind: str = ""
     plain: dict[str, str] = field(default_factory=dict)
     gravity: Array = field(default_factory=lambda: np.empty((0, 4)))
+    guessed: bool = False
     notes: list[str] = field(default_factory=list)
 
 
@@ -232,10 +233,10 @@ def _acceleration(tables: dict[str, Array], signs: Signs, platform: str, android
 
 def _decide(with_gravity: Array, signs: Signs, platform: str, android: bool) -> None:
     """Decide unit and signs of accelerations, once."""
-    values = with_gravity[np.isfinite(with_gravity).all(axis=1), 1:]
-    if not len(values):
+    rows = with_gravity[np.isfinite(with_gravity).all(axis=1)]
+    if not len(rows):
         return
-    is_in_g = in_g(values)
+    is_in_g = in_g(rows[:, 1:])
     if platform:
         sign = -1.0 if platform == "ios" else 1.0
     elif android:
@@ -243,7 +244,8 @@ def _decide(with_gravity: Array, signs: Signs, platform: str, android: bool) -> 
     elif is_in_g:
         sign = -1.0  # only iOS has g, and only with its own signs
     else:
-        sign, system = sign_by_gravity(values[:, 2])
+        sign, _, system = sign_by_posture(rows)
+        signs.guessed = True
         signs.notes.append(f"accelerometer: {system} assumed from gravity's sign; platform=ios or android states it")
     signs.acceleration = sign * (STANDARD_GRAVITY if is_in_g else 1.0)
 

@@ -12,6 +12,7 @@ from pdr_graph.errors import expect
 from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.inertial.units import BY_PLATFORM
 from pdr_graph.lab.simulation import sensors
 from pdr_graph.lab.simulation.body import Body, Pedestrian, move
 from pdr_graph.lab.simulation.carrying import Motion, carry
@@ -61,7 +62,7 @@ class Simulation(OneLineRepr):
     def recording(self, *sensors: str) -> Recording:
         """The measurements of some sensors as a recording, as if read from a file; of all sensors by default."""
         signals: dict[str, Any] = {name: self.signals[name] for name in sensors or self.signals}
-        return Recording("simulated", clock_origin=0.0, epoch=None, **signals)
+        return Recording("simulated", clock_origin=0.0, epoch=None, **signals, sign_odds=-BY_PLATFORM)
 
 
 def simulate(scenario: Scenario) -> Simulation:
