@@ -96,12 +96,12 @@ class PredictionBetweenWalls:
     """Predicts a mixture through the steps after it by particles, which walls stop.
 
     The provisional steps of seven to ten seconds follow the last keyframe. All but the last five or six stay as they
-    are when they are detected again, and are not predicted again. Each step has random numbers of its own, so that the
-    result does not depend on how often it is asked for.
+    are when they are detected again, and are not predicted again. Each step has random numbers of its own and all walls
+    at once, so that the result does not depend on how often it is asked for.
     """
 
     def __init__(self, prior: Prior):
-        self._filter = ParticleFilter(prior, 0, fewest=FEW, most=FEW, at_once=1)
+        self._filter = ParticleFilter(prior, 0, fewest=FEW, most=FEW)
         self._begun: tuple[GaussianMixture, DistanceField] | None = None
         self._done = np.empty((0, 5))  # pieces that the particles went through: length, turn, time, variance
         self._after = list[tuple[Array, Array, Index]]()  # state, logarithm of the weight, mode; before and after each
