@@ -333,10 +333,10 @@ class LoggingNavigator(Navigator):
         self.headings.append((number, time, heading, sigma))
         self._set(number, time, heading, sigma)
 
-    def _log_steps(self, steps, floor):
+    def _log_steps(self, steps, *more):
         self.chunks.append(steps)
         self.walked += float(steps.length.sum())
-        self._append(steps, floor)
+        self._append(steps, *more)
 
     @property
     def provisional(self):

@@ -339,7 +339,7 @@ class ParticleFilter:
         weight -= total
         origin = np.arange(len(weight))
         if share.sum() ** 2 < 0.5 * len(weight) * (share @ share):
-            origin = _resampled(weight, self._needed(), random)
+            origin = resampled(weight, self._needed(), random)
             self.state, weight = self.state.take(origin, axis=1), np.full(len(origin), -np.log(len(origin)))
             self.state[3:] = self._varied()
         self.weight, self._steps = weight, 0
@@ -350,7 +350,7 @@ class ParticleFilter:
         """The ancestors of the present particles at all stored keyframes. most: of so many, drawn by their weights."""
         which, weight = np.arange(len(self.weight)), np.exp(self.weight)
         if most is not None and len(which) > most:
-            which, weight = _resampled(self.weight, most, self.random), np.full(most, 1.0 / most)
+            which, weight = resampled(self.weight, most, self.random), np.full(most, 1.0 / most)
         paths = np.empty((len(self._states), 6, len(which)))
         for k in range(len(paths) - 1, -1, -1):
             self._states[k].take(which, axis=1, out=paths[k], mode="clip")
@@ -399,7 +399,7 @@ def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
     return total
 
 
-def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
+def resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
     """Indices of the surviving particles ``(n,)`` by systematic resampling."""
     share = np.cumsum(np.exp(weight))
     return np.minimum(np.searchsorted(share, share[-1] * (np.arange(n) + random.uniform()) / n), len(weight) - 1)

@@ -527,6 +527,7 @@ class Navigator:
         if certain is not None:
             self._extend(certain)
         self._tail = None if provisional is None else with_goings(provisional, self._floors.goings)
+        self._graph.preview(self._tail)
 
     def _extend(self, steps: Steps) -> None:
         """Append the next certain steps; those of a ride wait for the fixes that end it."""
@@ -562,9 +563,9 @@ class Navigator:
             self._chunks = [with_goings(part, goings) if part.end >= goings[0, 0] else part for part in self._chunks]
         steps = with_goings(steps, goings)
         self._chunks.append(steps)
-        self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
+        self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0], self._tail)
         self._filter.filter.extend(steps)
-        self._filter.compare(steps.end, partial(self._graph.output.belief, None))
+        self._filter.compare(steps.end, partial(self._graph.output.belief, self._tail))
 
     @property
     def _now(self) -> float:

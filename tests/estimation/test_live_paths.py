@@ -12,11 +12,13 @@ from simulated import scenario_walk
 from walks import PERIOD, fixes_at, pushed, pushing, straight
 
 from pdr_graph import FloorPlan, Prior, Recording
+from pdr_graph.estimation.factors.chain import intervals, whole_pieces
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_ambiguity import try_path
 from pdr_graph.estimation.live.live_graph import UPDATES
+from pdr_graph.estimation.live.live_output import predict, retraced
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.particles import ParallelParticleFilter, ways_elsewhere
+from pdr_graph.estimation.live.particles import ParallelParticleFilter, PredictionBetweenWalls, ways_elsewhere
 from pdr_graph.estimation.live.window import Path
 from pdr_graph.estimation.particle_filter import Paths
 from pdr_graph.floor.building import Building
@@ -45,6 +47,66 @@ def walking(building):
     live = pushed(LiveSmoother(lag=60.0, plan=building), steps, fixes)
     assert live.sure
     return live
+
+
+# The prediction between walls
+
+LONG_TAIL = 20  # steps since the last keyframe
+ALONG = np.diag(np.square([0.3, 0.3, 0.15, 0.05, 0.05, 1e-3]))  # of a place in the aisle, and of its direction
+
+
+def tail_pieces(count):
+    """The pieces of some steps straight on."""
+    steps = walk_of(count)
+    whole = whole_pieces(steps)
+    return intervals(whole, steps.start, steps.start, whole[-1:, 0])
+
+
+def in_the_aisle(*headings, y=RIGHT):
+    """Modes at the middle of an aisle, equally probable, one in each direction."""
+    mean = np.array([(5.0, y, heading, 1.0, 1.0, 0.0) for heading in headings])
+    every = np.arange(len(mean))
+    return GaussianMixture(mean, np.tile(ALONG, (len(mean), 1, 1)), np.full(len(mean), -np.log(len(mean))), every)
+
+
+def between_walls(ways, count=LONG_TAIL, prediction=None):
+    """The prediction of a mixture through some steps straight on, in the aisles."""
+    prediction = prediction or PredictionBetweenWalls(Prior())
+    return prediction.predict(ways, tail_pieces(count), AISLES.floors[0].distance)
+
+
+def test_walls_hold_a_prediction_in_its_aisle():
+    (off,) = between_walls(in_the_aisle(0.1)).mean[:, 1] - RIGHT
+    assert abs(off) < 0.6, "14 m at 0.1 rad lead 1.4 m to the side, through the wall"
+
+
+def test_walls_narrow_a_prediction_across_the_aisle_and_not_along():
+    after = between_walls(in_the_aisle(0.0)).covariance[0]
+    assert np.sqrt(after[1, 1]) < 0.7, "2 m wide; without walls 0.15 rad are 2 m after 14 m"
+    assert np.sqrt(after[0, 0]) > 0.6
+
+
+def test_a_mode_that_walks_into_a_wall_loses_to_one_that_does_not():
+    after = between_walls(in_the_aisle(0.0, np.pi / 2))
+    assert np.exp(after.log_weight[0]) > 0.9
+
+
+def test_a_prediction_does_not_depend_on_how_often_it_is_asked_for():
+    ways, prediction = in_the_aisle(0.0, 0.3), PredictionBetweenWalls(Prior())
+    for count in (3, 12, 7, 15):
+        between_walls(ways, count, prediction)
+    often, once = between_walls(ways, prediction=prediction), between_walls(ways)
+    np.testing.assert_array_equal(often.mean, once.mean)
+    np.testing.assert_array_equal(often.log_weight, once.log_weight)
+
+
+def test_a_mixture_is_retraced_along_the_steps_it_was_predicted_through():
+    steps, ways = walk_of(LONG_TAIL), in_the_aisle(0.0, 0.3)
+    whole = whole_pieces(steps)
+    end = float(whole[-1, 0])
+    whole = np.column_stack([whole, np.zeros((len(whole), 2))])
+    later = predict(ways, whole, steps.start, steps.start, end, ())
+    np.testing.assert_allclose(retraced(later, whole, steps.start, end, steps.start).mean, ways.mean, atol=1e-9)
 
 
 # Trials of an alternative path
@@ -263,6 +325,36 @@ def test_the_place_narrows_while_the_walk_goes_on():
     assert np.median(sigma[late]) < sigma[0] / 3
     assert np.mean(off < 2.5 * sigma) > 0.85, "the region holds, before and after"
     assert (states[0], states[-1]) == ("waiting", "running")
+
+
+@cache
+def begun_on_a_plan():
+    """Of moments of a walk with a start on a plan: its modes' age [s], and the distance of the rows since [m]."""
+    walk, _ = scenario_walk("arcade")
+    recording = Recording("arcade", 0.0, None, **{name: walk.signals[name] for name in INERTIAL})
+    navigator, ages, apart, last = Navigator(FloorPlan.load(MAPS / "arcade.geojson")), [], [], 0.0
+    navigator.push(fixes_at(walk.truth.time[:1], walk.truth.position[:1], 0.5))
+    for event in events_of(recording):
+        navigator.push(event)
+        navigator.review()
+        output, now = navigator._graph.output, navigator._now
+        if now > last + 0.2 and not output.sure and output.modes.directed:
+            last, rows = now, navigator.trajectory
+            late = rows.time > navigator._window.times[-1]
+            ages.append(now - output.modes.time)
+            apart.append(np.hypot(*np.diff(rows.position[late], axis=0).T).max(initial=0.0))
+    return ages, apart
+
+
+def test_the_modes_of_an_open_walk_know_the_walls_of_its_last_ten_seconds():
+    ages, _ = begun_on_a_plan()
+    assert ages
+    assert max(ages) < 10.0, "the certain steps alone are up to 20 s old"
+
+
+def test_the_rows_of_an_open_walk_since_its_last_keyframe_are_steps_apart():
+    _, apart = begun_on_a_plan()
+    assert max(apart) < 3.0, "before the modes' time they are retraced"
 
 
 def test_the_walk_is_smoothed_where_it_was_found():

@@ -40,12 +40,12 @@ from pdr_graph.estimation.live.live_output import (
 )
 from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.review import History, Places, Review, places_on_plan
-from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, numbered
+from pdr_graph.estimation.live.window import CLOSE, Decisions, Interval, Path, numbered, rewound
 from pdr_graph.estimation.optimizer import continued, descended
 from pdr_graph.estimation.particle_filter import pose_costs
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.priors import INITIAL, REPORTS, SCHEDULE, WAYS
-from pdr_graph.types import Array, Fixes, Index
+from pdr_graph.types import Array, Fixes, Index, Steps
 
 BATCH_TIME = 1.0  # [s] of the walk, after which an answer of the batch is adopted
 Result = TypeVar("Result")
@@ -205,6 +205,8 @@ class LiveAmbiguity:
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
         self.restarts = list[float]()
         self.findings = Findings()
+        self.tail: Steps | None = None
+        self._shown: BatchSolution | None = None  # whose modes are followed, and whose walk waits for a keyframe
         self.history = History() if graph.paths is None else History(WAYS.span)
         graph.log.longer = self.history.log
 
@@ -220,29 +222,60 @@ class LiveAmbiguity:
 
         Returns True if a solution was adopted.
         """
-        graph, window, now = self.graph, self.graph.window, self.graph.window.times[-1]
-        solution = self.batch.collect(now)
+        graph, window = self.graph, self.graph.window
+        self.show_batch()
+        solution, self._shown = self._shown, None
         if solution is not None:
             self.adopt_batch(solution)
         if self.output.sure:
             return solution is not None
         if window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
             graph.restart(graph.lag)  # keyframes leave the window although the direction is open
-        numbers, kinds = graph.log.all_numbers(now), ("fixes", "headings")
+        self.ask_batch()
+        return solution is not None
+
+    def show_batch(self) -> None:
+        """Let the modes begin at a solution of the batch that is due; the next keyframe adopts its walk."""
+        solution, output = self.batch.collect(self.now), self.output
+        if solution is not None and not output.sure:
+            self._shown = solution
+            if solution.directed or output.modes.mixture is None:
+                end = float(solution.path.time[-1])
+                output.modes = Modes(solution.ways, end, used=solution.headings, directed=solution.directed)
+
+    def ask_batch(self) -> None:
+        """Ask the batch again where the walk is, if that is due or new fixes or headings came."""
+        graph, window, now = self.graph, self.graph.window, self.now
+        if self._shown is not None and self._shown.sure:
+            return
+        numbers, kinds = graph.log.all_numbers(window.times[-1]), ("fixes", "headings")
         unasked = any(not np.isin(numbers.get(kind, ()), self._asked.get(kind, ())).all() for kind in kinds)
         if self.batch.idle and graph.has_position and (now >= self.next_batch or unasked):
             if not (self.solved or graph.finalized.anchored) and np.isfinite(graph.leaving_after):
                 graph.restart(np.inf)  # no keyframe leaves the window before the batch has placed the walk
             self.batch.ask(self.batch_question(), now + BATCH_TIME)
             self._asked = numbers
-            self.next_batch = now + batch_delay(window.duration)
-        return solution is not None
+            self.next_batch = now + batch_delay(now - window.times[0])
 
     def batch_question(self) -> Callable[[], BatchSolution]:
         """The question for the batch of the window."""
         graph = self.graph
         c = self._first_calibration()[0] if self._restarting else None
-        return partial(solve_batch, graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
+        tail = self.followed_tail()
+        covered = tail[-1].end if tail else graph.window.covered
+        return partial(solve_batch, graph.batch_graph(c=c, tail=tail), graph.log.all_numbers(covered))
+
+    @property
+    def now(self) -> float:
+        """End of the provisional steps, or of the certain ones. [s]"""
+        return self.graph.window.steps.end if self.tail is None else self.tail.end
+
+    def followed_tail(self) -> list[Steps]:
+        """The provisional steps that ended SCHEDULE.late ago, for fixes that come late."""
+        end = self.graph.window.steps.end
+        if self.tail is None or abs(self.tail.start - end) > CLOSE:
+            return []
+        return rewound([self.tail], max(end, self.tail.end - SCHEDULE.late))
 
     def adopt_batch(self, solution: BatchSolution) -> None:
         """Restart from a solution of the batch."""
@@ -255,8 +288,6 @@ class LiveAmbiguity:
         output.sure, self.solved = solution.sure or (long and len(graph.log.position_times()) > 2), True
         if output.sure:
             output.modes.mixture = None
-        elif solution.directed or output.modes.mixture is None:
-            output.modes = Modes(solution.ways, float(solution.path.time[-1]), used=solution.headings)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= output.sure
@@ -271,14 +302,14 @@ class LiveAmbiguity:
         self._restarting, self.output.sure, self.solved = True, False, False
         self.batch.cancel()
         self.trial.cancel()
-        self.next_batch = -np.inf
+        self.next_batch, self._shown = -np.inf, None
 
     def rewind(self, to: float) -> None:
         """Drop the steps after ``to`` [s], and all answers that know them."""
         self.history.rewind(to)
         for question in self.questions:
             question.cancel()
-        self.output.particles, self.next_batch = None, -np.inf
+        self.output.particles, self.next_batch, self._shown = None, -np.inf, None
         if self.output.modes.mixture is not None and self.output.modes.time > to:
             self.output.modes = Modes()
 
@@ -440,6 +471,7 @@ class LiveAmbiguity:
         ways = predict(output.keyframe_belief(), past.whole, past.start, begin, end, fixes)
         output.modes, output.sure, self.next_batch = Modes(ways, end), False, -np.inf
         self.trial.cancel()
+        self._shown = None
 
     def follow_modes(self) -> None:
         """Advance the modes that remain while the direction is open: the first fix begins them, in all directions.

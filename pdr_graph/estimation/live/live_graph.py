@@ -42,8 +42,9 @@ from pdr_graph.estimation.live.window import (
 )
 from pdr_graph.estimation.optimizer import LONGEST_MOVE, descended
 from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import differences, pose_rotation
-from pdr_graph.types import Array, Index, row_columns, take
+from pdr_graph.types import Array, Index, Steps, row_columns, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.incremental import IncrementalSmoother
@@ -469,22 +470,26 @@ class LiveGraph:
         self.decisions = decisions
         self.log.version += 1
 
-    def batch_graph(self, decided: bool = True, c: Array | None = None, but: str = "") -> Callable[[], WalkGraph]:
+    def batch_graph(
+        self, decided: bool = True, c: Array | None = None, but: str = "", tail: Sequence[Steps] = ()
+    ) -> Callable[[], WalkGraph]:
         """A function that builds the batch's graph of the present window, at any later time and in any thread.
 
         decided: with the decisions about whole kinds (relocated beacons).
-        c: mean ``(3,)`` of the calibration, by default that of `c_prior`; but: source of fixes and headings left out.
+        c: mean ``(3,)`` of the calibration, by default that of `c_prior`; but: source of fixes and headings left out;
+        tail: provisional steps that follow those of the window.
         """
-        window, steps = self.window, self.window.steps.steps
+        window, steps = self.window, concatenate_steps([self.window.steps.steps, *tail])
+        covered = window.covered if not tail else tail[-1].end
         raw = [data for collector in self.collectors for data in collector.complete(steps)]
-        data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
+        data = [rows for rows in self.log.until(covered) if type(rows) not in map(type, raw)]
         for n, rows in enumerate(data if but else ()):
             if "source" in row_columns(rows):
                 data[n] = take(rows, np.flatnonzero(np.array(rows.source) != but))
         prior, mean = self.prior_in_force, self.c_prior[0] if c is None else c
         same_walker = decided or prior is self.prior  # else the batch decides anew who walks
         prior = replace(prior, mean=tuple(mean.tolist())) if same_walker else self.prior
-        plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels()
+        plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels(steps)
         of_kinds = {name: rows for name, rows in self.decisions.items() if decided and "number" not in rows}
         of_kinds.pop(WALKER_KIND, None)  # it is in the prior
 

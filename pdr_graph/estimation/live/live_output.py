@@ -3,8 +3,10 @@
 The current pose is predicted by extended Kalman filters from the last keyframe through later steps and fixes: one if
 the direction of the walk is certain, else one per mode that remains (`Modes`). These begin at the first fix, in all
 directions; each fix corrects them, the headings known by now what is shown, and each solution of the batch replaces
-them. Modes whose present position is in walls count less, as long as they are there. Before the first steps, where
-no steps can be detected and where fixes go away from them, the position is that of the fixes alone (`FixesAlone`).
+them. Where no fix came since, particles predict a certain walk and the modes of the batch between the walls of a plan
+(`PredictionBetweenWalls`). Modes whose present position is in walls count less, as long as they are there. Before the
+first steps, where no steps can be detected and where fixes go away from them, the position is that of the fixes alone
+(`FixesAlone`).
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from pdr_graph.estimation.kalman import (
 from pdr_graph.estimation.linear_system import covariance_of_ends
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
-from pdr_graph.estimation.live.particles import ParallelParticleFilter
+from pdr_graph.estimation.live.particles import ParallelParticleFilter, PredictionBetweenWalls
 from pdr_graph.estimation.live.window import CLOSE, IS_ROW, TURN_VARIANCE, UNTIL
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import prior_sigma
@@ -178,6 +180,18 @@ def predict(
     return mixture
 
 
+def retraced(mixture: GaussianMixture, whole: Array, start: float, begin: float, end: float) -> GaussianMixture:
+    """The mixture of ``begin`` at an earlier time ``end`` [s], back along the steps, with its covariances.
+
+    whole, start: of the steps, see `intervals`.
+    """
+    delta, _, _ = increment(whole, start, end, begin, mixture.mean[mixture.best, 3:])
+    mean = mixture.mean.copy()
+    mean[:, 2] -= delta[2]
+    mean[:, :2] -= (pose_rotation(mean[:, 2]) @ delta)[:, :2]
+    return replace(mixture, mean=mean)
+
+
 def unknown_turns(whole: Array) -> Array:
     """Ends [s] of the pieces in which the walker may have turned by any angle; whole: see `intervals`."""
     return whole[whole[:, TURN_VARIANCE] > MOTION.gap_turn**2 / 4, UNTIL]
@@ -188,13 +202,14 @@ class Modes:
     """Gaussians over (x, y, θ, R_s, R_d, b) with weights, at ``time`` [s]; none before the first fix.
 
     receiver: what they state is the position that it would state, None if the true one; used: numbers of the headings
-    that the batch has used.
+    that the batch has used; directed: they are the batch's, each with a direction, so that walls may decide among them.
     """
 
     mixture: GaussianMixture | None = None
     time: float = np.nan
     receiver: Receiver | None = None
     used: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    directed: bool = False
 
     def begun(self, at: GaussianMixture, fixes: list[Position]) -> Modes:
         """Modes in all directions at the first of some fixes; ``at`` has the calibration."""
@@ -335,6 +350,7 @@ class LiveOutput:
         self.graph, self.modes, self.sure = graph, Modes(), False
         self.particles: ParallelParticleFilter | None = None
         self._last: tuple[Evaluation, GaussianMixture] | None = None
+        self._between_walls = PredictionBetweenWalls(graph.prior)
 
     def is_placed(self, until: float) -> bool:
         """True if a measurement up to ``until`` [s] has told a position; else the start defines the frame."""
@@ -358,14 +374,22 @@ class LiveOutput:
             modes, fixes = modes.begun(self.keyframe_belief(), fixes), fixes[1:]
         modes = modes.of_all(fixes)
         base = self.keyframe_belief() if modes.mixture is None else modes.mixture
-        ways = predict(base, whole, window.steps.start, modes.time, end, fixes, modes.receiver)
-        ways, plan = ways if modes.receiver is None else modes.receiver.widened(ways), window.located_plan
+        start, plan = window.steps.start, window.located_plan
+        known = (self.sure or modes.directed) and not (fixes or (unknown_turns(whole) > modes.time).any())
+        if end < modes.time - INSTANT:
+            ways = retraced(base, whole, start, modes.time, end)
+        elif plan is not None and known and end > modes.time + INSTANT:
+            pieces = intervals(whole, start, modes.time, np.array([end]))
+            ways = self._between_walls.predict(base, pieces, plan[window.floor].distance)
+        else:
+            ways = predict(base, whole, start, modes.time, end, fixes, modes.receiver)
+        ways = ways if modes.receiver is None else modes.receiver.widened(ways)
         if self.sure:
             ways = self._with_others(ways, whole, end)
         elif len(ways) > 1:
             headings, numbers = self.graph.log.rows_and_numbers(Headings)
             new = ~np.isin(numbers, modes.used) & (headings.time <= end)  # that no batch has used
-            ways = after_headings(ways, whole, window.steps.start, end, take(headings, new))
+            ways = after_headings(ways, whole, start, end, take(headings, new))
             if plan is not None and len(ways) > 1:  # ways inside walls count less, by their depth there [σ]
                 depth = np.maximum(0.0, -plan[window.floor].distance.exact(ways.mean[:, :2]))
                 sigmas = depth / horizontal_sigma(ways.covariance)

@@ -59,8 +59,12 @@ class LiveSmoother:
         return self.output.sure
 
     @one_thread
-    def extend(self, steps: Steps, floor: str | None = None) -> None:
-        """Append the next steps of the walk. floor: label of their floor, by default that of the steps before."""
+    def extend(self, steps: Steps, floor: str | None = None, tail: Steps | None = None) -> None:
+        """Append the next steps of the walk.
+
+        floor: label of their floor, by default that of the steps before; tail: the provisional steps after them.
+        """
+        self.ambiguity.tail = tail
         window = self.graph.window
         pieces = window.steps.append(steps)
         self.ambiguity.history.extend(steps)
@@ -71,6 +75,14 @@ class LiveSmoother:
         busy = self._close()
         self.ambiguity.follow_modes()
         self.ambiguity.move_particles(busy)
+
+    @one_thread
+    def preview(self, tail: Steps | None) -> None:
+        """Take the provisional steps, for the search while the direction of the walk is open."""
+        self.ambiguity.tail = tail
+        if not self.sure and self.graph.window.keyframes:
+            self.ambiguity.show_batch()
+            self.ambiguity.ask_batch()
 
     def rewind(self, to: float) -> float:
         """Drop the steps after ``to`` [s], as far as they are in the window; returns when those that are left end."""
@@ -123,6 +135,7 @@ class LiveSmoother:
         self._close(at_end=True)
         for question in ambiguity.questions:
             question.cancel()
+        ambiguity.tail = None
         if not self.sure and graph.has_position:
             ambiguity.adopt_batch(ambiguity.batch_question()())
         if graph.window.complete:

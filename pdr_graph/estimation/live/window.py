@@ -413,10 +413,10 @@ class Window:
         """Numbers of the calibration segments in the window, ascending."""
         return sorted({interval.segment for interval in self.intervals} or {self.segment})
 
-    def row_labels(self) -> list[str]:
-        """The floor's label of each trajectory row of the stored steps: start, steps, end."""
+    def row_labels(self, steps: Steps) -> list[str]:
+        """The floor's label of each trajectory row of steps from the window's start on: start, steps, end."""
         ends = np.array([interval.end for interval in self.intervals])
-        steps, labels = self.steps.steps, [*(interval.label for interval in self.intervals), self.floor]
+        labels = [*(interval.label for interval in self.intervals), self.floor]
         rows = [steps.start, *steps.time.tolist(), steps.end]
         return [labels[n] for n in np.searchsorted(ends, np.array(rows) - CLOSE).tolist()]
 
