@@ -212,7 +212,7 @@ def _counted(file: Path, count: int) -> BenchWalk:
 
 def recording_of(name: str, time: Array, acceleration: Array, rate: Array) -> Recording:
     """A recording of an accelerometer ``(n, 3)`` [m/s²] with Android's sign and a gyroscope ``(n, 3)`` [rad/s]."""
-    signals = {"accelerometer": Signal(time, acceleration), "gyroscope": Signal(time, rate)}
+    signals: dict[str, Any] = {"accelerometer": Signal(time, acceleration), "gyroscope": Signal(time, rate)}
     return Recording(name, 0.0, None, **signals, sign_odds=-BY_PLATFORM)
 
 
