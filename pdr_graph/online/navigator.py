@@ -8,21 +8,24 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pdr_graph.errors import count, expect
+from pdr_graph.errors import InputError, count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.registry import COLLECTORS, kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.linear_system import one_thread
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window, rewound
@@ -31,12 +34,12 @@ from pdr_graph.estimation.rides import RideWatch
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, frame_of
+from pdr_graph.frames import Frame, enu, frame_of
 from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import horizontal_sigma, wrap_angle
+from pdr_graph.geometry import horizontal_sigma, peaks, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.online.event_checks import AHEAD, MOST_SOURCES, EventChecks
 from pdr_graph.online.filter_beside import FilterBeside, belief_of_rows
@@ -84,8 +87,30 @@ def shared_thread() -> Executor | None:
     return ThreadPoolExecutor(1, "pdr-graph") if (os.cpu_count() or 1) > 1 else None
 
 
+@cache
+def load_libraries() -> None:
+    """Load what the first steps and fixes of a process need, once.
+
+    The garbage collector does not visit again what is there then, for 60 ms in some push.
+    """
+    try:
+        import_module("pdr_graph.estimation.incremental")  # here, since GTSAM is slow to load
+    except ModuleNotFoundError as error:
+        if error.name != "gtsam":
+            raise
+        expected = "it: pip install 'gtsam>=4.3', which has no wheel for Windows (docs/limits.md)"
+        raise InputError("a live walk", "", "no GTSAM", expected) from None
+    peaks(np.ones(1), 1.0, 1.0)
+    enu(0.0, 0.0).from_lonlat(np.zeros((1, 2)))
+    with one_thread:
+        gc.collect()
+        gc.freeze()
+
+
 class Navigator:
     """Estimator of a walk under way.
+
+    The first of a process loads SciPy's filters, the map projections and GTSAM: half a second, so that no push does.
 
     floor: plan or building whose walls are factors; lag: steps older than this are finalized [s], None: never; walker:
     of this walk; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior:
@@ -119,6 +144,7 @@ class Navigator:
         expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
         if lag is not None and not lag > 0:
             raise ValueError(f"Navigator, lag: found {lag}, expected seconds above 0, or None to finalize nothing")
+        load_libraries()
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame: Frame | None = None
