@@ -6,13 +6,13 @@ import signal
 import sys
 from typing import Any
 
-from pdr_graph.errors import Interrupted
+from pdr_graph.errors import INTERRUPTIONS, Interrupted
 
 
 def main() -> None:
     """Run the command line; an interruption ends it with one line and the exit code of its signal."""
     try:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in INTERRUPTIONS:
             signal.signal(number, _interrupt)
         from pdr_graph.apps.cli import main as run
 

@@ -8,7 +8,6 @@ damaged one is kept beside it. A file that cannot be recovered is left as it is.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import shutil
 import sqlite3
@@ -21,9 +20,9 @@ from functools import partial
 from itertools import count as numbers
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from pdr_graph.errors import InputError, check_not_special, printable
+from pdr_graph.whole_files import locked
 
 Row = tuple[Any, ...]
 Rows = Mapping[str, Sequence[Sequence[Any]]]  # by the statement that inserts them
@@ -164,19 +163,15 @@ def write_lock(path: Path, kind: Kind, wait: bool = True) -> int | None:
         handle = os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY)
     end = time.monotonic() + LOCK_TIMEOUT
     while True:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if locked(handle):
             return handle
-        except BlockingIOError:
-            if wait and time.monotonic() < end:
-                time.sleep(0.1)
-                continue
-            os.close(handle)
-            if not wait:
-                return None
-            raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
-        except OSError:  # a file system without locks
-            return handle
+        if wait and time.monotonic() < end:
+            time.sleep(0.1)
+            continue
+        os.close(handle)
+        if not wait:
+            return None
+        raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does")
 
 
 def copied(path: Path, kind: Kind) -> sqlite3.Connection:
@@ -223,7 +218,7 @@ def _damage(path: Path) -> str:
 @contextmanager
 def _reading(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection that changes neither the file nor its log."""
-    address = f"file:{quote(str(path.resolve()))}?mode=ro"
+    address = f"{path.resolve().as_uri()}?mode=ro"
     with closing(sqlite3.connect(address, LOCK_CALL, uri=True)) as database:
         yield database
 

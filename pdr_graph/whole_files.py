@@ -6,21 +6,33 @@ process that the first still writes; the system releases it when a process ends.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import signal
 import threading
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import INTERRUPTIONS, InputError, count
 
 UNFINISHED = ".unfinished"  # folder of the files of a run, in its output folder; ending of a single file
 LAST = "summary.json"  # the file that says that a folder is complete
 PRIVATE_FOLDER = 0o700
-INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+LOCK_OF_FOLDER = f"{UNFINISHED}.lock"  # file in a folder, where folders cannot be locked
+LOCKED_BYTE = 2**31 - 2  # beyond all files and the bytes that SQLite locks: Windows refuses to read a locked byte
+
+
+def _module(name: str) -> Any:
+    """A module of the standard library; None where the system does not have it."""
+    with suppress(ImportError):
+        return import_module(name)
+    return None
+
+
+fcntl, msvcrt = _module("fcntl"), _module("msvcrt")  # of Linux and macOS; of Windows
 
 
 @contextmanager
@@ -36,7 +48,7 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
     if not out.is_dir():
         raise NotADirectoryError(20, "not a folder", str(out))
     try:
-        handle = os.open(out, os.O_RDONLY)
+        handle = _opened(out)
         try:
             lock(handle, out)
             staged = out / UNFINISHED
@@ -60,6 +72,8 @@ def output_folder(out: Path, private: bool = False, without: Collection[str] = (
                     shutil.rmtree(staged, ignore_errors=True)
         finally:
             os.close(handle)
+            with suppress(OSError):  # another process has it
+                (out / LOCK_OF_FOLDER).unlink()
     except BaseException as error:
         for folder in made:  # innermost first; those with other files stay
             with suppress(OSError):
@@ -104,9 +118,7 @@ def write_file(path: str | Path, content: str | bytes, private: bool = False, du
     part = path.with_name(f".{path.name}.{threading.get_native_id()}{UNFINISHED}")  # of this thread alone
     try:
         try:
-            with os.fdopen(
-                os.open(part, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600 if private else 0o666), "wb"
-            ) as f:
+            with open(part, "wb", opener=lambda name, how: os.open(name, how, 0o600 if private else 0o666)) as f:
                 f.write(data)
                 if durable:
                     f.flush()
@@ -121,20 +133,52 @@ def write_file(path: str | Path, content: str | bytes, private: bool = False, du
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
 
 
+def _opened(folder: Path) -> int:
+    """A handle to lock a folder by; Windows opens no folder, so there it is that of a file in it."""
+    try:
+        return os.open(folder, os.O_RDONLY)
+    except PermissionError:
+        return os.open(folder / LOCK_OF_FOLDER, os.O_CREAT | os.O_RDWR)
+
+
 def lock(handle: int, path: Path) -> None:
     """Lock an open file until it is closed. Raises InputError if another process has the lock."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not locked(handle):
         expected = "another name, or the end of that process"
-        raise InputError(path, "", "another process that writes to it", expected) from None
-    except OSError:
-        pass  # a file system without locks, as of some networks: files are whole all the same
+        raise InputError(path, "", "another process that writes to it", expected)
+
+
+def locked(handle: int) -> bool:
+    """Lock an open file until it is closed; False if another process has the lock.
+
+    True too on a file system without locks, as of some networks: files are whole all the same.
+    """
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        elif msvcrt is not None:
+            here = os.lseek(handle, 0, os.SEEK_CUR)
+            try:
+                os.lseek(handle, LOCKED_BYTE, os.SEEK_SET)
+                msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            finally:
+                os.lseek(handle, here, os.SEEK_SET)
+    except OSError as error:
+        return not isinstance(error, PermissionError if fcntl is None else BlockingIOError)
+    return True
 
 
 def _to_disk(path: Path) -> None:
-    """Force a file or the names in a folder to the disk, so that a power cut does not lose them."""
-    handle = os.open(path, os.O_RDONLY)
+    """Force a file or the names in a folder to the disk, so that a power cut does not lose them.
+
+    Windows opens no folder, and forces to the disk only what is open for writing.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY if msvcrt is None else os.O_RDWR)
+    except PermissionError:
+        if path.is_dir():
+            return
+        raise
     try:
         os.fsync(handle)
     finally:

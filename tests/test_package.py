@@ -88,7 +88,7 @@ WITHOUT_GTSAM = """import sys
 class Refused:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] == "gtsam":
-            raise ImportError(name)
+            raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Refused())
 from pdr_graph.__main__ import main
 sys.argv[0] = "pdr-graph"
@@ -103,3 +103,7 @@ def test_smooth_needs_no_gtsam(arcade_walk, tmp_path):
     ended = subprocess.run(line, capture_output=True, text=True, timeout=240, check=False)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.startswith("ok")
+    ended = subprocess.run([*line[:3], "replay", *line[4:]], capture_output=True, text=True, timeout=240, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert "gtsam>=4.3" in ended.stderr

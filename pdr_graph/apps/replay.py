@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import gc
-import resource
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -83,9 +83,10 @@ class Latency:
 
     def measure_memory(self, now: float) -> None:
         """Measure the memory if it is due. now: time of the walk [s]."""
+        if _process() is None:
+            return
         if not self.memory or now >= self.memory[-1][0] + self._every:
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            self.memory.append((round(now, 1), round(pages * resource.getpagesize() / MEGABYTE, 2)))
+            self.memory.append((round(now, 1), round(_process().memory_info().rss / MEGABYTE, 2)))
         if len(self.memory) > MOST_MEASUREMENTS:
             self.memory, self._every = self.memory[::2], 2 * self._every
 
@@ -95,10 +96,29 @@ class Latency:
             "steps": len(self.pushing),
             "push": _spread(self.pushing),
             "pose": _spread(self.posing),
-            "peak_memory": round(1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE, 2),
+            "peak_memory": None if (peak := _peak_memory()) is None else round(peak / MEGABYTE, 2),
             "memory": [{"time": now, "resident": resident} for now, resident in self.memory],
             "units": {"push": "ms per step", "pose": "ms per step", "memory": "MB", "time": "s"},
         }
+
+
+@cache
+def _process() -> Any:
+    """The present process, of psutil, which measures its memory; None where psutil does not load."""
+    with suppress(ImportError):
+        import psutil
+
+        return psutil.Process()
+    return None
+
+
+def _peak_memory() -> float | None:
+    """The most memory that this process had at any time [bytes]; None where nothing measures it."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return getattr(_process() and _process().memory_info(), "peak_wset", None)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def _spread(seconds: list[float]) -> dict[str, float] | None:
@@ -131,7 +151,7 @@ def replay_recording(
     with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("opening"):
             nav = _opened(evidence, len(events), kind)
-        gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
+        gc.freeze()  # otherwise a full garbage collection takes 60 ms of some push
         with nav if isinstance(nav, Journal) else nullcontext():
             done = nav.count if isinstance(nav, Journal) else 0
             began = time.perf_counter()

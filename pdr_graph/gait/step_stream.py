@@ -21,6 +21,8 @@ from pdr_graph.inertial.units import GravityRestorer
 from pdr_graph.priors import MOVEMENT, REST, STAND, STEP
 from pdr_graph.types import STEP_COLUMNS, Array, Recording, Steps
 
+MOST_HELD = 1000  # packets of the first second, if their times do not reach its end
+
 
 class StepStream:
     """Steps as samples arrive.
@@ -101,9 +103,13 @@ class StepStream:
         None if there are none.
         """
         accelerometer, gyroscope = self._sensors.values()
-        due = -np.inf if self._segment is None else self._segment.next_time(self._segment.block)
+        due, most = -np.inf, 24  # packets, after a reset of a clock
+        if self._segment is not None:
+            due = self._segment.next_time(self._segment.block)
+        elif (first := accelerometer.arrived or gyroscope.arrived) and not (accelerometer.samples or gyroscope.samples):
+            due, most = float(first[0][0][0]) + SHORTEST_WALK, MOST_HELD  # no step is so early: how late samples come
         lagging = self.newest >= due + 0.2  # [s]: the other is processed alone
-        waiting = max(len(accelerometer.arrived), len(gyroscope.arrived)) >= 24  # packets, after a reset of a clock
+        waiting = max(len(accelerometer.arrived), len(gyroscope.arrived)) >= most
         if min(accelerometer.newest, gyroscope.newest) < due and not lagging and not waiting:
             return None, self._provisional
         _ingest(accelerometer, gyroscope)

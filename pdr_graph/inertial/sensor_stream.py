@@ -33,7 +33,7 @@ class ValidationSettings:
     confirming: int = 3
     clock_reset: float = 2.0
     longest_packet: float = 60.0
-    memory: float = 60.0
+    memory: float = 300.0
     hold: float = 0.1
     history: float = 1.0
 

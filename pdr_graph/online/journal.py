@@ -60,8 +60,9 @@ class RecordLog:
 
     def __init__(self, path: Path, kind: bytes, sync: float = SECONDS["process"]):
         self._path, self._sync, self._synced = path, sync, time.monotonic()
-        self.file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)  # owner only
-        begin = os.pread(self.file, len(kind), 0)
+        bytes_as_they_are = getattr(os, "O_BINARY", 0)  # Windows writes two bytes for each end of a line otherwise
+        self.file = os.open(path, os.O_CREAT | os.O_RDWR | bytes_as_they_are, 0o600)  # owner only
+        begin = os.read(self.file, len(kind))
         self.end = os.lseek(self.file, 0, os.SEEK_END)
         if self.end < len(kind) and kind.startswith(begin):  # the process was killed before it wrote all of it
             self._write(kind[self.end :])

@@ -14,17 +14,19 @@ from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pdr_graph.errors import count, expect
+from pdr_graph.errors import InputError, count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.factors.base import Searching
 from pdr_graph.estimation.factors.registry import COLLECTORS, kind_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import LiveFloors
 from pdr_graph.estimation.initialization import MirrorTest, lay_dead_reckoning
+from pdr_graph.estimation.linear_system import one_thread
 from pdr_graph.estimation.live.live_output import Away, Belief, FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.window import Window, rewound
@@ -33,12 +35,12 @@ from pdr_graph.estimation.rides import RideWatch
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, frame_of
+from pdr_graph.frames import Frame, enu, frame_of
 from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import horizontal_sigma, wrap_angle
+from pdr_graph.geometry import horizontal_sigma, peaks, wrap_angle
 from pdr_graph.inertial.barometer import with_goings
 from pdr_graph.inertial.units import PLATFORMS, AccelerationSign
 from pdr_graph.online.event_checks import AHEAD, MOST_SOURCES, EventChecks
@@ -91,8 +93,26 @@ def shared_thread() -> Executor | None:
     return ThreadPoolExecutor(1, "pdr-graph") if (os.cpu_count() or 1) > 1 else None
 
 
+@cache
+def load_libraries() -> None:
+    """Load what the first steps and fixes of a process need, once."""
+    try:
+        import_module("pdr_graph.estimation.incremental")  # here, since GTSAM is slow to load
+    except ModuleNotFoundError as error:
+        if error.name != "gtsam":
+            raise
+        expected = "it: pip install 'gtsam>=4.3', which has no wheel for Windows (docs/limits.md)"
+        raise InputError("a live walk", "", "no GTSAM", expected) from None
+    peaks(np.ones(1), 1.0, 1.0)
+    enu(0.0, 0.0).from_lonlat(np.zeros((1, 2)))
+    with one_thread:
+        pass
+
+
 class Navigator:
     """Estimator of a walk under way.
+
+    The first of a process loads SciPy's filters, the map projections and GTSAM: half a second, so that no push does.
 
     floor: plan or building whose walls are factors; lag: steps older than this are finalized [s], None: never; walker:
     of this walk; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior:
@@ -128,6 +148,7 @@ class Navigator:
         expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
         if lag is not None and not lag > 0:
             raise ValueError(f"Navigator, lag: found {lag}, expected seconds above 0, or None to finalize nothing")
+        load_libraries()
         if platform not in ("", *PLATFORMS):
             raise ValueError(f"Navigator, platform: found {platform!r}, expected 'android', 'ios', or '' if unknown")
         self._arguments: dict[str, Any] = {

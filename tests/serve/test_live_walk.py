@@ -199,20 +199,32 @@ ARRIVALS = {
     "queued": (QUEUED, 600),
     "newest first": ([(60, 540, 0), (120, 480, 0), (180, 420, 0), (240, 360, 0)], 540),
     "hours late": ([*QUEUED, (6000, 0, 0), (5940, 60, 0), (5880, 120, 0)], 600),
+    "a hundred, newest first": ([(10 * n, 1000 - 10 * n, 0) for n in range(100)], 1000),
     "doubled": ([*QUEUED, QUEUED[0], QUEUED[2]], 600),
     "a clock set right": ([*((ago, east, 86400) for ago, east, _ in QUEUED), (30, 630, 0)], 630),
 }
 
 
+def owntracks(n, time, lon):
+    return {"_type": "location", "tst": time, "lat": 48.0, "lon": lon, "acc": 8}
+
+
+def sensor_logger(n, time, lon):
+    place = {"latitude": 48.0, "longitude": lon, "horizontalAccuracy": 8}
+    sample = {"name": "location", "time": int(time * 1e9), "values": place}
+    return {"messageId": n, "sessionId": "s", "payload": [sample]}
+
+
+@pytest.mark.parametrize("app", [owntracks, sensor_logger])
 @pytest.mark.parametrize(("posted", "newest"), ARRIVALS.values(), ids=ARRIVALS)
-def test_the_dot_is_at_the_newest_position_in_any_order_of_arrival(posted, newest, tmp_path):
+def test_the_dot_is_at_the_newest_position_in_any_order_of_arrival(posted, newest, app, tmp_path):
     """A late one changes the recording, not the dot; one of the future is of the moment at which it came."""
     log, degree = MessageLog(tmp_path / LOG), 111_320 * np.cos(np.radians(48.0))
     for n, (ago, east, ahead) in enumerate(posted):
-        place = {"_type": "location", "tst": EPOCH - ago + ahead, "lat": 48.0, "lon": 11.0 + east / degree, "acc": 8}
-        log.add(n, EPOCH - ago if ahead else EPOCH, json.dumps(place).encode())
+        message = app(n, EPOCH - ago + ahead, 11.0 + east / degree)
+        log.add(n, EPOCH - ago if ahead else EPOCH, json.dumps(message).encode())
     log.close()
-    walk = LiveWalk(tmp_path, Session("s", "s", "phone", "owner", "owntracks", "", 0.0), Navigator)
+    walk = LiveWalk(tmp_path, Session("s", "s", "phone", "owner", app.__name__.replace("_", ""), "", 0.0), Navigator)
     pose = used(walk)
     assert (pose["lon"] - 11.0) * degree == pytest.approx(newest, abs=5.0)
     assert pose["time"] == pytest.approx(EPOCH - min(ago for ago, _, _ in posted), abs=0.01)

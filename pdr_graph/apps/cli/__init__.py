@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -568,6 +569,9 @@ def run(tokens: Sequence[str]) -> None:
 def main() -> None:
     """Run the command of `sys.argv` and exit. Bad input ends with one line of text and code 2, never a traceback."""
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a pipe of Windows has 256 characters
     try:
         run(sys.argv[1:])
         sys.exit()

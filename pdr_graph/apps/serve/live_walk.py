@@ -195,8 +195,8 @@ class LiveWalk:
             return True
         self._push(events)
         if events:
-            at = self.intake.origin + (self.intake.latest if np.isfinite(self.intake.latest) else 0.0)
-            sensed = self.intake.protocol == SENSOR_LOGGER  # positions may be queued: late is no error
+            sensed, at = np.isfinite(self.intake.latest), self.intake.origin + self.intake.latest
+            # Positions alone may be queued: late is no error
             self._clock_error = at - entry.received if sensed else max(self.intake.ahead, 0.0)
         return True
 

@@ -293,18 +293,21 @@ class Intake:
     def events(self, body: bytes, received: float = np.inf) -> list[Event]:
         """The events of a message, received at a Unix time [s]. Raises InputError if it is malformed.
 
-        A position of the future is by a wrong clock: it is of the moment at which it was received, so that those after
-        the clock was set right are newer.
+        A position of the future, without sensors, is by a wrong clock: it is of the moment at which it was received, so
+        that those after the clock was set right are newer.
         """
         if self.protocol == SENSOR_LOGGER:
-            return self._sensor_events(parse(body))
-        _, fixes = parse_positions(self.protocol, body)
-        self.ahead = float(max(fixes.time, default=-np.inf)) - received
-        return self._fix_events(replace(fixes, time=np.minimum(fixes.time, received)))
+            return self._sensor_events(parse(body), received)
+        return self._fix_events(self._of_the_past(parse_positions(self.protocol, body)[1], received))
 
     def flush(self) -> list[Event]:
         """The events that waited for another message."""
         return self._released(np.inf)
+
+    def _of_the_past(self, fixes: Fixes, received: float) -> Fixes:
+        """Fixes, those of the future at the Unix time at which they were received. [s]"""
+        self.ahead = float(max(fixes.time, default=-np.inf)) - received
+        return replace(fixes, time=np.minimum(fixes.time, received))
 
     def _fix_events(self, fixes: Fixes) -> list[Event]:
         if not len(fixes):
@@ -316,7 +319,7 @@ class Intake:
         self._count_unusable("location", int((~usable).sum()))
         return [fixes[usable]] if usable.any() else []
 
-    def _sensor_events(self, message: Message) -> list[Event]:
+    def _sensor_events(self, message: Message, received: float) -> list[Event]:
         tables, ignored = tables_of(message.payload)
         heard = receptions(message.payload)
         if heard is not None:
@@ -326,6 +329,8 @@ class Intake:
                 self.ignored[name] = self.ignored.get(name, 0) + count
         signals = signals_of(tables, self.signs, self.platform, from_android(message.payload))
         fixes = fixes_of(tables, [])
+        if fixes is not None and not signals and not np.isfinite(self.latest):
+            fixes = self._of_the_past(fixes, received)
         self._begin(signals, fixes)
         usable = {name: self._usable(name, table) for name, table in signals.items()}
         events = self._arrived(usable, fixes) if signals or fixes is not None else []

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from pdr_graph.floor.paths import PathNetwork
 
 UPDATES = 4  # most of iSAM2 after a keyframe
+STEPS = 3 * UPDATES  # most of the damped search, on which a push waits
 LEAVE_EVERY = 5.0  # [s] between departures of keyframes from the window: covariances of rows are linear between
 MOST_KEPT_REASONS = 100  # reasons that are kept
 LEAST_RISE = 0.01  # of the cost, that is no rounding error
@@ -85,6 +86,7 @@ class LiveGraph:
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
         self.too_late, self.excess, self.failures, self.updates = 0, Excess(), list[str](), 0
+        self._searched = -1  # keyframe at which the damped search was used last
         self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
@@ -300,7 +302,7 @@ class LiveGraph:
         factors = self.factors
         try:
             if self._isam is None:
-                self._begin(searched(factors))
+                self._begin(self._search(factors))
             elif self._isam.stale:
                 self._begin(self.frozen())
             else:
@@ -314,15 +316,30 @@ class LiveGraph:
         self.updates += 1
         self._read()
 
+    @property
+    def _is_searched(self) -> bool:
+        """True if the damped search has solved the window since the last keyframe."""
+        return self._searched == self.window.keyframes[-1]
+
     def _damp(self, isam: IncrementalSmoother) -> None:
-        """Rebuild iSAM2 if its step has raised the cost, by the damped search from where it was linearised."""
+        """Rebuild iSAM2 if its step has raised the cost, by the damped search from where it was linearised.
+
+        Once at a keyframe: between walls the next step may rise again, and nine rebuilds take a third of a second.
+        """
         if self.at.cost <= isam.cost + LEAST_RISE:
             return
         walk = isam.walk.also(isam.marginals())
         rise = walk.evaluate(isam.estimate).cost - walk.evaluate(isam.point).cost
-        if not rise <= LEAST_RISE:
+        if not rise <= LEAST_RISE and self._is_searched:
+            isam.estimate, self._at = isam.point, None
+        elif not rise <= LEAST_RISE:
             self._log_failure(f"an update raised the cost by {rise:.3g}")
-            self._begin(searched(self.frozen()))
+            self._begin(self._search(self.frozen()))
+
+    def _search(self, walk: WalkGraph) -> WalkGraph:
+        """The walk at the optimum near its start, by the damped search."""
+        self._searched = self.window.keyframes[-1]
+        return walk.at(descended(walk, STEPS).state)
 
     def _begin(self, walk: WalkGraph) -> None:
         """Begin iSAM2 with a walk, which has the marginal of what has left."""
@@ -336,10 +353,10 @@ class LiveGraph:
         """Rebuild iSAM2 after factors that it cannot solve; with those that no search can, without the marginal."""
         self._log_failure(str(error).strip().splitlines()[0])
         try:
-            self._begin(searched(self.frozen()))
+            self._begin(self._search(self.frozen()))
         except (RuntimeError, IndexError, np.linalg.LinAlgError):
             self.restart(self.leaving_after)
-            self._begin(searched(self.factors))
+            self._begin(self._search(self.factors))
 
     def _log_failure(self, reason: str) -> None:
         self.failures = [*self.failures, f"{reason[:100]}, at {self.window.times[-1]:.0f} s"][-MOST_KEPT_REASONS:]
@@ -509,11 +526,6 @@ def _begun(walk: WalkGraph) -> IncrementalSmoother:
         with suppress(RuntimeError):
             return IncrementalSmoother(walk, least)
     return IncrementalSmoother(walk, RESCUING[-1])
-
-
-def searched(walk: WalkGraph) -> WalkGraph:
-    """The walk at the optimum near its start, by the damped search."""
-    return walk.at(descended(walk, UPDATES).state)
 
 
 def same_decisions(one: Mapping[str, AnyArray], other: Mapping[str, AnyArray]) -> bool:
