@@ -132,6 +132,28 @@ def test_the_lag_of_a_receiver_is_estimated():
         assert aware < 0.8 * error()
 
 
+def test_a_part_of_a_walk_begins_with_the_velocity_that_the_walk_has_there():
+    """Else each part that leaves a window states that its receiver is not late, and the lag ends near 0."""
+    steps = meander(60)
+    time, truth = np.arange(4.0, steps.end, 1.0), dead_reckon(steps)
+    graph = biased(WalkGraph(steps, named(fixes_at(time, interpolate(time, truth.time, truth.position), 2.0))))
+    [whole] = [kind for kind in graph.measurements if kind.name == GnssBias.name]
+    part = whole.bind(replace(graph.chain, heading=graph.chain.direction).after(20))
+    assert part.velocity == pytest.approx(whole.velocity[20:])
+
+
+@pytest.mark.parametrize("lag", [0.0, 2.0])
+def test_the_lag_that_a_receiver_has_shown_is_kept_when_its_fixes_leave_the_window(lag):
+    steps = meander(300)
+    truth = dead_reckon(steps)
+    time = np.arange(4.0, steps.end, 1.0)
+    fixes = named(fixes_at(time, interpolate(time - lag, truth.time, truth.position), 2.0))
+    live = LiveSmoother(lag=20.0)
+    for _ in pushing(live, steps, fixes):
+        pass
+    assert live.graph.at.state["g"][-1, 2] == pytest.approx(lag, abs=0.5)
+
+
 def test_duplicate_epochs_are_not_used_twice():
     """A receiver repeats its position while it detects no motion; every fix keeps its place in the report."""
     steps = meander(60)
@@ -143,9 +165,10 @@ def test_duplicate_epochs_are_not_used_twice():
 
 
 def test_a_single_fix_of_a_receiver_is_enough():
+    """The walk is at most as far ahead of it as receivers are late."""
     steps = meander(30)
     estimate = smooth(WalkGraph(steps, named(fixes_at([PERIOD], [[5.0, 5.0]], 3.0))))
-    assert estimate.trajectory.position[1] == pytest.approx([5.0, 5.0], abs=0.1)
+    assert np.hypot(*(estimate.trajectory.position[1] - 5.0)) == pytest.approx(RECEIVERS.lag * 0.7 / 2.0, abs=0.1)
 
 
 def test_two_receivers_have_separate_offsets():
