@@ -631,7 +631,12 @@ class ReceiverPriors(Table):
         "0.55 of ten museum logs, 0.4 to 0.7 without one of them",
         still=(0.5, 2),
     )
-    lag: float = number(1.0, "s", "sigma of the lag", still=(0.5, 2))
+    lag: float = number(
+        1.5,
+        "s",
+        "expected lag, and its sigma",
+        "0, 0.5, 3 and 1.5 to 5 of the four that follow their walk best (NJU, IPIN 2023)",
+    )
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
     velocity: float = number(
         0.05,

@@ -116,6 +116,7 @@ LEG, TURN = (25.0, 80.0), 1.2  # [m] and [rad] (sigma) of the legs of a walk out
 LOOP, SIDES, NARROW, CLOSE = (100.0, 300.0), (3, 7), 0.4, (1.0, 6.0)  # [m] of a loop; its sides; width; [m] left open
 INDOORS, OUTDOORS, LOOPS = "indoors", "outdoors", "loops"
 RECEIVERS = {INDOORS: Receiver(accuracy=8.0), OUTDOORS: Receiver(accuracy=4.5)}
+LATE_RECEIVER = Receiver(accuracy=4.5, latency=2.0, correlation=120.0, smoothing=4.0)  # as phones are at their worst
 BEACONS, BESIDE, POWER = 9, 4.0, 2.0  # of a museum; [m] around the walk; [dB] by which their powers differ
 HELD, USER, PERIOD = 0.5, 1.5, 30.0  # [m] sigma of a known start or end; [m], [s] of the user's fixes
 SCAN, MAP_SIGMA, MAP_LENGTH, MAP_WHITE = 4.0, 3.0, 8.0, 0.5  # [s] radio map; [m] sigma, correlation; share of white
@@ -128,6 +129,7 @@ BUILDING = 30.0  # [m] by which a list of another building is off
 OFF, JUMP, DELAY, FROZEN = 10.0, 20.0, 5.0, 60.0  # [m], [m], [s], [s] of a receiver
 ASTRAY = 3.0  # [σ] that a receiver is off throughout which does not follow its walk
 FOLLOWED = 0.5  # share of the way that a receiver follows indoors, as three of IPIN 2023's logs have it
+LATE_FIXES = "late"  # 2 s late, smoothed by the receiver, with errors that stay for two minutes
 CLOCK = 2.0  # [s] by which the clock of another device is late
 WEAKER, FLATTER = -10.0, 0.8  # [dB] and factor of the levels about their mean, of another phone
 ANOTHERS = (0.85, 1.15)  # strides by the profile of another walker
@@ -388,8 +390,9 @@ def gnss(given, walk, lie, random):
 def gnss_and_speed(given, walk, lie, random):
     """The phone's receiver with speed and course; the positions are the same."""
     random = walk.generator("GNSS")
-    fixes = gnss_fixes(walk.body, RECEIVERS[walk.setting], random).fixes
-    fixes = RECEIVER_LIES[lie](fixes, random) if lie else fixes
+    receiver = LATE_RECEIVER if lie == LATE_FIXES else RECEIVERS[walk.setting]
+    fixes = gnss_fixes(walk.body, receiver, random).fixes
+    fixes = RECEIVER_LIES[lie](fixes, random) if lie in RECEIVER_LIES else fixes
     inside = (fixes.time >= walk.steps.start) & (fixes.time <= walk.steps.end)
     return with_fixes(given, replace(fixes, source=("GNSS",) * len(fixes))[inside])
 

@@ -15,6 +15,7 @@ import shapely
 from conditions import (
     DISTURBANCE,
     INDOORS,
+    LATE_RECEIVER,
     OUTDOORS,
     events,
     measured,
@@ -36,6 +37,7 @@ from pdr_graph.apps.report.evaluation import circular_error, heading_error, pair
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import interpolate
 from pdr_graph.lab.simulation.scenario import Scenario, scenario_file
+from pdr_graph.lab.simulation.sensors import gnss_fixes
 from pdr_graph.online.interface import Pose, Samples, trajectory_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
@@ -44,7 +46,9 @@ THINNED = tuple(f"one in {every} s" for every in (10, 30, 60, 120))
 MOST_RATIO, SHARE_OF_ROWS = 1.0, 0.95  # of the filter's mean error, in so many rows
 LEAST_COVERAGE, MOST_OUTSIDE, MOST_JITTER, LONGEST = 0.87, 0.01, 0.2, 0.030  # targets: shares, [m], [s]
 ACCURACY = ["walk", "given", "walks", "places", "current pose [m]", "filter [m]", "pose / filter", "in 90 %"]
-ACCURACY += ["lag 60 s [m]", "batch [m]"]
+ACCURACY += ["receiver [m]", "pose / receiver", "lag 60 s [m]", "batch [m]"]
+MOST_OF_RECEIVER = 0.85, 0.8  # of the receiver's error, in the median and at 95 %
+OFTEN = 2.0  # [s] between the fixes of a receiver that is an estimate by itself
 BEHAVIOUR = ["walk", "given", "first pose [s]", "within 5 m [s]", "within 0.5 rad [s]", "jump in a minute [m]"]
 BEHAVIOUR += ["outside", "jitter [m]", "push and pose, CPU [ms]"]
 
@@ -58,11 +62,13 @@ OWN = 60_000  # first seed of the walks of this table, beside those of others
 FROM_STEPS = {  # name: setting, sources, walks
     "outdoors": (OUTDOORS, ("GNSS",), 8),
     "outdoors, GNSS with speed": (OUTDOORS, ("GNSS and speed",), 8),
+    "outdoors, late GNSS": (OUTDOORS, ("GNSS: late",), 8),
+    "outdoors, late GNSS with speed": (OUTDOORS, ("GNSS and speed: late",), 8),
     "indoors, fixes every 30 s": (INDOORS, ("user fixes",), 8),
     "indoors, start, compass, plan": (INDOORS, ("start", "plan"), 8),
     "indoors, GNSS, beacons": (INDOORS, ("GNSS", "beacons"), 6),
 }
-SEEDS = (0, 0, 1, 2, 3)  # thousands of the seeds of each: with and without speed the walks are the same
+SEEDS = (0, 0, 0, 0, 1, 2, 3)  # thousands of the seeds of each: outdoors the walks are the same
 FROM_SAMPLES = {  # name: setting, what the scenario has, walks
     "indoors, samples, fixes every 30 s, plan, a minute's stand": (INDOORS, {"fixes": {"period": 30.0}}, 6),
 }
@@ -116,7 +122,27 @@ def accuracy_row(group, score, walks):
     pose, filtered, lag, batch = (said(score.errors[name]) for name in ("pose", "filter", "lag", "batch"))
     share = marked(f"{100 * coverage(score):.0f} %", coverage(score) < LEAST_COVERAGE)
     beside = marked(f"{ratio(score):.2f}", ratio(score) > MOST_RATIO)
-    return [group.name, group.given, walks, len(score.inside), pose, filtered, beside, share, lag, batch]
+    return [
+        group.name,
+        group.given,
+        walks,
+        len(score.inside),
+        pose,
+        filtered,
+        beside,
+        share,
+        *by_receiver(score),
+        lag,
+        batch,
+    ]
+
+
+def by_receiver(score):
+    """The receiver's errors, and the pose's in them in the median and at 95 %; dashes without a receiver."""
+    if np.isnan(score.errors["receiver"]).any():
+        return "—", "—"
+    both = np.divide(*(np.percentile(score.errors[name], (50, 95)) for name in ("pose", "receiver")))
+    return said(score.errors["receiver"]), marked(" / ".join(f"{r:.2f}" for r in both), (both > MOST_OF_RECEIVER).any())
 
 
 def behaviour_row(group, score):
@@ -225,8 +251,11 @@ def recorded_groups(data):
     for each in recordings(data, "ipin2023"):
         for what, name in GNSS.items():
             yield Group(each, name, (partial(recorded, data, "ipin2023", each, what),))
+    museum = [partial(recorded, data, "museum", each, "recorded, no beacons") for each in recordings(data, "museum")]
+    yield Group("museum, ten logs", "GNSS", tuple(museum))
     for what in THINNED:
         yield Group("NJU campus", what, (partial(recorded, data, "nju", "campus", what),))
+    yield Group("NJU campus", "late GNSS", tuple(partial(beside_its_gps, data, seed) for seed in range(4)))
 
 
 def eights(data):
@@ -243,6 +272,16 @@ def recorded(data, of, name, what):
     if walk is None:
         return None
     return with_course(with_steps(walk)) if of == "ipin21" else with_steps(walk)
+
+
+def beside_its_gps(data, seed):
+    """The campus walk, whose GPS is its truth, with a simulated receiver."""
+    [walk] = recordings(data, "nju").values()
+    fixes = walk.evidence.fixes
+    truth = Trajectory(fixes.time, fixes.position, np.full(len(fixes), np.nan))
+    fixes = gnss_fixes(truth, LATE_RECEIVER, np.random.default_rng(seed)).fixes
+    evidence = replace(walk.evidence, fixes=replace(fixes, source=("GNSS",) * len(fixes)))
+    return with_steps(replace(walk, evidence=evidence, truth=truth))
 
 
 def with_course(walk):
@@ -502,7 +541,7 @@ def score_of(walk, run, batch):
     cpu, empty, evidence = np.array([ask.cpu for ask in run.asks]), np.empty(0), walk.evidence
     if not run.shown:
         never = np.inf
-        errors = {name: empty for name in ("pose", "filter", "lag", "batch")}
+        errors = {name: empty for name in ("pose", "filter", "receiver", "lag", "batch")}
         return WalkScore(errors, empty, never, never, never, empty, empty, empty, cpu)
     truth, causal = walk.truth, run.causal
     begin = min((float(signal.time[0]) for signal in evidence.walk.signals.values()), default=evidence.steps.start)
@@ -526,8 +565,18 @@ def errors_of(walk, run, batch):
     scores = {name: places(track, truth, walk.noise) for name, track in tracks.items()}
     errors = {name: score[0] for name, score in scores.items()}
     errors["filter"] = np.hypot(*(run.filtered(truth.time) - truth.position).T)
-    known = np.isfinite(list(errors.values())).all(axis=0)
+    receiver = receiver_errors(walk.evidence.fixes, truth)
+    known = np.isfinite(list(errors.values())).all(axis=0) & (np.isfinite(receiver) | np.isnan(receiver).all())
+    errors["receiver"] = receiver
     return {name: values[known] for name, values in errors.items()}, scores["pose"][1][known] == 1
+
+
+def receiver_errors(fixes, truth):
+    """Errors ``(n,)`` [m] of the last fix at each time of the truth; NaN if no receiver states its position often."""
+    if not any(fixes.source) or np.median(np.diff(fixes.time)) > OFTEN:
+        return np.full(len(truth), np.nan)
+    last = np.searchsorted(fixes.time, truth.time, side="right") - 1
+    return np.where(last >= 0, np.hypot(*(fixes.position[last] - truth.position).T), np.nan)
 
 
 def time_to_near(causal, truth):

@@ -193,7 +193,6 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
     from pdr_graph.estimation.factors.fixes import drift
-    from pdr_graph.estimation.factors.gnss_bias import velocities
     from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.geometry import as_points, interpolate, rotation
 
@@ -206,13 +205,14 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     for i in range(1, len(time)):
         offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]
     offset += np.random.default_rng([seed, 3]).normal(0, RECEIVERS.throughout, 2)
-    change = np.append(random.normal(0, RECEIVERS.lag), random.normal(0, RECEIVERS.lag_change * np.sqrt(np.diff(time))))
+    change = np.append(
+        random.normal(RECEIVERS.lag, RECEIVERS.lag), random.normal(0, RECEIVERS.lag_change * np.sqrt(np.diff(time)))
+    )
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 
     graph = WalkGraph(steps, fixes_at(time, where, sigma))
     k = graph.positions.keyframe
-    way, heading = graph.chain.track
-    velocity = as_points((velocities(way, graph.chain.time) * np.exp(-1j * heading))[k])
+    velocity = as_points((graph.chain.velocity * np.exp(-1j * graph.chain.direction))[k])
     ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
     white = RECEIVERS.white * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)

@@ -385,7 +385,10 @@ def node_times(bias):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_an_offset_is_a_gauss_markov_process(seed):
-    """About o [m]: keep = exp(−drift), σ = σ₀ √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
+    """About o [m]: keep = exp(−drift), σ = σ₀ √(1 − keep²) of the offset.
+
+    The lag begins at 1.5 ± 1.5 s, and changes by 0.02 s/√s.
+    """
     graph = received(seed)
     state, bias, fixes = any_state(graph, seed), graph.find(GnssBias), graph.positions.fixes
     g, receiver, drift = state["g"], -1, drifted(graph, fixes.time)
@@ -399,7 +402,7 @@ def test_an_offset_is_a_gauss_markov_process(seed):
                    if bias.receiver[node] == receiver]  # fmt: skip
             scale = np.interp(node_times(bias), fixes.time[own], common[own])
             (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m), ("o", receiver))
-            assert factor.residual == pytest.approx((g[m] - middle) / [scale[m], scale[m], 1.0])
+            assert factor.residual == pytest.approx((g[m] - middle - [0.0, 0.0, 1.5]) / [scale[m], scale[m], 1.5])
             (factor,) = factors_with(graph, state, "gnss_bias.throughout", ("o", receiver))
             usual = np.median(common[own])
             ahead = np.sqrt(np.mean(bias.lead[graph.positions.keyframe[own]] ** 2))

@@ -29,6 +29,7 @@ from pdr_graph.types import INSTANT, Array, Complex, Index, Steps
 DECIMALS = 6  # of time [s]: see INSTANT
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
+VELOCITY_OVER = 2.0  # [s] over which the velocity of the walk is averaged
 
 
 @dataclass(frozen=True)
@@ -366,7 +367,8 @@ class Chain:
     pieces, bridge: of the ``k`` intervals; delta: ``(k, 3)`` displacement of each, x, y [m], heading [rad], with the
     prior mean of the calibration; segment: ``(k,)`` the calibration of each, as row of the state.
     number: ``(k + 1,)`` of each keyframe, segment_number: ``(s,)`` of each calibration, in GTSAM's keys; begins,
-    ends: True if the walk begins or ends with this chain; led: `lead` of its first keyframe, x forward [m];
+    ends: True if the walk begins or ends with this chain; led, came: `lead` [m] and `velocity` [m/s] of its first
+    keyframe, x forward;
     heading: ``(k + 1,)`` of the keyframes by an estimate [rad], None before there is one; pace: ``(s,)`` by how much
     longer steps last from the beginning of each segment on, see `pace_changes`.
     """
@@ -381,6 +383,7 @@ class Chain:
     begins: bool = True
     ends: bool = True
     led: complex = 0.0
+    came: complex = 0.0
     heading: Array | None = None
 
     @classmethod
@@ -403,6 +406,9 @@ class Chain:
         """The part of the chain from keyframe ``first`` on, by its place in order."""
         m = self.pieces.first[first] if first < len(self.segment) else len(self.pieces.length)
         row = self.segment[first] if first < len(self.segment) else max(len(self.segment_number) - 1, 0)
+        led, came = self.led, self.came
+        if first:
+            led, came = (complex(of[first] * np.exp(-1j * self.direction[first])) for of in (self.lead, self.velocity))
         return Chain(
             pieces=self.pieces.between(first),
             bridge=Bridge(self.bridge.root[first:], self.bridge.gain[m:], self.bridge.spread[m:]),
@@ -413,7 +419,8 @@ class Chain:
             pace=self.pace[row:],
             begins=self.begins and first == 0,
             ends=self.ends,
-            led=complex(self.lead[first] * np.exp(-1j * self.direction[first])) if first else self.led,
+            led=led,
+            came=came,
             heading=None if self.heading is None else self.heading[first:],
         )
 
@@ -449,6 +456,18 @@ class Chain:
         for kept, moved in zip(np.exp(-past).tolist(), moves.tolist(), strict=True):
             lead.append(kept * lead[-1] + moved)
         return np.array(lead)
+
+    @cached_property
+    def velocity(self) -> Complex:
+        """Mean velocity ``(k + 1,)`` over the VELOCITY_OVER before each keyframe, in the axes of `heading`. [m/s]
+
+        Before the chain it is `came`: from a standstill, every part of a walk under way would begin without a lag.
+        """
+        turned = np.exp(1j * self.direction)
+        moves = (self.delta[:, 0] + 1j * self.delta[:, 1]) * turned[:-1]
+        way = np.cumsum(np.concatenate([[0.0, VELOCITY_OVER * self.came * turned[0]], moves]))
+        time = np.append(self.time[0] - VELOCITY_OVER, self.time)
+        return (way[1:] - np.interp(self.time - VELOCITY_OVER, time, way)) / VELOCITY_OVER
 
     @property
     def direction(self) -> Array:

@@ -7,7 +7,8 @@ sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of st
     z = p − v lag − l behind + g + white noise of variance ω² σ₀² + n (σ² − σ₀²)
 
 with ω = RECEIVERS.white, v the recent walking velocity. g is a Gauss–Markov process of sigma σ₀
-about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
+about o, lag a slow random walk; both are linear between nodes. Receivers are late: the lag begins at RECEIVERS.lag,
+which is its sigma too. o [m] is what stays the same throughout: a reflection
 under a roof. Its sigma is RECEIVERS.throughout of the receiver's median σ₀. The process runs in units of `drift`, with
 correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse fixes among them is
 common to them as well.
@@ -68,9 +69,9 @@ SOURCE_NODES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers: those o
 QUARTER = rotation(np.pi / 2)
 COURSE = "gnss_course"
 SECOND = 1.0  # [s]
-NODE_EVERY, VELOCITY_OVER = 5.0, 2.0  # [s] between nodes of the offset; over which the velocity of the lag is averaged
+NODE_EVERY = 5.0  # [s] between nodes of the offset
 LEAST_SPEED = 0.3  # [m/s] of the steps, below which a course says nothing
-BEFORE = 2 * SECOND + 3 * RECEIVERS.lag  # [s] from the keyframe to the fix: longer than any lag
+BEFORE = 2 * SECOND + 2 * RECEIVERS.lag  # [s] from the keyframe to the fix: longer than any lag
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +179,14 @@ class GnssBias(Refined, Remembered, Doubted):
             found.append(Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes)))
         return found
 
+    def lags(self, at: Evaluation) -> Array:
+        """Lag ``(f,)`` of every fix [s]; the expected one of those without a factor here."""
+        lags = np.full(len(self.fixes), RECEIVERS.lag)
+        if len(self.fix):
+            lag = at.state[self.symbol][:, 2]
+            lags[self.fix] = (1 - self.share) * lag[self.node] + self.share * lag[self.node + 1]
+        return lags
+
     def offsets(self, at: Evaluation) -> Sequence[tuple[str, str, int]]:
         """Name of each receiver, and the symbol and the row of what is the same throughout."""
         names = {int(self.receiver[n]): self.fixes.fixes.source[f] for n, f in zip(self.node, self.fix, strict=True)}
@@ -210,10 +219,8 @@ class GnssBias(Refined, Remembered, Doubted):
         if not len(self.fix):
             return replace(self, fixes=self.fixes.bind(chain))
         lead = np.zeros(len(chain.time), dtype=complex) if chain.heading is None else chain.lead
-        moves = (chain.delta[:, 0] + 1j * chain.delta[:, 1]) * np.exp(1j * chain.direction[:-1])
-        velocity = as_points(velocities(np.append(0.0, np.cumsum(moves)), chain.time))
         fixes, courses = self.fixes.bind(chain), self.courses.bind(chain)
-        return replace(self, fixes=fixes, velocity=velocity, lead=as_points(lead), courses=courses)
+        return replace(self, fixes=fixes, velocity=as_points(chain.velocity), lead=as_points(lead), courses=courses)
 
     def variables(self, poses: Array) -> Sequence[Variables]:
         """A node (g_x, g_y [-], lag [s]) every few seconds in which there are fixes; o [-] of each receiver."""
@@ -224,7 +231,7 @@ class GnssBias(Refined, Remembered, Doubted):
             np.maximum.at(needed, rows, self.fixes.fixes.time[self.fix])
         last = np.full(len(self.receiver_number), np.inf)
         return (
-            Variables(self.symbol, self.node_number, np.zeros((len(self.node_number), 3)), needed),
+            Variables(self.symbol, self.node_number, np.tile(expected(), (len(self.node_number), 1)), needed),
             Variables(self.symbol_throughout, self.receiver_number, np.zeros((len(self.receiver_number), 3)), last),
         )
 
@@ -274,7 +281,7 @@ class GnssBias(Refined, Remembered, Doubted):
         """Factors of g, which varies about o, and of o."""
         g, o = at.state[self.symbol], at.state[self.symbol_throughout]
         first, later, sigma, share, scale = self._nodes_by_order
-        about = g - o[self.receiver] * PLANE
+        about = g - o[self.receiver] * PLANE - expected()
         begin = FactorBlock.uniform(
             f"{self.name}.begin",
             about[first] / sigma[first],
@@ -436,14 +443,14 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     return Wording(names, text, check)
 
 
+def expected() -> Array:
+    """Prior mean ``(3,)`` of g [m, m, s]: receivers are late."""
+    return np.array([0.0, 0.0, RECEIVERS.lag])
+
+
 def _number(source: str) -> int:
     """The number of a receiver, so that it does not depend on the others."""
     return zlib.crc32(source.encode()) % SOURCE_NODES
-
-
-def velocities(way: Complex, time: Array) -> Complex:
-    """Mean velocity ``(k + 1,)`` [m/s] over the last VELOCITY_OVER. way: ``(k + 1,)`` positions [m]."""
-    return (way - np.interp(time - VELOCITY_OVER, time, way)) / VELOCITY_OVER
 
 
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:

@@ -212,7 +212,7 @@ class Window:
 
     steps: of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals: between
     consecutive keyframes; c, pace: estimate ``(3,)`` and change of pace of each segment; floor: label of the present
-    floor; led: of the first keyframe, see `Chain`.
+    floor; led, came: of the first keyframe, see `Chain`.
     """
 
     def __init__(self, prior: Prior, plan: Building | None, floor: str):
@@ -221,6 +221,7 @@ class Window:
         self.intervals, self.c, self.pace = list[Interval](), dict[int, Array](), dict[int, float]()
         self.segment, self.in_segment, self.in_gap, self.count, self.finished = 0, 0, False, 0, False
         self.led: complex = 0.0
+        self.came: complex = 0.0
         self._chain: Chain | None = None  # of the last intervals, None if it must be built again
 
     def begin(self) -> None:
@@ -335,7 +336,7 @@ class Window:
         if self._chain is None:
             at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
             self._chain = _extended(at, self.intervals, self.pace)
-        whole = replace(self._chain, heading=self.pose[:, 2], led=self.led)
+        whole = replace(self._chain, heading=self.pose[:, 2], led=self.led, came=self.came)
         return replace(whole.after(first), begins=first == 0, ends=self.finished)
 
     def state(self, chain: Chain, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
@@ -423,7 +424,7 @@ class Window:
     def forget(self, count: int) -> None:
         """Drop the first ``count`` keyframes."""
         self._chain = self.chain().after(count)
-        self.led = self._chain.led
+        self.led, self.came = self._chain.led, self._chain.came
         del self.keyframes[:count], self.times[:count], self.intervals[:count]
         self.pose = self.pose[count:]
         self.steps.forget(self.times[0])

@@ -8,16 +8,17 @@ GNSS, Bluetooth beacons and Wi-Fi access points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from pdr_graph.geometry import as_complex, interpolate, wrap_angle
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lab.simulation.body import Body, autoregressive_noise, smooth_noise
 from pdr_graph.lab.simulation.carrying import Motion
-from pdr_graph.types import Array, Complex, Fixes, Index, OneLineRepr, Sightings, Signal
+from pdr_graph.types import Array, Complex, Fixes, Index, OneLineRepr, Sightings, Signal, Trajectory
 
 
 @dataclass(frozen=True)
@@ -191,12 +192,15 @@ class Receiver:
     """A GNSS receiver; the fields are the keys of ``[gnss]`` in a scenario.
 
     accuracy: radius of 68 % of its errors [m]; period: between fixes [s]; latency: of a fix behind the position [s];
+    correlation: time for which nine tenths of its errors stay [s]; smoothing: time constant of its own filter [s];
     outliers: share of the fixes; outages: intervals without fixes, start and end [s]; hdop: median.
     """
 
     accuracy: float = setting(4.5, 0.01, 10_000, "m")
     period: float = setting(1.0, 0.01, 86_400, "s")
     latency: float = setting(0.0, 0, 3600, "s")
+    correlation: float = setting(50.0, 0.01, 86_400, "s")
+    smoothing: float = setting(0.0, 0, 3600, "s")
     outliers: float = setting(0.005, 0, 1, "of all fixes")
     outages: tuple[tuple[float, float], ...] = ()
     hdop: float = setting(0.9, 0.1, 100)
@@ -214,16 +218,17 @@ class SatelliteFixes(OneLineRepr):
         return self.fixes._summary()
 
 
-def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> SatelliteFixes:
-    """Fixes whose errors follow a varying accuracy; nine tenths stay for 50 s: multipath, atmosphere.
+def gnss_fixes(body: Body | Trajectory, receiver: Receiver, random: np.random.Generator) -> SatelliteFixes:
+    """Fixes whose errors follow a varying accuracy; nine tenths of them stay for a while: multipath, atmosphere.
 
     An outlier's standard deviation per axis is five times the accuracy of the receiver.
     """
     measured = np.arange(body.time[0], body.time[-1], receiver.period)
+    body = replace(body, position=_smoothed(body, receiver.smoothing)) if receiver.smoothing else body
     at = interpolate(measured, body.time, body.position)
     n = len(measured)
     reported = receiver.accuracy * np.exp(autoregressive_noise(random, n, 0.98, 0.25)[:, 0])
-    keep, systematic = np.exp(-receiver.period / 50.0), 0.9
+    keep, systematic = np.exp(-receiver.period / receiver.correlation), 0.9
     share = autoregressive_noise(random, n, keep, systematic, 2) + random.normal(0, np.sqrt(1 - systematic**2), (n, 2))
     error = reported[:, None] / RADIUS_68 * share
     outlier = random.random(n) < receiver.outliers
@@ -245,7 +250,19 @@ def gnss_fixes(body: Body, receiver: Receiver, random: np.random.Generator) -> S
     return SatelliteFixes(fixes[available], reported[available], hdop[available])
 
 
-def _doppler(body: Body, measured: Array, reported: Array, random: np.random.Generator) -> Complex:
+def _smoothed(body: Body | Trajectory, smoothing: float) -> Array:
+    """Positions ``(n, 2)`` [m] by a receiver's filter of a constant velocity, critically damped in `smoothing` [s].
+
+    It goes on straight in a turn and comes back: a second after a right angle its course has turned by half or less.
+    """
+    keep = np.exp(-np.median(np.diff(body.time)) / smoothing)
+    tracked = lfilter(
+        [1 - keep**2, 2 * keep * (keep - 1)], [1, -2 * keep, keep**2], body.position - body.position[0], 0
+    )
+    return body.position[0] + tracked
+
+
+def _doppler(body: Body | Trajectory, measured: Array, reported: Array, random: np.random.Generator) -> Complex:
     """Velocities ``(n,)`` [m/s] by a receiver's filter: the mean of two seconds, and noise that lasts for 2.5 s.
 
     Errors of 0.1 m/s per axis at an accuracy of 5 m, as on a campus (NJU).
