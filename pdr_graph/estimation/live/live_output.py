@@ -461,8 +461,8 @@ class LiveOutput:
         """What the last fixes of a receiver state of the position at ``until`` [s].
 
         Returns the position ``(2,)`` [m], the way since the last fix's position ``(2,)`` [m], and the variance [m²];
-        None unless the last fixes, of FIXES.longest_overhang at most, follow the walk and are no outliers. Each fix
-        goes on as the walk did since, by its lag too, at a walking speed at most; the position is their median.
+        None unless the last fixes follow the walk and are no outliers. Each fix goes on as the walk did since, by its
+        lag too, at a walking speed at most; the position is their median.
         """
         at, window = self.graph.at, self.graph.window
         fixes = made_from(Fixes, at.measurements)
