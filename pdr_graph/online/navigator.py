@@ -322,7 +322,7 @@ class Navigator:
             raise ValueError(f"Navigator.at: found {time:.3f} s, poses are known for {known}")
         if time > window.times[-1]:
             ways = output.mixture(self._tail, time)
-            belief, modes = output.shown(self._tail, time, output.expected(ways)), modes_of(ways)
+            belief, modes = output.expected(ways), modes_of(ways)
             pose, covariance = belief.mean[:3], belief.covariance[:3, :3]
         elif time >= window.times[0] and window.intervals:
             (pose,), (covariance,) = output.poses_at(np.array([time]))
@@ -340,10 +340,8 @@ class Navigator:
             return self._pose_by_fixes(alone)
         if not self._window.keyframes or not (self.frame is None or self._graph.output.is_placed(self._now)):
             return None if alone is None else self._pose_by_fixes(alone)
-        output = self._graph.output
-        ways = output.mixture(self._tail)
-        belief = output.shown(self._tail, self._now, output.expected(ways))
-        belief = self._stand.held(self._now, belief, self._walked, self._gait.quiet)
+        ways = self._graph.output.mixture(self._tail)
+        belief = self._stand.held(self._now, self._graph.output.expected(ways), self._walked, self._gait.quiet)
         x, y, heading = belief.mean[:3].tolist()
         here = self._display.at(self._now, belief.mean[:2], heading, self._walked)
         return Pose(
@@ -355,7 +353,7 @@ class Navigator:
             belief.covariance[:3, :3],
             modes_of(ways),
             here,
-            output.is_placed(self._now),
+            self._graph.output.is_placed(self._now),
         )
 
     def _pose_by_fixes(self, alone: FixesAlone) -> Pose:

@@ -15,7 +15,7 @@ from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.frames import enu
-from pdr_graph.geometry import REGION_90, interpolate, unit
+from pdr_graph.geometry import interpolate, unit
 from pdr_graph.priors import PRICES, RECEIVERS, changed
 from pdr_graph.types import LONLAT, Fixes, Steps
 
@@ -152,44 +152,6 @@ def test_the_lag_that_a_receiver_has_shown_is_kept_when_its_fixes_leave_the_wind
     for _ in pushing(live, steps, fixes):
         pass
     assert live.graph.at.state["g"][-1, 2] == pytest.approx(lag, abs=0.5)
-
-
-def shown_beside_receiver(scale, seed):
-    """Errors of the live position and of the receiver ``(n,)`` [m], and the share of positions in the 90 % region.
-
-    The receiver is 2 s late, with errors of 3 m that stay for two minutes; scale: of the steps' stated lengths.
-    """
-    steps, random = meander(200, seed), np.random.default_rng(seed)
-    truth = dead_reckon(steps)
-    time = np.arange(3.0, steps.end, 1.0)
-    keep, errors = np.exp(-1 / 120), random.normal(0, 3, (len(time), 2))
-    for n in range(1, len(time)):
-        errors[n] = keep * errors[n - 1] + np.sqrt(1 - keep**2) * errors[n]
-    late = interpolate(time - 2.0, truth.time, truth.position) + errors + random.normal(0, 1, errors.shape)
-    live, off, others, inside = LiveSmoother(lag=60.0), [], [], []
-    for _ in pushing(live, replace(steps, length=scale * steps.length), named(fixes_at(time, late, 3.2))):
-        now, output = live.graph.window.steps.end, live.output
-        if now > time[3] and output.is_placed(now):
-            belief = output.shown(None, now, output.belief())
-            [true] = interpolate(np.array([now]), truth.time, truth.position)
-            apart = belief.mean[:2] - true
-            off.append(np.hypot(*apart))
-            others.append(np.hypot(*(late[np.searchsorted(time, now, side="right") - 1] - true)))
-            inside.append(apart @ np.linalg.solve(belief.covariance[:2, :2], apart) < REGION_90)
-    return np.array(off), np.array(others), np.mean(inside)
-
-
-def test_the_live_position_is_better_than_its_receiver():
-    off, receiver, inside = map(np.hstack, zip(*(shown_beside_receiver(1.0, seed) for seed in range(3)), strict=True))
-    assert off.mean() < 0.85 * receiver.mean()
-    assert inside.mean() > 0.87
-
-
-@pytest.mark.parametrize("scale", [0.5, 2.0])
-def test_where_the_steps_lie_the_live_position_is_the_receivers(scale):
-    off, receiver, inside = shown_beside_receiver(scale, 1)
-    assert off.mean() < 1.1 * receiver.mean()
-    assert inside > 0.87
 
 
 def test_duplicate_epochs_are_not_used_twice():

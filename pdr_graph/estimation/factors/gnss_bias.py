@@ -179,14 +179,6 @@ class GnssBias(Refined, Remembered, Doubted):
             found.append(Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes)))
         return found
 
-    def lags(self, at: Evaluation) -> Array:
-        """Lag ``(f,)`` of every fix [s]; the expected one of those without a factor here."""
-        lags = np.full(len(self.fixes), RECEIVERS.lag)
-        if len(self.fix):
-            lag = at.state[self.symbol][:, 2]
-            lags[self.fix] = (1 - self.share) * lag[self.node] + self.share * lag[self.node + 1]
-        return lags
-
     def offsets(self, at: Evaluation) -> Sequence[tuple[str, str, int]]:
         """Name of each receiver, and the symbol and the row of what is the same throughout."""
         names = {int(self.receiver[n]): self.fixes.fixes.source[f] for n, f in zip(self.node, self.fix, strict=True)}

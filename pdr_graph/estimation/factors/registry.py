@@ -106,11 +106,6 @@ def made_from(data_type: type, measurements: Iterable[Measurement]) -> Any:
     return next((measurement for measurement in measurements if isinstance(measurement, kind)), None)
 
 
-def receivers_among(measurements: Iterable[Measurement]) -> Any:
-    """The errors of receivers among these kinds, which are made from the fixes; None without fixes."""
-    return next((kind for kind in measurements if isinstance(kind, KINDS[Fixes][1])), None)
-
-
 def locating_kinds() -> tuple[str, ...]:
     """Names of the kinds that determine positions, beside the fixes."""
     return tuple(kinds[0].name for data, kinds in KINDS.items() if kinds[0].determines_position and data is not Fixes)

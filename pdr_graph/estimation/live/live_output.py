@@ -20,7 +20,7 @@ import numpy as np
 from pdr_graph.estimation.between_steps import joint_of, poses_between
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Itemized
 from pdr_graph.estimation.factors.chain import Evaluation, increment, intervals
-from pdr_graph.estimation.factors.registry import made_from, receivers_among
+from pdr_graph.estimation.factors.registry import made_from
 from pdr_graph.estimation.kalman import (
     FAR,
     HOPELESS,
@@ -44,7 +44,6 @@ from pdr_graph.geometry import (
     distance_to_box,
     horizontal_sigma,
     pose_rotation,
-    rotation,
     squared_distance,
 )
 from pdr_graph.priors import FIXES, FIXES_ALONE, LIVE_PATHS, MOTION, RECEIVERS
@@ -432,57 +431,6 @@ class LiveOutput:
         moved[:2] = plan[self.graph.window.floor].nearest_walkable(mean[:2])
         return Belief(moved, covariance + np.outer(moved - mean, moved - mean))
 
-    def shown(self, tail: Steps | None, until: float, walk: Belief) -> Belief:
-        """The belief to show at ``until`` [s]: that of the walk, mixed with what its receiver states by itself.
-
-        The walk is one hypothesis about how its fixes err; the other is that they err as stated, whatever the steps
-        say. The prior of that is the share of the walk's variance beyond the stated one, so that a walk that knows more
-        than its receiver stays as it is. The odds of the walk are those of the receiver's error under it,
-        exp(−d² / 2σ²): where the steps lie, the position is the receiver's. The covariance is that of the prior shares
-        about it, so that the region has both, whichever lies. With a plan, the walls decide.
-        """
-        stated = None if self.graph.window.plan is not None else self._stated(tail, until, walk)
-        if stated is None:
-            return walk
-        position, moved, variance = stated
-        apart, known = position - walk.mean[:2], float(np.trace(walk.covariance[:2, :2])) / 2
-        prior = max(1.0 - variance / known, 0.0)
-        share = prior / (prior + (1.0 - prior) * np.exp(-(apart @ apart) / (2 * variance)))
-        mean, covariance = walk.mean.copy(), walk.covariance.copy()
-        mean[:2] += share * apart
-        covariance[:2] *= 1.0 - prior
-        covariance[2:, :2] = covariance[:2, 2:].T
-        error = variance * np.eye(2) + np.outer(moved, moved)  # a lag is as uncertain as it is large
-        beside = (1.0 - prior) * share**2 + prior * (1.0 - share) ** 2
-        covariance[:2, :2] += prior * error + beside * np.outer(apart, apart)
-        return Belief(mean, covariance)
-
-    def _stated(self, tail: Steps | None, until: float, walk: Belief) -> tuple[Array, Array, float] | None:
-        """What the last fixes of a receiver state of the position at ``until`` [s].
-
-        Returns the position ``(2,)`` [m], the way since the last fix's position ``(2,)`` [m], and the variance [m²];
-        None unless the last fixes follow the walk and are no outliers. Each fix goes on as the walk did since, by its
-        lag too, at a walking speed at most; the position is their median.
-        """
-        at, window = self.graph.at, self.graph.window
-        fixes = made_from(Fixes, at.measurements)
-        bias = receivers_among(at.measurements)
-        if fixes is None or bias is None or bias.not_following:
-            return None
-        time = fixes.fixes.time
-        rows = np.flatnonzero((time <= until) & (time >= until - FIXES.longest_overhang))[-FIXES_ALONE.given_up :]
-        sources = {fixes.fixes.source[n] for n in rows.tolist()}
-        judged = fixes.held[rows] & ~fixes.outlier[rows]
-        if len(rows) < FIXES_ALONE.given_up or not judged.all() or len(sources) > 1 or "" in sources:
-            return None
-        whole, ways = window.steps.with_tail(tail), list[Array]()
-        for begin in np.maximum(time[rows] - bias.lags(at)[rows], window.steps.start).tolist():
-            way, _, _ = increment(whole, window.steps.start, min(begin, until), until, walk.mean[3:])
-            turned = rotation(float(walk.mean[2] - way[2])) @ way[:2]
-            ways.append(turned * min(1.0, FIXES.walking_speed * (until - begin) / max(np.hypot(*turned), INSTANT)))
-        position = np.median(fixes.fixes.position[rows] + ways, axis=0)
-        return position, ways[-1], float((bias.larger * fixes.sigma[rows[-1]]) ** 2)
-
     def keyframe_belief(self) -> GaussianMixture:
         """State of the last keyframe and its calibration, of the most probable mode."""
         graph, window = self.graph, self.graph.window
@@ -543,7 +491,7 @@ class LiveOutput:
         ends = whole[(whole[:, UNTIL] > window.times[-1] + CLOSE) & (whole[:, IS_ROW] > 0), UNTIL]
         moments = np.unique(np.append(ends, whole[-1:, UNTIL]))
         moments = moments[moments > window.times[-1] + CLOSE]
-        beliefs = [self.shown(tail, until, self.belief(tail, until)) for until in moments.tolist()]
+        beliefs = [self.belief(tail, until) for until in moments.tolist()]
         pose = np.array([belief.mean[:3] for belief in beliefs]).reshape(-1, 3)
         covariance = np.array([belief.covariance[:3, :3] for belief in beliefs]).reshape(-1, 3, 3)
         return TrajectoryRows(moments, pose, covariance, [window.floor] * len(moments))
