@@ -101,9 +101,12 @@ def test_messages_are_put_in_order_and_used_once(messages, expected, tmp_path, n
     assert used(opened(tmp_path), now=0.0) == expected
 
 
-def test_a_lost_message_is_a_gap_of_the_walk(messages, tmp_path):
+def test_a_lost_message_is_a_gap_of_the_walk(messages, expected, tmp_path):
+    """The walker may have turned meanwhile, so that the direction can be open; the place goes on."""
     logged(tmp_path, messages, [n for n in range(SECONDS) if n != 15])
-    assert used(opened(tmp_path))["state"] == "running"
+    pose = used(opened(tmp_path))
+    assert pose["state"] in ("running", "initialising heading")
+    assert np.hypot(pose["x"] - expected["x"], pose["y"] - expected["y"]) < 2 * pose["sigma"]
 
 
 def test_the_walk_goes_on_after_its_process_ended_within_a_message(messages, expected, tmp_path, monkeypatch):
