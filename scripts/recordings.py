@@ -75,6 +75,23 @@ CELLS = {  # of bench stats, by their names in these tables
 NAMED = 3  # of the worst walks
 
 
+PLACES = {
+    "5 places, plan": "five places and their times, plan",
+    "5 places, plan, no times": "the same in any order, plan",
+    "5 places": "five places and their times",
+    "5 places, no times": "the same in any order",
+}
+
+
+def places(data, words=(), number=None, *_):
+    """CE with five waypoints, drawn at random, with their times and without."""
+    rows = rows_of(data, "malls", tuple(PLACES), ("graph",), (), words, number)
+    found = {line[1]: dict(zip(STATISTICS, line, strict=True)) for line in statistics(rows)}
+    shown = {name: found[what] for what, name in PLACES.items() if what in found}
+    lines = [[name, *(cells[column] for column in CELLS.values())] for name, cells in shown.items()]
+    publish("results/microsoft.md", "places", table(["given", *CELLS], lines))
+
+
 def microsoft(data, words=(), number=None, *_):
     """CE at waypoints that were not given, by method and by what was given, and the worst walks with the plan."""
     plans = tuple(f"{what}, plan" for what in HELP)

@@ -214,6 +214,12 @@ def test_what_is_given_is_not_scored():
     assert given(measured, "first").evidence.walk.magnetometer is field.magnetometer
     assert given(measured, "first, no compass").evidence.walk.magnetometer is None
     assert given(walk_with(fixes, truth), "recorded, plan") is None
+    places = given(measured, "2 places, no times")
+    [untimed] = places.evidence.walk.measurements
+    assert not len(places.evidence.fixes)
+    known = given(measured, "2 places")
+    assert {*map(tuple, untimed.position)} == {*map(tuple, known.evidence.fixes.position)}
+    assert len(known.truth) == len(places.truth) == len(truth) - 2
     assert not len(given(walk_with(fixes, truth), "nothing").evidence.fixes)
 
 

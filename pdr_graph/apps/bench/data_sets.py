@@ -28,7 +28,7 @@ from pdr_graph.inertial.units import BY_PLATFORM
 from pdr_graph.io.indoor_location import WAYPOINT_SIGMA
 from pdr_graph.io.tables import workbook_columns
 from pdr_graph.options import Options
-from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Recording, Signal, Trajectory
+from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Recording, Signal, Trajectory, UntimedFixes
 from pdr_graph.walk import Evidence, read
 
 GIVEN_SIGMA = 0.5  # [m] stated of a place of the truth that is given
@@ -294,9 +294,9 @@ CHOICES: Mapping[str, Callable[[Trajectory], list[int]]] = {  # rows of the trut
     "every second": lambda truth: sorted({*range(0, len(truth), 2), len(truth) - 1}),
     "first and 25 %": lambda truth: [0, int(np.searchsorted(truth.time, 0.75 * truth.time[0] + 0.25 * truth.time[-1]))],
 }
-TIMED = re.compile(r"(one in|first) (\d+) s")
-GIVEN = ("recorded", "one in N s", "first N s", *CHOICES, "nothing")
-ALSO = ("plan", "no beacons", "no compass")
+COUNTED = re.compile(r"(one in|first) (\d+) s|(\d+) places")
+GIVEN = ("recorded", "one in N s", "first N s", *CHOICES, "N places", "nothing")
+ALSO = ("plan", "no beacons", "no compass", "no times")
 
 
 def given(walk: BenchWalk, text: str) -> BenchWalk | None:
@@ -305,46 +305,60 @@ def given(walk: BenchWalk, text: str) -> BenchWalk | None:
     text: one of GIVEN, then any of ALSO, with commas between. What is withheld of a receiver's positions is the truth
     of a walk that has no other. Raises InputError for another text.
     """
-    which, timed, also = selection(text)
+    which, counted, also = selection(text)
     evidence, truth, plan = walk.evidence, walk.truth, "plan" in also
     building = evidence.building if plan else None
     if plan and building is None:
         return None
     fixes, alone = evidence.fixes, not len(truth)
-    surveyed = which in CHOICES and not alone
+    surveyed = (which in CHOICES or which.endswith("places")) and not alone
     known = truth if surveyed else Trajectory(fixes.time, fixes.position, np.full(len(fixes), np.nan))
-    rows = _rows(which, timed, known)
+    rows = _rows(which, counted, known)
     fixes = Fixes(truth.time[rows], truth.position[rows], np.full(len(rows), GIVEN_SIGMA)) if surveyed else fixes[rows]
     truth = known[np.setdiff1d(np.arange(len(known)), rows)] if surveyed or alone else truth
     if which == "nothing":  # there are no places, then, to compare
         fixes, truth = Fixes.none(), no_truth()
     elif not (len(fixes) and len(truth)):
         return None
-    without = "no beacons" in also or (which in CHOICES and not plan)
+    without = "no beacons" in also or (surveyed and not plan)
     recording = replace(evidence.walk, magnetometer=None) if "no compass" in also else evidence.walk
     beacons = None if without else evidence.beacons
+    if "no times" in also:
+        recording, fixes = _without_times(recording, fixes), Fixes.none()
     evidence = replace(evidence, walk=recording, fixes=fixes, building=building, beacons=beacons)
     return replace(walk, evidence=evidence, truth=_sampled(truth), plan=walk.plan or walk.evidence.building)
 
 
 def selection(text: str) -> tuple[str, re.Match[str] | None, tuple[str, ...]]:
-    """Which positions are given, its times if they are in the text, and which of ALSO. Raises InputError."""
+    """Which positions are given, its number if there is one in the text, and which of ALSO. Raises InputError."""
     which, *also = (part.strip() for part in text.split(","))
-    timed = TIMED.fullmatch(which)
-    if not (timed or which in GIVEN) or not set(also) <= set(ALSO):
+    counted = COUNTED.fullmatch(which)
+    if not (counted or which in GIVEN) or not set(also) <= set(ALSO):
         raise InputError("given", "", repr(text), f"one of {'; '.join(GIVEN)}, each also with ', {', or '.join(ALSO)}'")
-    return which, timed, tuple(also)
+    return which, counted, tuple(also)
 
 
-def _rows(which: str, timed: re.Match[str] | None, known: Trajectory) -> Index:
+def _without_times(recording: Recording, fixes: Fixes) -> Recording:
+    """A recording with the positions of fixes, in another order, as places at unknown times."""
+    order, (signal, *_) = np.random.default_rng(0).permutation(len(fixes)), recording.signals.values()
+    span = np.tile(signal.time[[0, -1]], (len(order), 1))
+    label = tuple(f"place {n + 1}" for n in range(len(order)))
+    places = UntimedFixes(span, fixes.position[order], fixes.sigma[order], label)
+    return replace(recording, measurements=(*recording.measurements, places))
+
+
+def _rows(which: str, counted: re.Match[str] | None, known: Trajectory) -> Index:
     """The rows of known places that are given: all, unless a text says less; none where it cannot be."""
     time = known.time
     if which in CHOICES:
         dense = which == "every second" and len(time) > 1 and np.median(np.diff(time)) < DENSE
         return np.unique(np.array([] if dense or not len(time) else CHOICES[which](known), dtype=np.intp))
-    if timed is None or not len(time):
+    if counted is None or not len(time):
         return np.arange(len(time))
-    return np.flatnonzero(time < time[0] + float(timed[2])) if timed[1] == "first" else _thinned(time, float(timed[2]))
+    if counted[3]:
+        return np.sort(np.random.default_rng(0).permutation(len(time))[: int(counted[3])])
+    every = float(counted[2])
+    return np.flatnonzero(time < time[0] + every) if counted[1] == "first" else _thinned(time, every)
 
 
 def _thinned(time: Array, every: float) -> Index:
