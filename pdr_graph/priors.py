@@ -619,7 +619,7 @@ class FixPriors(Table):
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
-    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(1, 2))
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors", still=(0.5, 2))
     along: float = number(30.0, "m", "distance walked over which they are correlated", still=(0.5, 2))
     still: float = number(1.0, "m", "within which a frozen receiver stays")
     away: float = number(10.0, "m", "to which the steps must lead meanwhile")
@@ -636,6 +636,7 @@ class ReceiverPriors(Table):
         "s",
         "expected lag, and its sigma",
         "0, 0.5, 3 and 1.5 to 5 of the four that follow their walk best (NJU, IPIN 2023)",
+        still=(0.5, 2),
     )
     lag_change: float = number(0.02, "s/√s", "random walk of the lag", still=(0.5, 2))
     velocity: float = number(

@@ -83,7 +83,7 @@ PLACES = {
 }
 
 
-def places(data, words=(), number=None, *_):
+def places(data, words=(), number=None):
     """CE with five waypoints, drawn at random, with their times and without."""
     rows = rows_of(data, "malls", tuple(PLACES), ("graph",), (), words, number)
     found = {line[1]: dict(zip(STATISTICS, line, strict=True)) for line in statistics(rows)}
@@ -108,6 +108,7 @@ def microsoft(data, words=(), number=None, *_):
     far = [row for row in rows if row["given"] in plans and row["method"] == "graph"]
     text = table(["given", "method", *columns], lines)
     publish("results/microsoft.md", "microsoft", f"{text}\n\n{named(far, ON_PLANS)}")
+    places(data, words, number)
 
 
 def named(rows, given):

@@ -108,7 +108,6 @@ def quick_settings():
 TABLES = {  # in the order of docs/results/index.md
     "seeds": Made(seeds, quick=partial(seeds, quick=True)),
     "microsoft": Made(lambda *rows: recordings.microsoft(DATA, *rows), some=True),
-    "places": Made(lambda *rows: recordings.places(DATA, *rows), some=True),
     "recordings": Made(lambda *rows: recordings.every_recording(DATA, *rows), some=True),
     "live": Made(lambda *rows: live.live(DATA, *rows), some=True, alone="live"),
     "integrity": Made(lambda *rows: integrity.integrity(DATA, *rows), some=True, alone="integrity"),

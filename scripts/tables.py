@@ -21,6 +21,7 @@ LEFT_OUT = {  # by table, what its page leaves out: columns, and rows or whole t
         ("in 50 %", "in 99 %", "energy score [m]", "walks up to 60 % in 90 %", "rows that cross a wall", "places"),
         "(?!)",
     ),
+    "places": (("in 50 %", "in 99 %", "energy score [m]", "walks up to 60 % in 90 %"), "(?!)"),
     "summary": (
         ("graph: in 50 %", "graph: in 99 %", "graph: energy score [m]", "graph: walks up to 60 % in 90 %", "places"),
         "(?!)",

@@ -342,7 +342,7 @@ def messages():
 def walker(folder):
     """The walker of a session with all its messages used."""
     session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
-    walk = LiveWalk(folder, session, lambda epoch: StandIn())
+    walk = LiveWalk(folder, session, lambda **_: StandIn())
     while walk.work(np.inf):
         pass
     return walk

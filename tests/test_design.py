@@ -77,7 +77,7 @@ GOALS: dict[str, tuple[int, int]] = {
     "lines of scripts": (5_200, 7_300),
     "lines of tests": (33_000, 42_500),
     "words of docs": (27_000, 29_500),
-    "words of results": (15_000, 16_950),
+    "words of results": (15_000, 17_100),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}

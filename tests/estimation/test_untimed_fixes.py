@@ -71,6 +71,19 @@ def test_a_place_of_somebody_else_is_named():
     assert named >= 4
 
 
+def test_a_place_in_another_town_changes_nothing():
+    """It is 50 km away: no walk of this length joins it with the others."""
+    steps, _, truth = drawn_from_the_model(120, 1)
+    places, _ = visited(truth, np.random.default_rng(1), 10)
+    far = replace(places, position=np.vstack([places.position[:9], [5e4, 0.0]]))
+    tracks = []
+    for table in (far, UntimedFixes(places.time[:9], places.position[:9], places.sigma[:9], places.label[:9])):
+        estimate = smooth(WalkGraph(steps, headings=compass(steps, truth), measurements=[table]))
+        tracks.append(estimate.trajectory.position)
+        assert len(estimate.reports["untimed"]) == len(table)
+    assert np.hypot(*(tracks[0] - tracks[1]).T).max() < 0.5
+
+
 def test_half_of_the_places_of_somebody_else_are_a_doubt():
     [(estimate, _, _)] = walks(number=4, false=4, seeds=1)
     assert verdict(estimate).state == DOUBTFUL

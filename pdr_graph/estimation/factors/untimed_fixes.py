@@ -151,10 +151,15 @@ class UntimedFixFactor(Itemized, Refined, Searching):
         walk, known = as_complex(at.state.poses[:, :2]), np.flatnonzero(fixes.consistent)
         places = as_complex(np.concatenate([self.places, fixes.fixes.position[known]]))
         passed = [*(walk[:-1][open_] for open_ in self._open()), *walk[fixes.keyframe[known], None]]
-        centre, middle = complex(places.mean()), complex(walk.mean())
+        length = float(np.sum(at.chain.pieces.length))
+        blur = float(np.hypot(np.median(self.untimed.sigma), INITIAL.rough_track * length))
 
-        # The votes are as rough as the track; so are the cells, unless a false place lies far away
-        blur = float(np.hypot(np.median(self.untimed.sigma), INITIAL.rough_track * np.sum(at.chain.pieces.length)))
+        # Places that no walk of this length can join with the others have no vote
+        centre, middle = complex(np.median(places.real), np.median(places.imag)), complex(walk.mean())
+        near = np.flatnonzero(np.abs(places - centre) < length + 3 * blur)
+        if not len(near):
+            return
+        places, passed = places[near], [passed[n] for n in near.tolist()]
         reach = float(np.abs(walk - middle).max() * max(SCALES) + np.abs(places - centre).max()) + 3 * blur
         cell = max(blur / 3, 2 * reach / MOST_CELLS)
         cells, around = int(2 * reach / cell) + 1, blur / cell
@@ -165,8 +170,8 @@ class UntimedFixFactor(Itemized, Refined, Searching):
                 for place, track in zip(places.tolist(), passed, strict=True):
                     there, moved = np.zeros((cells, cells)), place - centre - similar * (track - middle)
                     np.add.at(there, tuple(np.floor((as_points(moved) + reach) / cell).astype(np.intp).T), 1.0)
-                    near = 2 * np.pi * around**2 * gaussian_filter(there, around, mode="constant")
-                    votes += np.log(np.clip(near, FEWEST, 1.0))
+                    share = 2 * np.pi * around**2 * gaussian_filter(there, around, mode="constant")
+                    votes += np.log(np.clip(share, FEWEST, 1.0))
                 votes -= 0.5 * (angle / sigma_direction) ** 2
                 for _ in range(EACH):
                     best = np.unravel_index(int(np.argmax(votes)), votes.shape)
