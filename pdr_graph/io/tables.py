@@ -458,7 +458,7 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
     recording, and ``sigma`` per axis [m]. An area is uniform: its sigma per axis is that of a square of its size, and
     what is not walkable, as a shop, is visited at its nearest walkable point. floors: of the plan.
 
-    Raises InputError naming the line; also for names that no area has, or several have.
+    Raises InputError naming the line; also for names that no area has, or several apart.
     """
     optional = ("earliest", "latest", "sigma")
     numbers, words = read_table(path, [("x", "y"), ("lat", "lon"), ()], optional, ("place",), recording)
@@ -495,18 +495,22 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
 
 
 def _named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
-    """Position ``(2,)`` and sigma [m] of the only area with a name."""
+    """Position ``(2,)`` and sigma [m] of the area with a name, or of several that are parts of one."""
     wanted = name.strip().casefold()
     areas = [(floor, area) for floor in floors for area in floor.areas]
     found = [(floor, area) for floor, area in areas if area.name.strip().casefold() == wanted]
     where, place = f"data row {row + 1}, place", repr(name[:40])
     if not floors:
         raise InputError(path, where, place, "--map, a plan with the places' names; or x,y or lat,lon in each row")
-    if len(found) != 1 or not wanted:
+    shapes = [area.shape for _, area in found]
+    hull = shapely.convex_hull(shapely.union_all(shapes))
+    parts = len({floor.label for floor, _ in found}) == 1 and shapely.area(hull) <= 2 * float(
+        np.sum(shapely.area(shapes))
+    )
+    if not (len(found) == 1 or parts) or not wanted:
         names = list(dict.fromkeys(area.name for _, area in areas if area.name))
         alike = ", ".join(get_close_matches(name, names, 3, 0.4) or names[:3]) or "no area of the plan has one"
         several = f" of {len(found)} areas" if found else ""
         raise InputError(path, where, f"{place}{several}", f"the name of one area of the plan ({alike}), or x,y")
-    [(floor, area)] = found
-    middle = shapely.get_coordinates(shapely.point_on_surface(area.shape))[0]
-    return floor.nearest_walkable(middle), max(float(np.sqrt(shapely.area(area.shape) / 12)), VISIT_SIGMA)
+    middle = shapely.get_coordinates(shapely.point_on_surface(hull))[0]
+    return found[0][0].nearest_walkable(middle), max(float(np.sqrt(shapely.area(hull) / 12)), VISIT_SIGMA)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from plans import ARCADE
+from plans import ARCADE, plan
 from refusals import refused
 from walks import drawn_from_the_model, steps_of
 
@@ -162,6 +162,17 @@ def test_a_place_may_be_a_name_on_the_plan(tmp_path):
     name = next(area.name for area in arcade.areas if area.name and sum(a.name == area.name for a in arcade.areas) == 1)
     table, _ = read_visited(written(tmp_path, f"place\n{name.upper()}\n"), RECORDING, [arcade])
     assert arcade.walkable.distance(shapely.Point(table.position[0])) < 0.1
+
+
+def test_a_shop_of_two_parts_is_one_place_and_stairs_all_over_are_none(tmp_path):
+    """The place lies beside the shop, where one can walk."""
+    parts = [("shop", "till", shapely.box(x, 0, x + 4, 5)) for x in (10, 14)]
+    stairs = [("shop", "stairs", shapely.box(x, 20, x + 2, 22)) for x in (0, 50)]
+    floor = plan(("floor", "F1", shapely.box(-10, -10, 60, 30)), *parts, *stairs)
+    table, _ = read_visited(written(tmp_path, "place\nTill\n"), RECORDING, [floor])
+    assert table.sigma.tolist() == [pytest.approx(np.sqrt(40 / 12))]
+    assert 0 <= shapely.distance(shapely.box(10, 0, 18, 5), shapely.Point(table.position[0])) < 0.1
+    refused(read_visited, written(tmp_path, "place\nstairs\n"), "of 2 areas", RECORDING, [floor])
 
 
 @pytest.mark.parametrize(

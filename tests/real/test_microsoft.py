@@ -6,9 +6,10 @@ import shapely
 from tiers import thorough
 
 from pdr_graph import FloorPlan
-from pdr_graph.apps.bench.data_sets import given, walks_of
+from pdr_graph.apps.bench.data_sets import given, recorded, walks_of
 from pdr_graph.apps.bench.matrix import places
 from pdr_graph.io.loading import load
+from pdr_graph.options import Options
 from pdr_graph.types import Trajectory
 from pdr_graph.walk import estimate, observe
 
@@ -102,3 +103,14 @@ def test_one_waypoint_a_compass_and_the_plan_find_the_walk(data):
     errors = errors_of(data, "first, plan", {"graph": graph}, every=3)["graph"]
     assert np.median(errors) < 2.5
     assert np.percentile(errors, 90) < 7.0
+
+
+def test_three_shops_by_their_names_and_the_plan_place_a_walk(data, tmp_path):
+    """In any order, without a time and without a fix: the walk leads past their fronts."""
+    (path,) = (data / "ms_indoor20").glob("site2/F6/5dd4b80e*.txt")
+    (tmp_path / "visited.csv").write_text("place\nSimply Thai\nyuniudao\nxiyouji\n", encoding="utf-8")
+    options = Options(plan=path.parent, visited=tmp_path / "visited.csv")
+    walk = recorded(path, options)
+    error, inside = places(estimate(observe(walk.evidence)).estimate.trajectory, walk.truth, walk.noise)
+    assert np.median(error) < 2.0
+    assert np.mean(inside) > 0.85
