@@ -690,7 +690,7 @@ class UntimedFixReport:
     """How a place without a time was used.
 
     time: when the walk was nearest [s]; distance: from the walk then [m]; weight: share of its information that was
-    used, 0-1.
+    used, 0-1; others: further times at which it is about as near, as of a walker who comes back the same way [s].
     """
 
     label: str
@@ -701,6 +701,7 @@ class UntimedFixReport:
     distance: float
     weight: float
     reason: str
+    others: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

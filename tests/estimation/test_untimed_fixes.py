@@ -114,6 +114,19 @@ def test_an_interval_of_time_decides_between_two_visits():
     assert estimate.reports["untimed"][3].time > steps.time[45]
 
 
+def test_a_place_that_is_passed_twice_has_both_times():
+    """There and back the same way: each time may be the one."""
+    turn = np.zeros(80)
+    turn[40] = np.pi
+    steps = steps_of(np.full(80, 0.7), turn)
+    truth = dead_reckon(steps)
+    span = np.tile([steps.start, steps.end], (3, 1))
+    places = UntimedFixes(span, truth.position[[0, 40, 15]], np.full(3, 0.5), tuple("abc"))
+    report = smooth(WalkGraph(steps, headings=compass(steps, truth), measurements=[places])).reports["untimed"][2]
+    assert len(report.others) == 1
+    assert sorted([report.time, *report.others]) == pytest.approx([truth.time[15], truth.time[65]], abs=2)
+
+
 def test_only_whole_walks_take_places_without_a_time():
     table = UntimedFixes(np.array([[0.0, 9.0]]), np.zeros((1, 2)), np.ones(1), ("a",))
     with pytest.raises(TypeError, match="expected measurements with a time"):

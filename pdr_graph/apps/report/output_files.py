@@ -254,12 +254,18 @@ def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | Non
     return dict(zip(("p50", "p75", "p95"), values, strict=True)) | {"in_90": None if share is None else round(share, 3)}
 
 
+def _on_clock(report: Any, clock_origin: float) -> Any:
+    """A report with its times on the recorder's clock."""
+    others = {"others": tuple(t + clock_origin for t in report.others)} if hasattr(report, "others") else {}
+    return replace(report, time=report.time + clock_origin, **others)
+
+
 def _reports_by_kind(estimate: Estimate, clock_origin: float) -> dict[str, Any]:
     """The reports of KEYED_KINDS by name, times on the recorder's clock; under "reports" those of other kinds."""
     listed: dict[str, list[dict[str, Any]]] = {kind: [] for kind in REPORTED}
     for kind, reports in estimate.reports.items():
         timed = bool(reports) and "time" in {column.name for column in fields(reports[0])}
-        shifted = (replace(report, time=report.time + clock_origin) if timed else report for report in reports)
+        shifted = (_on_clock(report, clock_origin) if timed else report for report in reports)
         listed[kind] = [_finite(asdict(report)) for report in shifted]
     others = {kind: rows for kind, rows in listed.items() if kind not in KEYED_KINDS}
     return {kind: rows for kind, rows in listed.items() if kind in KEYED_KINDS} | (

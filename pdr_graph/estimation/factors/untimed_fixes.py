@@ -25,7 +25,7 @@ from scipy.ndimage import gaussian_filter
 
 from pdr_graph.estimation.factors.base import FactorBlock, Itemized, Refined, RobustLoss, Searching, Stage, State
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import as_complex, as_points, rotation
+from pdr_graph.geometry import as_complex, as_points, peaks, rotation
 from pdr_graph.priors import INITIAL, PRICES, REPORTS
 from pdr_graph.types import TABLE, Array, Index, Mask, Steps, UntimedFixes, UntimedFixReport, take
 
@@ -39,6 +39,7 @@ TURNS, SCALES = np.radians(np.arange(-180.0, 180.0, 6.0)), (0.88, 1.0, 1.14)  # 
 FEWEST = 0.05  # votes of a place that is not on the walk, of 1
 EACH, MOST_STARTS = 3, 30  # starts of each turn and scale; of all
 MOST_CELLS = 300  # of the votes, along an axis
+OPEN, OFTEN = 4.0, 3  # [σ²] by which another time is worse at most; intervals between two that are reported
 INSIDE = 1e-6  # of an interval, its ends
 
 
@@ -88,15 +89,17 @@ class UntimedFixFactor(Itemized, Refined, Searching):
 
     def nearest(self, poses: Array) -> tuple[Index, Array]:
         """The interval of the nearest point of the walk ``(n,)`` to each place, and where in it ``(n,)``, 0 to 1."""
+        share, distance = self._passed(poses)
+        interval = np.argmin(distance, axis=1) if self.interval is None else self.interval
+        return interval, share[np.arange(len(share)), interval]
+
+    def _passed(self, poses: Array) -> tuple[Array, Array]:
+        """Where in each interval ``(n, k)`` it is nearest to each place, 0 to 1, and how near [m]; else infinite."""
         walk, place = as_complex(poses[:, :2]), as_complex(self.places)
-        along = np.diff(walk)
-        since = place[:, None] - walk[:-1]
+        along, since = np.diff(walk), place[:, None] - walk[:-1]
         length = np.maximum(np.abs(along) ** 2, np.finfo(float).tiny)
         share = np.clip((since * along.conj()).real / length, 0.0, 1.0)
-        interval = self.interval
-        if interval is None:
-            interval = np.argmin(np.where(self._open(), np.abs(since - share * along), np.inf), axis=1)
-        return interval, share[np.arange(len(place)), interval]
+        return share, np.where(self._open(), np.abs(since - share * along), np.inf)
 
     def bound_at(self, at: Evaluation) -> Self:
         """Keep the intervals in which the walk is nearest."""
@@ -185,15 +188,21 @@ class UntimedFixFactor(Itemized, Refined, Searching):
         return self.number, self.untimed.time[:, 1]
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[UntimedFixReport, ...]:
-        """Time, distance and weight of each place."""
+        """Time, distance and weight of each place; other times at which the walk is about as near."""
         [block] = at.blocks_of(self.name)
         interval, share = self.nearest(at.state.poses)
         time = self.time[interval] + share * np.diff(self.time)[interval]
+        shares, distance = self._passed(at.state.poses)
+        times = self.time[:-1] + shares * np.diff(self.time)
         reports = []
         for n in np.arange(len(self.number)) if which is None else which:
             sigma, weight = float(self.untimed.sigma[n]), float(block.weight[n])
             off = float(block.deviation[n]) * sigma
             reason = f"{off:.1f} m from the walk" + ": not on it" * (weight < REPORTS.rejected)
             x, y = self.places[n].tolist()
-            reports.append(UntimedFixReport(self.untimed.label[n], float(time[n]), x, y, sigma, off, weight, reason))
+            near = (distance[n] ** 2 - np.min(distance[n]) ** 2) / sigma**2
+            also = times[n][peaks(np.exp(-near), np.exp(-OPEN), OFTEN)]
+            also = also[np.abs(also - time[n]) > OFTEN * KEYFRAMES_EVERY]
+            label, others = self.untimed.label[n], tuple(also.tolist())
+            reports.append(UntimedFixReport(label, float(time[n]), x, y, sigma, off, weight, reason, others))
         return tuple(reports)
