@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 from pdr_graph.apps.serve.serving import Settings, build
 from pdr_graph.lab.simulation.streaming import batches, message
 
-PATIENCE = 30.0  # [s]
+PATIENCE = 60.0  # [s] as of a browser: a process may begin on a machine that others compute on
 
 
 @cache
