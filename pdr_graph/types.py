@@ -924,6 +924,11 @@ class Estimate(OneLineRepr):
         """A report of each received beacon."""
         return self.reports.get("beacons", ())
 
+    @property
+    def untimed(self) -> tuple[UntimedFixReport, ...]:
+        """A report of each place without a time."""
+        return self.reports.get("untimed", ())
+
     def _summary(self) -> list[str]:
         state, kinds = "converged" if self.converged else "not converged", self.reports.items()
         counts = [f"{len(rows)} {kind}" for kind, rows in kinds if rows]

@@ -25,7 +25,7 @@ from pdr_graph.estimation.results import (
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
 from pdr_graph.priors import INITIAL, REPORTS, SEARCH
-from pdr_graph.types import Array, Estimate, Trajectory, UntimedFixReport
+from pdr_graph.types import Array, Estimate, Trajectory
 
 
 @one_thread
@@ -109,7 +109,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     warned = (
         *warnings(graph, walks, stated, best.converged, calibration),
         *contradiction_warnings(reports.get(used.name, ())),
-        *place_warnings([each for of in reports.values() for each in of if isinstance(each, UntimedFixReport)]),
+        *place_warnings(estimate.untimed),
         *(() if ways is None else ways.warnings()),
     )
     return replace(estimate, probability=stated, warnings=warned)

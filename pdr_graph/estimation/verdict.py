@@ -25,7 +25,6 @@ from pdr_graph.types import (
     Contradiction,
     Estimate,
     FixReport,
-    UntimedFixReport,
     Verdict,
 )
 
@@ -164,10 +163,9 @@ def _network(estimate: Estimate) -> Iterator[Contradiction]:
 
 def _untimed(estimate: Estimate) -> Iterator[Contradiction]:
     """Places without a time, too many of which are not on the walk."""
-    places = [each for of in estimate.reports.values() for each in of if isinstance(each, UntimedFixReport)]
-    rejected = sum(place.weight < REPORTS.rejected for place in places)
-    if (share := rejected / max(len(places), 1)) > VERDICTS.doubtful:
-        text = f"{rejected} of {count(len(places), 'place')} without a time are not on the walk"
+    rejected = sum(place.weight < REPORTS.rejected for place in estimate.untimed)
+    if (share := rejected / max(len(estimate.untimed), 1)) > VERDICTS.doubtful:
+        text = f"{rejected} of {count(len(estimate.untimed), 'place')} without a time are not on the walk"
         yield Contradiction(
             "visited", STEPS_AND_REST, share, "share", text, "whose places, of which day, on which plan?"
         )

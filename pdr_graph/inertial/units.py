@@ -39,10 +39,8 @@ PARTS = 8  # of a window, whose mean directions are compared
 MOST_WINDOWS = 10  # of walking, after which the posture is known
 FACING = 0.3, 0.5  # [g] along z from which a phone faces up or down a little, and fully
 FEWEST_WINDOWS = 2.0  # facing up or down, for the full log-odds
-LEAST_ODDS, SURE_ODDS = (
-    0.25,
-    2.5,
-)  # log-odds from which another sign is taken; below which it is a guess, as by unit alone
+LEAST_ODDS = 0.25  # log-odds from which another sign is taken
+SURE_ODDS = 2.5  # log-odds below which the sign is a guess, as by unit alone
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 
 

@@ -634,7 +634,6 @@ class Navigator:
         if isinstance(data, Fixes):
             self._accepted += len(data)
             self._floors.add_fixes(data)
-        if isinstance(data, Fixes):
             self._mirror.add(data)
         self._graph.append(data)
         self._filter.add(data)

@@ -292,9 +292,9 @@ def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
 
 def _untimed(estimate: Estimate) -> list[dict[str, Any]]:
     """Places without a time, with the time that was found; those off the walk in another colour."""
-    drawn, places = [], estimate.reports.get("untimed", ())
+    drawn = []
     for name, colour, off in (("places without a time", BLUE, False), ("places not visited", RED, True)):
-        if group := [place for place in places if (place.weight < REPORTS.rejected) == off]:
+        if group := [place for place in estimate.untimed if (place.weight < REPORTS.rejected) == off]:
             labels = [f"{place.label}\nat {place.time:.0f} s, {place.reason}" for place in group]
             drawn.append(_marks(name, colour, np.array([(place.x, place.y) for place in group]), labels))
             drawn[-1] |= {"on": [[ON_EVERY_MAP, len(group)]], "symbol": "diamond-open"}

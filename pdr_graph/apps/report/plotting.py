@@ -367,9 +367,8 @@ def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
 
 def _draw_untimed(axes: Axes, estimate: Estimate) -> None:
     """Draw places without a time, those that were not visited in another colour."""
-    places = estimate.reports.get("untimed", ())
     for colour, off, label in ((BLUE, False, "place without a time"), (RED, True, "place not visited")):
-        if group := [(place.x, place.y) for place in places if (place.weight < REPORTS.rejected) == off]:
+        if group := [(place.x, place.y) for place in estimate.untimed if (place.weight < REPORTS.rejected) == off]:
             style: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": colour, "label": label}
             axes.plot(*np.array(group).T, marker="D", **style)
 

@@ -40,23 +40,26 @@ MOST_MODES, LIVE_MODES = 8, 5  # modes that are solved
 MOST_SOUGHT = 300  # modes of which those are the heaviest: after a long gap particles are all over the plan
 
 
-def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
+def solutions(
+    graph: WalkGraph, without_walls: Optimum | None = None, sought: Sequence[State] | None = None
+) -> list[Optimum]:
     """Distinct solutions, the most probable first; much less probable ones are dropped.
 
     With a plan, the search starts on the paths that it admits; without, in several directions if the measurements do
     not determine the direction (one fix; two at the ends of a loop). without_walls: the walk without the plan, solved
-    if missing.
+    if missing; sought: the `sought_starts` without the plan, found if missing.
     """
     if not graph.walled:
         return pruned([solve_robust(start) for start in possible_starts(graph)])
+    sought = sought_starts(graph.without_plan()) if sought is None else sought
 
     # Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes
-    without_walls = without_walls or best_without_walls(graph)
+    without_walls = without_walls or best_without_walls(graph, sought)
     robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
     optima = pruned(_paths_of_fixes(robust, without_walls))
     if not optima or optima[0].surprise >= expected + SEARCH.strained:
         starts, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-        if sought := sought_starts(graph.without_plan()):
+        if sought:
             optima = solutions_near(robust, [continued(robust.start, start) for start in sought])
         for attempt in range(0 if sought else FILTER_RUNS):
             optima += solutions_near(robust, path_starts(robust, attempt) + (starts if attempt == 0 else []))
@@ -81,10 +84,10 @@ def different_directions(optimum: Optimum) -> list[Optimum]:
     return pruned([optimum, *(optimize(other, other.start) for other in possible_starts(graph)[1:])])
 
 
-def best_without_walls(graph: WalkGraph) -> Optimum:
-    """The best walk without the plan, of all places that kinds of measurements must be sought in."""
+def best_without_walls(graph: WalkGraph, sought: Sequence[State]) -> Optimum:
+    """The best walk without the plan. sought: its `sought_starts`."""
     free = graph.without_plan()
-    starts = [free.at(start) for start in sought_starts(free)] or [free]
+    starts = [free.at(start) for start in sought] or [free]
     return min((solve_robust(start) for start in starts), key=lambda optimum: optimum.surprise)
 
 

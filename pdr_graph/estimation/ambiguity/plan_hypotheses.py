@@ -27,6 +27,7 @@ from pdr_graph.estimation.ambiguity.path_modes import (
     near_walk,
     solutions,
     solutions_near,
+    sought_starts,
 )
 from pdr_graph.estimation.factors.start import WALKER_KIND
 from pdr_graph.estimation.graph import WalkGraph
@@ -64,15 +65,16 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
         bank = HypothesisBank(first).explain()
         bank.add(others, SEARCH.dropped)
         return bank.members
-    free = HypothesisBank(best_without_walls(graph)).explain().members
+    sought = sought_starts(graph.without_plan())
+    free = HypothesisBank(best_without_walls(graph, sought)).explain().members
     best, *others = free
 
     # Between the walls: on each path for the best walk without walls, then near each other one
-    first, *more = solutions(graph, best)
+    first, *more = solutions(graph, best, sought)
     between = [_assuming(walk, best) for walk in (first, *more)]
     strangers = [other for other in others if _by_profile(other) != _by_profile(best)]
     for other in strangers[:1]:  # other strides fit other paths
-        between += [_assuming(walk, other) for walk in solutions(graph, other)]
+        between += [_assuming(walk, other) for walk in solutions(graph, other, sought)]
     for other in others:
         same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
         between.append(_assuming(near_walk(graph, other, first.state if same_path else None), other))
