@@ -27,6 +27,7 @@ import gait
 import integrity
 import lifelog
 import live
+import magnetic
 import paths
 import recordings
 import routes
@@ -120,6 +121,7 @@ TABLES = {  # in the order of docs/results/index.md
     "protection": Made(lambda: assumptions.protection(DATA), quick=True),
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
+    "magnetic": Made(lambda: magnetic.magnetic(DATA)),
     "signs": Made(lambda: signs.signs(DATA)),
     "lifelog": Made(lifelog.lifelog),
     "settings": Made(lambda words=(), *_: settings.settings(DATA, words), some=True, quick=quick_settings),
