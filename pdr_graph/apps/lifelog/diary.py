@@ -173,7 +173,8 @@ class UnpartedDiary:
     @classmethod
     def of(cls, log: Store, person: str, dates: Sequence[str]) -> UnpartedDiary:
         """The diary of some stored days. Raises InputError if the lifelog is damaged."""
-        digests = tuple(digest_of(log, person, date) for date in dates)
+        hashes = log.day_hashes(person)
+        digests = tuple(digest_of(log, person, date, hashes[date]) for date in dates)
         track = Track.concatenate([digest.track for digest in digests])
         fine = without_overlaps([entry for digest in digests for entry in digest.entries])
         guesses = log.guesses(person)
@@ -223,9 +224,9 @@ class DayDigest:
         return (self.entries[0].start, self.entries[-1].end) if self.entries else (np.inf, -np.inf)
 
 
-def digest_of(log: Store, person: str, date: str) -> DayDigest:
-    """The digest of a stored day, from its file in ``STORE.d`` if it has one."""
-    file, key = digest_file(log.folder, person, date), cache.key_of(log.day_hash(person, date))
+def digest_of(log: Store, person: str, date: str, rows_hash: str) -> DayDigest:
+    """The digest of a stored day, from its file in ``STORE.d`` if it has one. rows_hash: of the stored rows."""
+    file, key = digest_file(log.folder, person, date), cache.key_of(rows_hash)
     digest = cache.read(file, lambda blob: decompress(blob, DayDigest))
     if digest is None or digest.key != key:
         day = log.day(person, date)

@@ -296,7 +296,7 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str], li
 
 def entry_page(store: Path, query: Fields, _: TileServer) -> str:
     """The forms that correct an entry of a day."""
-    day, *_ = _day(store, query)
+    day, _dates, _known, _people = _day(store, query)
     number = query.get("n", "")
     if not NUMBER.fullmatch(number) or int(number) >= len(day.entries):
         raise InputError("n", "", number, "the number of an entry")
