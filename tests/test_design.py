@@ -76,7 +76,7 @@ GOALS: dict[str, tuple[int, int]] = {
     "numbers by judgement without a range": (0, 237),
     "lines of scripts": (5_200, 7_300),
     "lines of tests": (33_000, 42_700),
-    "words of docs": (27_000, 29_700),
+    "words of docs": (27_000, 29_760),
     "words of results": (15_000, 17_100),
     "words of README": (950, 949),
 }
