@@ -977,7 +977,7 @@ def rows_of(column: Any, index: Index) -> Any:
     """The rows ``index (n,)`` of a column: an array, a tuple or a table."""
     if isinstance(column, np.ndarray):
         return column[index]
-    return tuple(column[i] for i in index.tolist()) if isinstance(column, tuple) else take(column, index)
+    return tuple(map(column.__getitem__, index.tolist())) if isinstance(column, tuple) else take(column, index)
 
 
 def wrap_angle(angle: Array | float) -> Array:

@@ -231,7 +231,7 @@ def lifelog_ages(folder):
         build(folder / "store" / "log", reconstruct=reconstruct)
         with Store(folder / "store" / "log") as log:
             for person, date in log.days():
-                digest_of(log, person, date)
+                digest_of(log, person, date, log.day_hash(person, date))
         ages.append(taken(folder / "store"))
     return ages
 
@@ -309,7 +309,7 @@ def beside_target(folder):
 
     def digests(store):
         with Store(store) as log:
-            return [repr(digest_of(log, person, date)) for person, date in log.days()]
+            return [repr(digest_of(log, person, date, log.day_hash(person, date))) for person, date in log.days()]
 
     expected = digests(folder / "scratch" / "log")
 

@@ -1,6 +1,7 @@
 """Recordings are added once and days built, by function and by command; a file that is none costs one line."""
 
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import zipfile
 from contextlib import closing
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 
 import commands
@@ -281,3 +283,29 @@ def test_a_progress_bar_is_shown_on_a_terminal_only(tmp_path):
     assert done.stdout.decode() == f"1 added -> {log}\n"
     assert "1/1" in os.read(main, 100_000).decode()
     os.close(main)
+
+
+def test_a_folder_of_persons_is_added_by_one_call(tmp_path):
+    paths = standin.recordings(tmp_path, people=3, days=2)
+    for person, own in paths.items():
+        (tmp_path / "all" / person).mkdir(parents=True)
+        for path in own:
+            path.rename(tmp_path / "all" / person / path.name)
+    log = tmp_path / "days.db"
+    assert run("add", log, tmp_path / "all", "--people") == (0, f"6 added -> {log}\n", [])
+    with Store(log) as store:
+        assert sorted(entry.person for entry in store.entries()) == sorted([*paths] * 2)
+    code, _, [line] = run("add", log, tmp_path / "all" / "person0", "--people")
+    assert (code, "found no folder in it" in line) == (2, True)
+    assert run("add", log, tmp_path / "all", "--people", "--person", "ben")[0] == 2
+
+
+def test_a_command_that_logs_to_a_file_prints_a_line_a_minute_with_its_end(monkeypatch, capsys):
+    clock, module = iter(range(0, 1000, 25)), import_module("pdr_graph.apps.cli.lifelog")
+    monkeypatch.setattr(module.time, "monotonic", lambda: float(next(clock)))
+    advance = module._progress_lines()
+    for done in range(10):
+        advance("days", done, 10)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3, "after 75, 150 and 225 s"
+    assert all(re.fullmatch(r"pdr-graph: days: [258] of 10, ends about 20[-0-9]+ [0-9:]+", line) for line in lines)

@@ -23,9 +23,18 @@ from matplotlib.image import imsave
 from pdr_graph.apps.lifelog import maps
 from pdr_graph.apps.lifelog.day import ACTIVITIES, GAP, STANDING, VEHICLE, WALKING, rows_of
 from pdr_graph.apps.lifelog.local_time import period_of
-from pdr_graph.apps.lifelog.maps import ENLARGED_SHARE, MercatorFrame, TileServer, check_template, panels, tiles
+from pdr_graph.apps.lifelog.maps import (
+    ENLARGED_SHARE,
+    MercatorFrame,
+    TileServer,
+    check_template,
+    floor_of,
+    panels,
+    tiles,
+)
+from pdr_graph.apps.lifelog.overview import overview
 from pdr_graph.apps.lifelog.overview_page import page
-from pdr_graph.apps.lifelog.picture import GROUPS, blocks, offset_text, pictures
+from pdr_graph.apps.lifelog.picture import COLOURS, GROUPS, HEAT, blocks, offset_text, pictures
 from pdr_graph.apps.lifelog.show import Choice, show
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
@@ -524,3 +533,64 @@ def test_the_picture_the_rows_and_the_totals_of_a_day_agree(month_log):
         assert gone["riding"] == pytest.approx(totals.ridden)
         dots = sum(dot.time for dot in maps._places(shown))
         assert dots == pytest.approx(totals.staying, abs=1.0)
+
+
+def visitors(number):
+    """An overview of visitors of the mall, each of whom stops first at S0, then at N4, then at S0 or E0."""
+    fronts = {"S0": (3.0, 11.0), "N4": (58.0, 49.0), "E0": (72.0, 20.0)}
+    diaries = []
+    for n in range(number):
+        names, now, stays = ("S0", "N4", "S0" if n % 3 else "E0"), 0.0, []
+        for name in names:
+            stays.append(stay(now + 60, now + 360, fronts[name], [(name, 0.9)], floor="1"))
+            now += 400.0
+        made = outing(
+            [(WALKING, 20.0, 0.0), (STANDING, now, 0.0)], plan=MALL, floor="1", start=fronts["S0"], stays=stays
+        )
+        diaries += overview_of(replace(day(made), person=f"visitor {n}")).diaries
+    return overview(diaries, period_of(day="2024-05-01"))
+
+
+def test_the_map_of_many_persons_is_the_whole_plan_with_its_flows_and_a_scale_of_its_heat():
+    shown = visitors(9)
+    [panel] = panels(shown)
+    floor, _ = floor_of(panel)
+    assert np.abs(panel.corners - floor.corners).max() < 0.03 * np.ptp(floor.corners, axis=0).max()
+    went = {"S0 → N4": 9 * 0.81, "N4 → S0": 6 * 0.81, "N4 → E0": 3 * 0.81}
+    assert {arrow.text.partition(":")[0]: arrow.number for arrow in panel.arrows} == pytest.approx(went)
+    [picture] = maps_of(drawn(shown)[0])
+    flows = [group for group in picture.iter("g") if group.get("class") == "flow"]
+    assert [flow.find("title").text for flow in flows[::-1]] == [arrow.text for arrow in panel.arrows]
+    wide = [float(flow.find("path").get("stroke-width")) for flow in flows]
+    assert wide == sorted(wide), "the largest is the widest, and on top"
+    [scale] = [group for group in picture.iter("g") if group.get("class") == "heat-scale"]
+    shades = [path for path in picture.iter("path") if path.get("fill") == HEAT]
+    colours = [box for box in scale.iter("rect") if box.get("fill") == HEAT]
+    assert len(shades) == len(colours) > 1
+
+
+def test_what_another_program_guessed_is_pale_in_the_calendar_and_dotted_on_the_map():
+    """A visit, a ride and another visit that were guessed, then a walk that was recorded."""
+    guess = "Google Timeline: HOME, 78 %"
+    at = {"sigma": 75.0, "observed": 0.0, "guess": guess, "offset": -4 * HOUR, "end_offset": -4 * HOUR}
+    home, work = ({"latitude": -35.0 + north, "longitude": -71.0} for north in (0.0, 0.02))
+    hours = MIDNIGHT + HOUR * np.arange(10)
+    made = overview_of(day(outing(STROLL, epoch=hours[9])))
+    [own] = made.diaries[0].days
+    entries = (
+        TimelineEntry(STAY, hours[0], hours[7], place_number=1, **home, **at),
+        TimelineEntry(VEHICLE, hours[7], hours[8], distance=2200.0, **at),
+        TimelineEntry(STAY, hours[8], hours[9], place_number=2, **work, **at),
+        *own.entries,
+    )
+    own = replace(own, entries=entries)
+    shown = overview([replace(made.diaries[0], days=(own,))], made.period)
+    calendar, *maps_drawn = drawn(shown)[0]
+    pale = [block for block in calendar.iter("rect") if block.get("fill-opacity")]
+    assert len(pale) == 5, "two for each visit, as without data"
+    dotted = [p for one in maps_drawn for p in one.iter("path") if "unseen" in p.get("class", "")]
+    assert [path.get("stroke") for path in dotted[:1]] == [COLOURS[VEHICLE]]
+    assert sum(ring.get("class") == "guess" for one in maps_drawn[:1] for ring in one.iter("circle")) == 2
+    text = page(shown, "", ())[0].decode()
+    assert "guessed by another program" in text
+    assert "guessed by another program" not in page(made, "", ())[0].decode()

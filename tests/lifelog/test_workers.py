@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import signal
 import socket
 import subprocess
@@ -183,8 +184,9 @@ def test_a_server_that_is_no_scheduler_is_refused(monkeypatch):
             pass
 
 
-def test_a_cluster_without_workers_is_refused():
+def test_a_cluster_without_workers_is_refused(monkeypatch):
     distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 3.0)
     refusal = pytest.raises(InputError, match="found no workers, expected at least one")
     with distributed.LocalCluster(n_workers=0, dashboard_address=":0") as empty, refusal:
         fleet(scheduler=empty.scheduler_address).__enter__()
@@ -376,3 +378,23 @@ def test_a_build_can_be_read_and_its_workers_end_with_it_when_it_is_killed(tmp_p
     while left := [pid for pid in workers if Path(f"/proc/{pid}").exists()]:
         assert monotonic() < end, left
         sleep(0.1)
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(300)
+def test_the_commands_of_the_docs_start_a_cluster_that_builds(tmp_path):
+    pytest.importorskip("distributed")
+    lines = (Path(__file__).parents[2] / "docs/lifelog.md").read_text()
+    [commands] = [block for block in re.findall(r"```sh\n(.*?)```", lines, re.DOTALL) if "dask scheduler" in block]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        commands = commands.replace("8786", str(free.getsockname()[1]))
+    (tmp_path / "pdr-graph").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pdr_graph "$@"\n')
+    (tmp_path / "pdr-graph").chmod(0o700)
+    (tmp_path / "dask").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dask "$@"\n')
+    (tmp_path / "dask").chmod(0o700)
+    log, _ = added(tmp_path, people=2, days=2)
+    path = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": os.pathsep.join(sys.path)}
+    script = commands.replace("days.db", str(log)) + "kill $(jobs -p)\nwait\n"
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, env=os.environ | path, capture_output=True, text=True)
+    assert done.stdout.startswith("4 days built, 0 up to date, 0 failed"), done.stderr[-2000:]

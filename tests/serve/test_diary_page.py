@@ -21,6 +21,7 @@ from starlette.testclient import TestClient
 
 sys.path.append(str(Path(__file__).parents[1] / "lifelog"))
 from gps_days import gps_day
+from made_month import made_store
 
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.diary import diary
@@ -164,6 +165,34 @@ def test_the_calendar_and_the_places_lead_to_every_day_and_place(page, made):
         text = page.get("/place", params={"person": "Ada", "number": place.number}).text
         assert f"{place.latitude:.5f}, {place.longitude:.5f}" in text
         assert text.count(f"date={DATE}") >= len(place.visits) - 1, "a link for each visit of the day"
+
+
+def test_a_person_and_a_date_are_chosen_by_a_form_that_has_no_key(page):
+    """The key of forms that correct stays in no address and no history."""
+    for path, field in (("/", 'type="date" name="date"'), ("/calendar", 'type="month" name="month"')):
+        [form] = re.findall(r'<form class="chooser".*?</form>', page.get(path).text)
+        assert field in form
+        assert 'name="key"' not in form
+
+
+def test_everybody_is_shown_on_a_day_or_in_its_week_and_filtered_by_name(tmp_path):
+    people = [f"Ada {n}" for n in range(8)] + ["Ben"]
+    with TestClient(application(made_store(tmp_path / "log", *people, days=6), TOKEN)) as client:
+        client.cookies["pdr_graph_token"] = TOKEN
+
+        def shown(**query):
+            answer = client.get("/everybody", params=query)
+            assert answer.text.count('class="chooser"') == (answer.status_code == 200)
+            return answer.status_code, re.findall("<h1>(.*?)</h1>", answer.text)[0], answer.text
+
+        assert shown()[:2] == (200, "9 persons  Monday 2024-05-06")
+        status, title, text = shown(date="2024-05-02", span="week")
+        assert (status, title) == (200, "9 persons  2024-W18 (2024-04-29 to 2024-05-05)")
+        assert '<a href="./?person=Ben&amp;date=2024-05-05">Ben</a>' in text
+        assert shown(person="da", span="month")[1] == "8 persons  2024-05 (2024-05-01 to 2024-05-31)"
+        assert shown(person="ben")[1] == "Ben  Monday 2024-05-06"
+        assert "found &#x27;Eve&#x27;" in shown(person="Eve")[2]
+        assert shown(date="2024-05-01", span="<b>")[:2] == shown(date="May")[:2] == (400, "not possible")
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,12 @@ import pytest
 import shapely
 from plans import plan
 from scipy.stats import norm
+from stand_in_server import QuietHandler, served
 from streamed_walks import bodies, outdoors, soon
 
 from pdr_graph.apps.serve import home_assistant as module
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, announce, phone_of, rooms_of, state_of
+from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, Alert, alert, announce, phone_of, rooms_of, state_of
 from pdr_graph.apps.serve.publishing import MOST_SUBSCRIBERS, Hub, nowhere, region
 from pdr_graph.apps.serve.pulling import Sources, broker_of
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -202,3 +203,71 @@ def test_many_pages_of_the_owner_do_not_end_the_announcements():
     assert not own.ended
     hub.close()
     assert own.ended
+
+
+@contextlib.contextmanager
+def hook(status=204, location=""):
+    """A server that keeps what is posted to it."""
+    posted = []
+
+    class Handler(QuietHandler):
+        def do_POST(self):
+            posted.append((self.path, json.loads(self.rfile.read(int(self.headers["Content-Length"])))))
+            self.send_response(status)
+            if location:
+                self.send_header("Location", location)
+            self.end_headers()
+
+    with served(Handler) as server:
+        yield f"http://127.0.0.1:{server.server_port}", posted
+
+
+async def alerted(alerts, poses, said, done):
+    """Publish poses one after the other to alerts, until something is done."""
+    hub = Hub()
+    work = asyncio.create_task(alert(alerts, hub, HOME, said.append))
+    for each in poses:
+        hub.pose(OWNER, each)
+        await asyncio.sleep(0.01)
+    await soon(done)
+    hub.close()
+    await work
+
+
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_an_address_is_asked_once_when_a_phone_enters_its_room():
+    """A stray pose in the room is no entry, nor is where the walk begins; going out and in again is one more."""
+    inside, outside = (6.5, 2.0, 0.3), (2.0, 2.0, 0.3)
+    places = [outside, inside, outside, *[inside] * 4, outside, *[inside] * 3, (900.0, 2.0, 0.3), *[inside] * 3]
+    poses = [pose(*place, time=1.7e9 + n) for n, place in enumerate(places)]
+    begins = [pose(*inside, time=1.7e9 + n, id="another", name="begins there") for n in range(5)]
+    with hook() as (address, posted):
+        bath = Alert.of(f"Bath={address}/bath", HOME)
+        said = []
+        await alerted([bath], [*poses, *begins], said, lambda: len(posted) >= 3)
+    assert said == []
+    assert {path for path, _ in posted} == {"/bath"}
+    assert [about["time"] - 1.7e9 for _, about in posted] == [5.0, 10.0, 14.0]
+    assert {(about["event"], about["room"], about["phone"]) for _, about in posted} == {("enter", "Bath", "Pixel 7")}
+
+
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_no_host_is_asked_that_the_operator_did_not_name(monkeypatch):
+    monkeypatch.setattr(module, "RETRY_PAUSE", 0.0)
+    entering = [pose(*((2.0, 2.0) if n == 0 else (6.5, 2.0)), 0.3, time=1.7e9 + n) for n in range(5)]
+    with hook() as (elsewhere, there), hook(307, f"{elsewhere}/") as (address, posted):
+        secret = Alert.of(f"Bath={address}/?token=secret", HOME)
+        said = []
+        await alerted([secret], entering, said, lambda: said)
+    assert (there, len(posted)) == ([], 2)
+    assert said == ["--alert Bath: 127.0.0.1: status 307"]
+
+
+@pytest.mark.parametrize("text", ["Attic=http://host/", "Bath", "Bath=ftp://host/", "Bath=http://", "Bath=http://[x/"])
+def test_a_wrong_alert_is_one_line(text):
+    with pytest.raises(InputError, match="--alert"):
+        Alert.of(text, HOME)
+    with pytest.raises(InputError, match="--map"):
+        Alert.of("Bath=http://host/", None)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,12 +17,13 @@ from cyclopts.validators import Number
 from pdr_graph.apps.cli.parameters import HYPHEN, AsJson, Count, Force, PositiveCount, Quiet, only
 from pdr_graph.apps.cli.serve import serve_lifelog
 from pdr_graph.apps.cli.terminal import echo, echo_errors, echo_lines, echo_result
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, count, one_line, shows_progress
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, SILENT, InputError, count, one_line, shows_progress
 from pdr_graph.options import Options
 from pdr_graph.whole_files import check_replaceable
 
 lifelog = App("lifelog", help="Recordings of many days: places, activities, exports.")
 Store = Annotated[Path, Parameter(help="The lifelog: one file, and STORE.d beside it.")]
+LINE_PERIOD = 60.0  # [s] between two lines about the progress, where there is no terminal
 RECORDED_WITH = ("plan", "fixes", "beacons", "ranges", "walker", "floor")  # options that are kept with a recording
 
 
@@ -33,6 +36,7 @@ def add(
     options: Annotated[Options, only(*RECORDED_WITH)] = Options(),
     begins: str | None = None,
     phone: str | None = None,
+    people: bool = False,
     copy: bool = False,
     quiet: Quiet = False,
 ) -> None:
@@ -48,6 +52,7 @@ def add(
         person: The person who recorded; default: me.
         begins: Start of a recording without a clock, as ISO 8601; UTC without an offset.
         phone: Name of the person's phone or tag in the Bluetooth logs of others.
+        people: Each RECORDING is a folder with a folder for each person, who has its name.
         copy: Copy the recordings to STORE.d; else the originals must stay.
     """
     from pdr_graph.apps.lifelog import ingest
@@ -55,10 +60,15 @@ def add(
 
     start = None if begins is None else ingest.time_of(begins)
     kept = RecordingOptions(**{name: getattr(options, name) for name in RECORDED_WITH}, begins=start)
+    if people and (person is not None or phone is not None):
+        raise InputError("--people", "", "--person or --phone too", "the names of the folders alone")
+    folders = ingest.folders_of_people(recordings) if people else {person: recordings}
     with _progress_bar() as advance:
-        result = ingest.add(
-            store, recordings, kept, person=person, phone=phone, copy=copy, progress=partial(advance, "")
-        )
+        results = [
+            ingest.add(store, own, kept, person=who, phone=phone, copy=copy, progress=partial(advance, who or ""))
+            for who, own in folders.items()
+        ]
+    result = sum(results[1:], results[0])
     counts = [f"{result.added} added"]
     counts += (
         [f"{result.existing} there already, {result.changed} of them with other options now"] if result.existing else []
@@ -267,11 +277,30 @@ def _end(refused: Sequence[str], none: bool = False) -> None:
         sys.exit(EXIT_REFUSED if none else EXIT_DEGRADED)
 
 
+def _progress_lines() -> Callable[[str, int, int], None]:
+    """A function that prints a line a minute: what is done of a stage, and when it ends at the mean pace so far."""
+    began, last = dict[str, tuple[float, int]](), [time.monotonic()]
+
+    def advance(stage: str, done: int, of: int) -> None:
+        now = time.monotonic()
+        start, before = began.setdefault(stage, (now, done))
+        if now - last[0] < LINE_PERIOD or done >= of or SILENT.get():
+            return
+        last[0] = now
+        end = ""
+        if done > before:
+            left = datetime.now() + timedelta(seconds=(now - start) * (of - done) / (done - before))
+            end = f", ends about {left:%Y-%m-%d %H:%M}"
+        echo_errors(f"{stage or 'recordings'}: {done} of {of}{end}")
+
+    return advance
+
+
 @contextmanager
 def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """A function that shows a progress bar on a terminal: name of the stage, number done, total."""
+    """A function that shows the progress of a stage: name, number done, total; a bar on a terminal, else lines."""
     if not shows_progress():
-        yield lambda stage, done, of: None
+        yield _progress_lines()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -40,6 +40,7 @@ def serve(
     home_assistant: str | None = None,
     heard_as: tuple[str, ...] = (),
     study: tuple[str, ...] = (),
+    alert: tuple[str, ...] = (),
 ) -> None:
     """Show live phones on a map.
 
@@ -66,6 +67,7 @@ def serve(
         heard_as: PHONE=DEVICE, a phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it;
             repeatable.
         study: Sensor Logger study whose uploads are reported; any: all; repeatable.
+        alert: ROOM=URL, an address that gets a POST when a phone enters a named area of --map; repeatable.
     """
     try:
         from pdr_graph.apps.serve import serving
@@ -73,6 +75,7 @@ def serve(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
+    from pdr_graph.apps.serve.home_assistant import Alert
     from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
@@ -90,7 +93,7 @@ def serve(
     home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
-    sources = Sources(phyphox, pulled, reports, home, receivers)
+    sources = Sources(phyphox, pulled, reports, home, receivers, tuple(Alert.of(text, building) for text in alert))
     server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
     scheme = "https" if certificate else "http"

@@ -177,8 +177,12 @@ def rows_between(track: Trajectory, start: float, end: float) -> Trajectory:
 def clipped(track: Trajectory, start: float, end: float) -> Trajectory:
     """Clip a trajectory to ``start`` to ``end`` [s], with interpolated rows at both."""
     start, end = max(start, float(track.time[0])), min(end, float(track.time[-1]))
-    between = track.time[(track.time > start + INSTANT) & (track.time < end - INSTANT)]
-    return sampled(track, np.unique([start, *between, end])) if start <= end else track[:0]
+    rows = slice(*np.searchsorted(track.time, [start - INSTANT, end + INSTANT]).tolist())
+    time = track.time[rows]
+    if start > end or (len(time) and time[0] <= start + INSTANT and time[-1] >= end - INSTANT):
+        return track[rows]
+    between = time[(time > start + INSTANT) & (time < end - INSTANT)]
+    return sampled(track, np.unique([start, *between, end]))
 
 
 def sampled(track: Trajectory, time: Array) -> Trajectory:

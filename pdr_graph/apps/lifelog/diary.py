@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.errors import count
 from pdr_graph.storage import compress, decompress
-from pdr_graph.types import DAY_LENGTH, INSTANT, Index, OneLineRepr
+from pdr_graph.types import DAY_LENGTH, INSTANT, Array, Index, OneLineRepr
 
 
 @dataclass(frozen=True)
@@ -164,10 +165,16 @@ class UnpartedDiary:
     track: Track
     clock: LocalClock
 
+    @cached_property
+    def spans(self) -> Array:
+        """Unix times ``(n, 2)`` of the first and last entry of each stored day [s]."""
+        return np.array([digest.span for digest in self.digests]).reshape(-1, 2)
+
     @classmethod
     def of(cls, log: Store, person: str, dates: Sequence[str]) -> UnpartedDiary:
         """The diary of some stored days. Raises InputError if the lifelog is damaged."""
-        digests = tuple(digest_of(log, person, date) for date in dates)
+        hashes = log.day_hashes(person)
+        digests = tuple(digest_of(log, person, date, hashes[date]) for date in dates)
         track = Track.concatenate([digest.track for digest in digests])
         fine = without_overlaps([entry for digest in digests for entry in digest.entries])
         guesses = log.guesses(person)
@@ -217,9 +224,9 @@ class DayDigest:
         return (self.entries[0].start, self.entries[-1].end) if self.entries else (np.inf, -np.inf)
 
 
-def digest_of(log: Store, person: str, date: str) -> DayDigest:
-    """The digest of a stored day, from its file in ``STORE.d`` if it has one."""
-    file, key = digest_file(log.folder, person, date), cache.key_of(log.day_hash(person, date))
+def digest_of(log: Store, person: str, date: str, rows_hash: str) -> DayDigest:
+    """The digest of a stored day, from its file in ``STORE.d`` if it has one. rows_hash: of the stored rows."""
+    file, key = digest_file(log.folder, person, date), cache.key_of(rows_hash)
     digest = cache.read(file, lambda blob: decompress(blob, DayDigest))
     if digest is None or digest.key != key:
         day = log.day(person, date)
@@ -241,7 +248,9 @@ def without_overlaps(entries: Sequence[TimelineEntry]) -> list[TimelineEntry]:
         if found and entry.start - found[-1].end > SHORTEST_GAP:
             found.append(TimelineEntry(GAP, found[-1].end, entry.start))
         start = max(entry.start, found[-1].end) if found else entry.start
-        if entry.end - start > 0:
+        if start == entry.start < entry.end:
+            found.append(entry)
+        elif entry.end - start > 0:
             share = (entry.end - start) / (entry.end - entry.start)
             found.append(replace(entry, start=start, distance=share * entry.distance))
     return found
@@ -283,8 +292,8 @@ def _day(
 ) -> DiaryDay:
     """A day of a diary, with the outings that have a part in it."""
     start, end = whole.clock.midnight_before(entries[0].start), whole.clock.next_midnight(entries[-1].start)
-    touching = (digest for digest in whole.digests if digest.span[0] < end and digest.span[1] > start)
-    days = [log.day(person, digest.date) for digest in touching if with_outings]
+    touching = np.flatnonzero((whole.spans[:, 0] < end) & (whole.spans[:, 1] > start)) if with_outings else ()
+    days = [log.day(person, whole.digests[n].date) for n in touching]
     outings = [outing for day in days if day is not None for outing in day.outings]
     own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
     return DiaryDay.of(person, date, (start, end), entries, own)

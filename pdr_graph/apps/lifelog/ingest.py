@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -38,6 +38,23 @@ class AddResult:
     changed: int = 0
     skipped: int = 0
     refused: tuple[str, ...] = ()
+
+    def __add__(self, other: AddResult) -> AddResult:
+        """The result of both."""
+        return AddResult(*(own + another for own, another in zip(astuple(self), astuple(other), strict=True)))
+
+
+def folders_of_people(folders: Sequence[Path]) -> dict[str | None, Sequence[Path]]:
+    """The folders of each person in some folders, by name. Raises InputError where there are none."""
+    found = defaultdict[str | None, list[Path]](list)
+    for folder in folders:
+        inside = folder.iterdir() if folder.is_dir() else ()
+        own = sorted(inner for inner in inside if inner.is_dir() and not inner.name.startswith("."))
+        if not own:
+            raise InputError(folder, "", "no folder in it", "--people: a folder of recordings for each person")
+        for inner in own:
+            found[inner.name].append(inner)
+    return dict(found)
 
 
 def add(

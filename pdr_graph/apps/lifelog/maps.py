@@ -13,7 +13,7 @@ import base64
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from urllib.parse import urlsplit
@@ -28,10 +28,11 @@ from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICL
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import DAY
 from pdr_graph.apps.lifelog.overview import Overview, clock_text, time_text
-from pdr_graph.apps.lifelog.stays import Facing
-from pdr_graph.apps.lifelog.stays_and_legs import on_sphere
+from pdr_graph.apps.lifelog.places import Flow
+from pdr_graph.apps.lifelog.stays_and_legs import MOVING, VISIT_RADIUS, on_sphere
 from pdr_graph.apps.lifelog.timeline import PASSING, STAY, duration_text
 from pdr_graph.errors import InputError, count, one_line
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.types import Array, OneLineRepr, Trajectory
@@ -174,6 +175,8 @@ NEIGHBOURS = 50_000.0  # [m] between points that share a map
 GROUP_CELL = 5_000.0  # [m] to which points are rounded before they are grouped
 MOST_MAPS = 3  # outdoors
 MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map
+PLAN_MARGIN = 0.02  # that of a whole floor plan
+MOST_ARROWS, LEAST_ARROW = 15, 0.2  # flows that are drawn; the least, of the largest
 MIN_SIZE_INDOORS, MIN_SIZE_OUTDOORS = 40.0, 150.0  # [m] of a map
 PLACE_SIZE = 2_000.0  # [m] of the map of an overview of one place
 TAILS = 0.02  # share of track points on each side that may lie outside the map of more than a day
@@ -186,12 +189,14 @@ MAX_NAME_LENGTH = 26  # letters of a label
 class DrawnPart(OneLineRepr):
     """A part of an outing on a map, of one kind and on one floor; a gap has the rows before and after it.
 
-    Times of the track are Unix times [s].
+    Times of the track are Unix times [s]. is_guess: True for a straight line between two places, since all that is
+    known is what another program guessed.
     """
 
     kind: str
     floor: str
     track: Trajectory
+    is_guess: bool = False
 
     def _summary(self) -> list[str]:
         return [self.kind, *filter(None, [self.floor]), repr(self.track)]
@@ -200,7 +205,7 @@ class DrawnPart(OneLineRepr):
 @dataclass(frozen=True)
 class Dot:
     """A place, a stay or a slow pass on a map. position: ``(2,)`` [m]; kind: STAY or PASSING; time: there [s]; label:
-    beside it; text: the whole, lines; starts: Unix times of its visits [s].
+    beside it; text: the whole, lines; starts: Unix times of its visits [s]; is_guess: as of `TimelineEntry`.
     """
 
     position: Array
@@ -209,6 +214,17 @@ class Dot:
     label: str
     text: str
     starts: tuple[float, ...] = ()
+    is_guess: bool = False
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """How often persons went from one place to another. start, end: ``(2,)`` [m]; number: expected; text: the whole."""
+
+    start: Array
+    end: Array
+    number: float
+    text: str
 
 
 @dataclass(frozen=True)
@@ -218,7 +234,7 @@ class Panel(OneLineRepr):
     frame: of all positions; plan: path, "" without one; floor: label, "" for any; corners: ``(2, 2)`` of the shown area
     [m]; ways: of one day, the tracks without gaps of each outing; starts: positions and local times of their starts;
     drawn: all tracks by kind and floor, and of one day the gaps; dots; letter: name of the map, "" if it is the only
-    one. Tracks and dots may lie outside the shown area.
+    one; arrows: between dots. Tracks and dots may lie outside the shown area.
     """
 
     frame: Frame | MercatorFrame
@@ -230,6 +246,7 @@ class Panel(OneLineRepr):
     drawn: tuple[DrawnPart, ...]
     dots: tuple[Dot, ...]
     letter: str = ""
+    arrows: tuple[Arrow, ...] = ()
 
     def _summary(self) -> list[str]:
         names = [name for name in (self.letter, self.floor) if name]
@@ -253,10 +270,17 @@ class _Way:
     drawn: tuple[DrawnPart, ...]
     start: str
 
-    @property
-    def lonlat(self) -> Array:
-        """Longitudes and latitudes ``(n, 2)`` [deg] of its rows."""
-        return self.outing.frame.to_lonlat(self.track.position)
+
+def _converted(convert: Callable[[Frame, Array], Array], tracks: Sequence[tuple[Frame, Trajectory]]) -> list[Array]:
+    """The positions of tracks, each in its frame, converted; one call for each frame, since calls are slow."""
+    numbers, found = defaultdict[Frame, list[int]](list), dict[int, Array]()
+    for n, (frame, _) in enumerate(tracks):
+        numbers[frame].append(n)
+    for frame, own in numbers.items():
+        rows = [tracks[n][1].position for n in own]
+        ends = np.cumsum([len(part) for part in rows])[:-1]
+        found |= dict(zip(own, np.split(convert(frame, np.concatenate(rows)), ends), strict=True))
+    return [found[n] for n in range(len(tracks))]
 
 
 def panels(shown: Overview) -> tuple[Panel, ...]:
@@ -272,14 +296,15 @@ def panels(shown: Overview) -> tuple[Panel, ...]:
             for own, tracks in _groups(dots, outdoors)
             if not tracks or any(not way.outing.plan for way in tracks)  # some leave the floor plans
         ]
-        whole = [_outdoors(*own, True) for own in groups[:MOST_MAPS]]
+        guessed = [leg for day in days for leg in _guessed_legs(day)]
+        whole = [_outdoors(*own, True, guessed=guessed) for own in groups[:MOST_MAPS]]
         found = [*whole, *(place for panel in whole for place in _enlarged_places(panel))]
-        found += _indoors(ways, shown.is_fleet)
+        found += _indoors(ways, shown.flows if shown.is_fleet else None)
     else:
         apart = [way for way in outdoors if not (shown.is_fleet and way.outing.plan)]
         near = [dot for dot in dots if apart] if shown.is_fleet else dots
         found = [_outdoors(*own, False) for own in _groups(near, apart)[:MOST_MAPS]]
-        found += _indoors([way for way in ways if way.outing.plan], True) if shown.is_fleet else []
+        found += _indoors([way for way in ways if way.outing.plan], shown.flows) if shown.is_fleet else []
     letters = PANEL_LETTERS[: len(found)] if len(found) > 1 else ("",)
     return tuple(replace(panel, letter=letter) for panel, letter in zip(found, letters, strict=False))
 
@@ -320,6 +345,7 @@ def _places(shown: Overview) -> list[Dot]:
             label := f"{short_name(who)}: {text}" if several else text,
             f"{label}, ± {own.sigma:.0f} m",
             tuple(visit.start for visit in visits),
+            all(visit.is_guess for visit in visits),
         )
         for who, own, text, visits in named
         if np.isfinite(own.latitude)
@@ -329,7 +355,7 @@ def _places(shown: Overview) -> list[Dot]:
 
 def _groups(dots: Sequence[Dot], ways: Sequence[_Way]) -> list[tuple[list[Dot], list[_Way]]]:
     """Dots and ways by the map that shows them, that with the most time first."""
-    rows = [way.lonlat for way in ways]
+    rows = _converted(Frame.to_lonlat, [(way.outing.frame, way.track) for way in ways])
     points = np.array([*(dot.position for dot in dots), *(own[0] for own in rows)]).reshape(-1, 2)
     if not len(points):
         return []
@@ -350,12 +376,28 @@ def _groups(dots: Sequence[Dot], ways: Sequence[_Way]) -> list[tuple[list[Dot], 
     ]
 
 
-def _outdoors(dots: Sequence[Dot], ways: Sequence[_Way], is_day: bool, side: float = 0.0) -> Panel:
+def _guessed_legs(day: DiaryDay) -> Iterator[DrawnPart]:
+    """The walks and rides of a day that another program guessed, between two places; in longitude and latitude."""
+    for before, leg, after in zip(day.entries, day.entries[1:], day.entries[2:], strict=False):
+        ends = np.array([[own.longitude, own.latitude] for own in (before, after)])
+        if leg.is_guess and leg.kind in MOVING and np.isfinite(ends).all():
+            track = Trajectory(np.array([leg.start, leg.end]), ends, np.zeros(2), ("", ""))
+            yield DrawnPart(leg.kind, "", track, is_guess=True)
+
+
+def _outdoors(
+    dots: Sequence[Dot],
+    ways: Sequence[_Way],
+    is_day: bool,
+    side: float = 0.0,
+    guessed: Sequence[DrawnPart] = (),
+) -> Panel:
     """A map in Web Mercator about the start of a day, or the place with most time.
 
-    side: of the map about that place [m], 0 for one of everything.
+    side: of the map about that place [m], 0 for one of everything; guessed: legs, in longitude and latitude.
     """
-    lon, lat = (ways[0].lonlat[0] if ways and (is_day or not dots) else dots[0].position).tolist()
+    first = ways[0].outing.frame.to_lonlat(ways[0].track.position[:1])[0] if ways and (is_day or not dots) else None
+    lon, lat = (dots[0].position if first is None else first).tolist()
     frame = MercatorFrame(lat, lon)
     placed = [replace(dot, position=frame.from_lonlat(dot.position[None])[0]) for dot in dots]
     if not is_day:
@@ -365,16 +407,24 @@ def _outdoors(dots: Sequence[Dot], ways: Sequence[_Way], is_day: bool, side: flo
         panel = replace(panel, ways=(), starts=(), drawn=drawn)
     else:
         panel = _panel(frame, ways, placed)
+        tracks = (replace(leg.track, position=frame.from_lonlat(leg.track.position)) for leg in guessed)
+        legs = [replace(leg, track=track) for leg, track in zip(guessed, tracks, strict=True)]
+        # those that begin at a place of this map
+        middles = np.array([dot.position for dot in placed]).reshape(-1, 2)
+        far = [np.hypot(*(middles - leg.track.position[0]).T).min(initial=np.inf) for leg in legs]
+        here = tuple(leg for leg, off in zip(legs, far, strict=True) if off < 2 * VISIT_RADIUS)
+        panel = replace(panel, drawn=(*panel.drawn, *here))
     return replace(panel, corners=_corners_around(placed[0].position[None], side)) if side else panel
 
 
-def _indoors(ways: Sequence[_Way], together: bool) -> Iterator[Panel]:
+def _indoors(ways: Sequence[_Way], together: Sequence[Flow] | None) -> Iterator[Panel]:
     """A map for each outing without an absolute position or plan, and for each floor of each plan, with its stays.
 
-    together: one dot for each place that anybody faced, and no outings without a plan.
+    together: of many persons, the flows between places: one dot for each place that anybody faced, the largest flows as
+    arrows, the whole plan, and no outings without one.
     """
     nowhere = [way for way in ways if not (way.outing.frame.georeferenced or way.outing.plan)]
-    for outing in () if together else _outings(nowhere):
+    for outing in () if together is not None else _outings(nowhere):
         own = [way for way in ways if way.outing is outing]
         yield _panel(outing.frame, own, [_dot_of(outing, stay, stay.position) for stay in outing.stays])
     for plan in dict.fromkeys(way.outing.plan for way in ways if way.outing.plan):
@@ -383,26 +433,53 @@ def _indoors(ways: Sequence[_Way], together: bool) -> Iterator[Panel]:
         for floor in dict.fromkeys(part.floor for way in own for part in way.drawn):
             stays = [(o, stay) for o in outings for stay in o.stays if floor in ("", stay.floor)]
             dots = [_dot_of(o, stay, frame.from_frame(o.frame, stay.position[None])[0]) for o, stay in stays]
-            if together:
-                dots = _dots_together([stay for _, stay in stays], dots)
-            panel = _panel(frame, own, dots, plan, floor)
-            yield replace(panel, ways=(), starts=()) if together else panel
+            if together is None:
+                yield _panel(frame, own, dots, plan, floor)
+                continue
+            place_of = _dots_together([stay for _, stay in stays], dots)
+            panel = _panel(frame, own, list(place_of.values()), plan, floor)
+            drawing, _ = floor_of(panel)
+            corners = panel.corners if drawing is None else _corners_around(drawing.corners, 0.0, PLAN_MARGIN)
+            here = [flow for flow in together if {flow.origin_floor, flow.target_floor} <= {floor, ""}]
+            arrows = _arrows([flow for flow in here if {flow.origin, flow.target} <= place_of.keys()], place_of)
+            yield replace(panel, ways=(), starts=(), corners=corners, arrows=tuple(arrows))
 
 
-def _dots_together(stays: Sequence[Stay], dots: Sequence[Dot]) -> list[Dot]:
-    """A dot for each place that was faced, with the expected time, at the mean of the stays that name it first."""
+def floor_of(panel: Panel) -> tuple[FloorPlan | None, str]:
+    """The floor plan of a map, None without one, and a line if its file cannot be read."""
+    if not panel.plan:
+        return None, ""
+    from pdr_graph.apps.lifelog.reconstruct import building_of  # all of estimation, which is slow to import
+
+    try:
+        floors = building_of(panel.plan).floors
+    except (InputError, OSError):
+        return None, "no plan: its file cannot be read"
+    return next((floor for floor in floors if floor.label == panel.floor), floors[0]), ""
+
+
+def _arrows(flows: Sequence[Flow], place_of: Mapping[str, Dot]) -> Iterator[Arrow]:
+    """The largest flows as arrows, largest first."""
+    for flow in flows[:MOST_ARROWS]:
+        if flow.number >= LEAST_ARROW * flows[0].number:
+            text = f"{one_line(flow.origin)} → {one_line(flow.target)}: {flow.number:.1f} ± {flow.sigma:.1f}"
+            yield Arrow(place_of[flow.origin].position, place_of[flow.target].position, flow.number, text)
+
+
+def _dots_together(stays: Sequence[Stay], dots: Sequence[Dot]) -> dict[str, Dot]:
+    """A dot by name for each place that was faced: its expected time, at the mean of the stays that name it first."""
     lasts, moments = defaultdict[str, float](float), defaultdict[str, Array](lambda: np.zeros(3))
     for stay, dot in zip(stays, dots, strict=True):
         for rank, (name, probability) in enumerate(() if stay.passing else stay.facing):
             weight = probability * (stay.end - stay.start)
             lasts[name] += weight
             moments[name] += weight * np.append(dot.position, 1.0) if rank == 0 else 0.0
-    found = list[Dot]()
+    found = dict[str, Dot]()
     for name, lasted in sorted(lasts.items(), key=lambda item: -item[1]):
         *moment, weight = moments[name].tolist()
         if weight > 0:
             text = f"{short_name(name)}, {time_text(lasted)}"
-            found.append(Dot(np.array(moment) / weight, STAY, lasted, text, text))
+            found[name] = Dot(np.array(moment) / weight, STAY, lasted, text, text)
     return found
 
 
@@ -420,7 +497,7 @@ def _dot_of(outing: Outing, stay: Stay, position: Array) -> Dot:
     return Dot(position, kind, lasted, _faced(stay.facing, lasted), text, (start,))
 
 
-def _faced(facing: Facing, lasted: float) -> str:
+def _faced(facing: Sequence[tuple[str, float]], lasted: float) -> str:
     """The duration of a stay [s] as text, after the most probable place that it faces."""
     return " ".join([*(short_name(name) for name, _ in facing[:1]), duration_text(lasted)])
 
@@ -437,12 +514,15 @@ def _panel(
     each side that may lie outside.
     """
 
-    def placed(way: _Way, track: Trajectory) -> Trajectory:
-        return replace(track, position=frame.from_frame(way.outing.frame, track.position))
+    def placed(own: Sequence[tuple[Frame, Trajectory]]) -> list[Trajectory]:
+        moved = _converted(frame.from_frame, own)
+        return [replace(track, position=position) for (_, track), position in zip(own, moved, strict=True)]
 
     ordered = sorted(ways, key=lambda way: float(way.track.time[0]))
-    tracks = [placed(way, way.track) for way in ordered]
-    drawn = [replace(d, track=placed(way, d.track)) for way in ordered for d in way.drawn if floor in ("", d.floor)]
+    tracks = placed([(way.outing.frame, way.track) for way in ordered])
+    parts = [(way.outing.frame, d) for way in ordered for d in way.drawn if floor in ("", d.floor)]
+    moved = placed([(own, d.track) for own, d in parts])
+    drawn = [replace(d, track=track) for (_, d), track in zip(parts, moved, strict=True)]
     for before, after in pairwise(tracks):  # a gap has the last row of one track and the first row of the other
         ends, labels = (before[-1], after[0]), (before.floor[-1], after.floor[0])
         shared = labels[0] if labels[0] == labels[1] else ""
@@ -502,10 +582,13 @@ def _enlarged(whole: Panel, position: Array) -> Panel:
     )
 
 
-def _corners_around(position: Array, least: float) -> Array:
-    """Corners ``(2, 2)`` of the shown area about positions ``(n, 2)``, with sides of at least `least` [m]."""
+def _corners_around(position: Array, least: float, margin: float = MARGIN_SHARE) -> Array:
+    """Corners ``(2, 2)`` of the shown area about positions ``(n, 2)``, with sides of at least `least` [m].
+
+    margin: on each side, a share of the size.
+    """
     low, high = position.min(axis=0), position.max(axis=0)
-    half = np.maximum((high - low) * (0.5 + MARGIN_SHARE), least / 2)
+    half = np.maximum((high - low) * (0.5 + margin), least / 2)
     return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
 
 

@@ -393,6 +393,14 @@ def sums_text(shown: Overview, own: Diary) -> str:
     return totals_text(totals_of(own.days, len(shown.period)))
 
 
+def guess_notes(shown: Overview) -> list[str]:
+    """A line for each program of whose guesses a part of the days is made."""
+    guessed = Counter[str]()
+    for entry in (entry for day in shown.days for entry in day.entries if entry.is_guess):
+        guessed[entry.guess.partition(":")[0]] += round(entry.duration)
+    return [f"{duration_text(lasts)} are what {source} guessed, without data" for source, lasts in guessed.items()]
+
+
 def totals_text(totals: Totals) -> str:
     """The totals in one line, of each kind that occurred."""
     steps = f", {totals.steps:,} steps" if totals.steps else ""
@@ -434,15 +442,15 @@ HOURS_TITLES = ("place", "weekday", "arrivals", "comes (quartiles)", "departures
 class ShownTable:
     """A table of an overview for people.
 
-    rows: texts, a cell per name of the head; note: below it, "" for none; subjects: what each row is about: a day, a
-    place, a visit, a day with the number of its entry, or None; () for no table of these.
+    rows: texts, a cell per name of the head; note: below it, "" for none; subjects: what each row is about: a person, a
+    day, a place, a visit, a day with the number of its entry, or None; () for no table of these.
     """
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-    subjects: Sequence[DiaryDay | Place | TimelineEntry | tuple[DiaryDay, int] | None] = ()
+    subjects: Sequence[Diary | DiaryDay | Place | TimelineEntry | tuple[DiaryDay, int] | None] = ()
 
 
 def shown_tables(shown: Overview, own: Diary, short: bool) -> Iterator[ShownTable]:
@@ -500,7 +508,7 @@ def fleet_tables(shown: Overview, short: bool) -> Iterator[ShownTable]:
     persons = sorted(shown.diaries, key=lambda own: -sum(day.totals.observed for day in own.days))
     rows = [_totals_texts(short_text(own.person), totals_of(own.days, len(shown.period))) for own in persons[:most]]
     note = f"and {count(len(persons) - most, 'other person')} in days.csv" if len(persons) > most else ""
-    yield ShownTable("persons", ("person", *PERIOD_TITLES[1:]), rows, note)
+    yield ShownTable("persons", ("person", *PERIOD_TITLES[1:]), rows, note, persons[:most])
     dwelt = [
         [
             short_text(d.name),

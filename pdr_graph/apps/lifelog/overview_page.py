@@ -14,7 +14,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.diary import DiaryDay
+from pdr_graph.apps.lifelog.diary import Diary, DiaryDay
 from pdr_graph.apps.lifelog.local_time import DAY
 from pdr_graph.apps.lifelog.maps import TileServer
 from pdr_graph.apps.lifelog.overview import (
@@ -88,10 +88,13 @@ def body(shown: Overview, tiles: TileServer, links: Links | None = None, below: 
     for part in pictures(shown, tiles, links):
         share = np.floor(1e4 * (part.width + SPACE) / (WIDTH + SPACE)) / 100  # of a line; rounded down, so that all fit
         figures.append(tag("figure", part.svg, class_=part.kind, style=f"width:{share}%"))
-    parts += [legend(), tag("div", *figures, class_="picture")]
+    parts += [
+        legend(any(entry.is_guess for day in shown.days for entry in day.entries)),
+        tag("div", *figures, class_="picture"),
+    ]
     parts += [_slider(day) for day in days if day.known]
     together = fleet_tables(shown, short=False) if several and (shown.is_fleet or shown.dwells) else ()
-    parts += [below, *(html_table("", table) for table in together)]
+    parts += [below, *(html_table("", table, links=links) for table in together)]
     for own in () if shown.is_fleet else shown.diaries:
         tables = shown_tables(shown, own, short=False)
         parts += [html_table(own.person, table, f"{own.person}: " * several, links) for table in tables]
@@ -118,6 +121,8 @@ def html_table(person: str, shown: ShownTable, whose: str = "", links: Links | N
         match subject:
             case DiaryDay():
                 texts[0] = linked(to.day(person, subject.date), texts[0])
+            case Diary():
+                texts[0] = linked(to.day(subject.person, subject.days[-1].date), texts[0])
             case Place():
                 texts[0] = linked(to.place(person, subject.number), texts[0])
                 texts.append(tag("i", class_="scale", style=f"width:{SCALE_WIDTH * subject.duration / longest:.0f}px"))

@@ -21,13 +21,12 @@ from rich.cells import cell_len
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, YEAR
-from pdr_graph.apps.lifelog.maps import Dot, DrawnPart, MercatorFrame, Panel, TileServer, panels, short_name
+from pdr_graph.apps.lifelog.maps import Dot, DrawnPart, MercatorFrame, Panel, TileServer, floor_of, panels, short_name
 from pdr_graph.apps.lifelog.overview import Overview, distance_text, entry_text, fitted
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
-from pdr_graph.apps.lifelog.reconstruct import building_of
-from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry
+from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, duration_text
 from pdr_graph.apps.report.page import BAND, OUTDOORS, RADIO, plan_drawing, region, thinned
-from pdr_graph.errors import InputError, count, one_line
+from pdr_graph.errors import count, one_line
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.notebook_html import BLUE, GREY, RED
@@ -46,6 +45,7 @@ GROUPS = {
     PRIVATE: NO_DATA_GROUP,
 }
 BLOCK_COLOURS = {STAYED: COLOURS[STAY], WALK: BLUE, RIDE: RED, UNSEEN: "#c9b8dc"}  # from below, in a tile
+GUESS_OPACITY = 0.45  # of what another program guessed
 VOID = ("input", "link", "meta")  # elements of HTML without an end tag
 
 
@@ -132,10 +132,13 @@ def pictures(shown: Overview, tiles: TileServer, links: Links | None = None) -> 
     return [*_calendars(shown, to), *drawn, *(_usual(who, place, len(shown.persons) > 1) for who, place in usual)]
 
 
-def legend() -> str:
-    """The colours of the calendar, as HTML."""
+def legend(guesses: bool = False) -> str:
+    """The colours of the calendar, as HTML. guesses: True if there are some of other programs."""
     colours = {**BLOCK_COLOURS, NO_DATA_GROUP: PAPER}
-    marks = (tag("span", tag("i", style=f"background:{colour}"), name) for name, colour in colours.items())
+    marks = [tag("span", tag("i", style=f"background:{colour}"), name) for name, colour in colours.items()]
+    if guesses:
+        pale = f"background:{BLOCK_COLOURS[RIDE]};opacity:{GUESS_OPACITY}"
+        marks.append(tag("span", tag("i", style=pale), "guessed by another program: pale, dotted"))
     return tag("p", *marks, class_="legend")
 
 
@@ -189,7 +192,11 @@ def _rows(shown: Overview, links: Links) -> Picture:
         for group, start, end, number in blocks(shown, on, day):
             title = tag("title", escape(entry_text(day.entries[number])))
             left, wide = LEFT + start * HOUR, max((end - start) * HOUR, 0.5)
-            block = tag("rect", title, x=left, width=wide, fill=BLOCK_COLOURS[group], **box)
+            look = {
+                "fill": BLOCK_COLOURS[group],
+                "fill_opacity": GUESS_OPACITY if day.entries[number].is_guess else None,
+            }
+            block = tag("rect", title, x=left, width=wide, **look, **box)
             address = links.entry(day, number) if len(rows) == 1 else links.day(who, day.date)
             drawn.append(linked(address, block, class_="entry", data_n=number))
         drawn += [_names(day, on, middle)] if len(rows) == 1 else []
@@ -340,8 +347,8 @@ def _usual(person: str, place: Place, several: bool) -> Picture:
 
 LINE_TOLERANCE = 0.3  # [px] to which lines are simplified
 MOST_TRACK_ROWS = 3000  # of the walker that moves on a map
-LEAST_HEAT, HEAT_STEP, HEAT_LEVELS = 1.0, 4.0, 6  # [s/m²] of all persons that a heat map shows; factor between levels
-HEAT = "#c03a1e"
+HEAT_LEVELS = (1.0, 4.0, 15.0, 60.0, 240.0, 900.0)  # [s/m²] of all persons, from which a heat map is a shade darker
+HEAT, HEAT_OPACITY = "#c03a1e", 0.18
 
 
 @dataclass(frozen=True)
@@ -409,8 +416,11 @@ def draw_map(
     tracks = [track for own in panel.ways for track in own]
     if regions := [region(track, np.array([panel.floor in ("", f) for f in track.floor]), floor) for track in tracks]:
         drawn.append(tag("path", d=ground.polygons(np.concatenate(regions)), fill=BAND, fill_opacity=0.3))
+    scale = ""
     if panel.plan and not panel.ways:
-        drawn += _heat(panel.drawn, ground)
+        time = time_by_place(panel.drawn, np.array([ground.low, ground.high]))
+        scale = _heat_scale(float(time.max(initial=0.0)), ground)
+        drawn += [*_heat(time, ground), *_arrows(panel, ground)]
     else:
         drawn += _lines(panel, ground, days, links)
     larger = [(other.letter, corners) for other in maps if (corners := _corners_on(panel, other)) is not None]
@@ -433,7 +443,7 @@ def draw_map(
     inside = tag("svg", *drawn, tag("g", *shapes, class_="pins"), class_="ground", **about)
     back = tag("rect", width=size[0], height=size[1], fill=OUTDOORS if panel.plan else PAPER)
     frame = tag("rect", x=0.5, y=0.5, width=size[0] - 1, height=size[1] - 1, class_="outline frame")
-    return Picture("map", *size, back + inside + frame + _decoration(panel, ground, failure))
+    return Picture("map", *size, back + inside + frame + scale + _decoration(panel, ground, failure))
 
 
 def _pin(at: Array, text: str, mark: str) -> str:
@@ -448,7 +458,9 @@ def _marks(dots: Sequence[Dot], days: Sequence[DiaryDay], links: Links) -> Itera
     for dot in sorted(dots, key=lambda dot: (dot.kind == PASSING, -dot.time)):
         radius = 3.0 if dot.kind == PASSING else max(22.0 * float(np.sqrt(dot.time / most)), 3.0)
         numbers = [number for time in dot.starts for day in days if (number := entry_at(day, time)) is not None]
-        circle = tag("circle", tag("title", escape(dot.text)), r=radius, fill=COLOURS[dot.kind], fill_opacity=0.5)
+        look = {"fill": COLOURS[dot.kind], "fill_opacity": 0.15 if dot.is_guess else 0.5}
+        ring = tag("circle", r=radius, class_="guess", stroke=COLOURS[dot.kind]) if dot.is_guess else ""
+        circle = ring + tag("circle", tag("title", escape(dot.text)), r=radius, **look)
         about = {"class_": "entry dot", "data_n": " ".join(map(str, dict.fromkeys(numbers))), "aria_label": dot.text}
         yield dot, linked(links.entry(days[0], numbers[0]) if numbers else "", circle, **about)
 
@@ -467,17 +479,6 @@ def _decoration(panel: Panel, ground: MapArea, failure: str) -> str:
     drawn.append(tag("g", bar, class_="scale-bar", transform=f"translate(12 {height - 14:.0f})"))
     drawn += [text_tag(width / 2, height - 10, failure, class_="middle halo")] if failure else []
     return "".join(drawn)
-
-
-def floor_of(panel: Panel) -> tuple[FloorPlan | None, str]:
-    """The floor plan of a map, None without one, and a line if its file cannot be read."""
-    if not panel.plan:
-        return None, ""
-    try:
-        floors = building_of(panel.plan).floors
-    except (InputError, OSError):
-        return None, "no plan: its file cannot be read"
-    return next((floor for floor in floors if floor.label == panel.floor), floors[0]), ""
 
 
 def _tiles(panel: Panel, ground: MapArea, tiles: TileServer) -> Iterator[str]:
@@ -504,19 +505,20 @@ def _plan(floor: FloorPlan, ground: MapArea) -> str:
 
 def _lines(panel: Panel, ground: MapArea, days: Sequence[DiaryDay], links: Links) -> Iterator[str]:
     """The tracks of a map by kind, of a day by entry too; those without data dotted and below the others."""
-    paths = dict[tuple[str, int | None], str]()
+    paths = dict[tuple[str, int | None, bool], str]()
     for part in sorted(panel.drawn, key=lambda part: part.kind not in KINDS_WITHOUT_DATA):
         middle = float(part.track.time[0] + part.track.time[-1]) / 2
-        key = part.kind, entry_at(days[0], middle) if days else None
+        key = part.kind, entry_at(days[0], middle) if days else None, part.is_guess
         paths[key] = paths.get(key, "") + ground.line(part.track.position)
     faint = 1.0 if panel.ways else 0.5 if len(panel.drawn) < 1000 else 0.2
-    for (kind, number), path in paths.items():
-        unseen = kind in KINDS_WITHOUT_DATA
+    for (kind, number, is_guess), path in paths.items():
+        unseen = is_guess or kind in KINDS_WITHOUT_DATA
         look = {"stroke": COLOURS[kind], "class_": "track unseen" if unseen else "track", "stroke_opacity": faint}
         entry = days[0].entries[number] if number is not None else None
         title = tag("title", escape(entry_text(entry))) if entry else ""
-        address = links.entry(days[0], number) if number is not None and not unseen else ""
-        line = tag("path", title, d=path, stroke_width=2.2 if panel.ways and not unseen else 1.0, **look)
+        address = links.entry(days[0], number) if number is not None and kind not in KINDS_WITHOUT_DATA else ""
+        wide = 2.2 if panel.ways and (is_guess or not unseen) else 1.0
+        line = tag("path", title, d=path, stroke_width=wide, **look)
         yield linked(address, line, class_="entry", data_n=number) if path else ""
 
 
@@ -526,14 +528,48 @@ def entry_at(day: DiaryDay, time: float) -> int | None:
     return number if number >= 0 and time <= day.entries[number].end else None
 
 
-def _heat(drawn: Sequence[DrawnPart], ground: MapArea) -> Iterator[str]:
-    """The areas where tracks spent more than LEAST_HEAT, and more than its multiples."""
-    time = time_by_place(drawn, np.array([ground.low, ground.high]))
-    for level in LEAST_HEAT * HEAT_STEP ** np.arange(HEAT_LEVELS):
+def _heat(time: Array, ground: MapArea) -> Iterator[str]:
+    """The areas where tracks spent more than each of HEAT_LEVELS. time: ``(n, m)`` in each square of one metre [s]."""
+    for level in HEAT_LEVELS:
         x, y = ground.low[:, None] + np.argwhere(time >= level).T
         cells = shapely.box(x, y, x + 1, y + 1)
         if len(x):
-            yield tag("path", d=ground.polygons(cells), fill=HEAT, fill_opacity=0.18, fill_rule="evenodd")
+            yield tag("path", d=ground.polygons(cells), fill=HEAT, fill_opacity=HEAT_OPACITY, fill_rule="evenodd")
+
+
+def _heat_scale(most: float, ground: MapArea) -> str:
+    """The colours of a heat map up to `most` [s/m²], with the time at which each begins."""
+    levels, (width, height) = [level for level in HEAT_LEVELS if level <= most], ground.size
+    if not levels:
+        return ""
+    wide, left, top = 52.0, width / 2 - 26.0 * len(levels), height - 18.0
+    drawn = [text_tag(left - 8, top + 11, "time per m²", class_="end halo")]
+    for n, level in enumerate(levels):
+        box = {"x": left + n * wide, "y": top, "width": wide, "height": 14.0}
+        opacity = 1 - (1 - HEAT_OPACITY) ** (n + 1)  # of the areas that lie over one another
+        drawn += [tag("rect", fill="white", **box), tag("rect", fill=HEAT, fill_opacity=opacity, **box)]
+        drawn.append(text_tag(left + (n + 0.5) * wide, top + 11, duration_text(level), class_="middle"))
+    return tag("g", *drawn, class_="heat-scale")
+
+
+def _arrows(panel: Panel, ground: MapArea) -> Iterator[str]:
+    """The flows between places, as wide as they are large; those there and back bend to different sides."""
+    most = max((arrow.number for arrow in panel.arrows), default=1.0)
+    for arrow in panel.arrows[::-1]:  # the largest on top
+        start, end = ground.pixels(np.array([arrow.start, arrow.end]))
+        way = end - start
+        if (length := float(np.hypot(*way))) < 1:
+            continue
+        ahead, wide = way / length, 1.0 + 5.0 * arrow.number / most
+        side = np.array([-ahead[1], ahead[0]])
+        head = min(6.0 + 2 * wide, length / 2)
+        bend = (start + end) / 2 + 0.15 * length * side
+        into = (end - bend) / np.hypot(*(end - bend))  # direction at the end
+        neck, beside = end - head * into, head / 2 * np.array([-into[1], into[0]])
+        (x, y), (bx, by), (nx, ny) = start.tolist(), bend.tolist(), neck.tolist()
+        line = tag("path", d=f"M{x:.1f},{y:.1f}Q{bx:.1f},{by:.1f} {nx:.1f},{ny:.1f}", fill="none", stroke_width=wide)
+        tip = tag("path", d=_commands(np.array([neck + beside, end, neck - beside])) + "Z", fill=BLUE, stroke="none")
+        yield tag("g", tag("title", escape(arrow.text)), line, tip, class_="flow", stroke=BLUE, opacity=0.75)
 
 
 def time_by_place(drawn: Sequence[DrawnPart], corners: Array) -> Array:

@@ -115,16 +115,23 @@ class Place(OneLineRepr):
 
 def places_of(visits: Sequence[TimelineEntry], named: Sequence[NamedArea] = ()) -> tuple[Place, ...]:
     """The places of visits, in the order of their first visits. named: areas that the person gave a name."""
-    clusters: list[_Cluster] = []
-    located = [(visit, on_sphere(np.array([[visit.longitude, visit.latitude]]))[0]) for visit in visits]
-    for visit, middle in sorted(located, key=lambda pair: (_sigma(pair[0]), pair[0].start)):
-        sigma, name = _sigma(visit), plan_name(visit)
-        near = [(far, n) for n, own in enumerate(clusters) if (far := own.distance(middle, sigma, name)) is not None]
-        clusters += [] if near else [_Cluster(name)]
-        cluster = clusters[min(near)[1]] if near else clusters[-1]
-        cluster.visits.append((visit, middle))
-        cluster.weight += _weight(visit)
-        cluster.total = cluster.total + _weight(visit) * middle
+    clusters, numbers = list[_Cluster](), defaultdict[str, list[int]](list)  # of each name on a plan, "" for none
+    points = on_sphere(np.array([[visit.longitude, visit.latitude] for visit in visits]).reshape(-1, 2))
+    located, middles = list(zip(visits, points, strict=True)), np.empty((len(visits), 3))  # of the clusters
+    for visit, point in sorted(located, key=lambda pair: (_sigma(pair[0]), pair[0].start)):
+        name = plan_name(visit)
+        own = numbers[name]
+        far = np.nan_to_num(np.linalg.norm(middles[own] - point, axis=1))  # 0 if unknown: of one name on a plan
+        # widest place [m] between visits of one name on a plan
+        widest = 500.0 if name else VISIT_RADIUS + min(_sigma(visit), VISIT_RADIUS)
+        if far.min(initial=np.inf) > widest:
+            own.append(len(clusters))
+            clusters.append(_Cluster())
+        n = own[-1] if len(own) > len(far) else own[int(far.argmin())]
+        clusters[n].visits.append((visit, point))
+        clusters[n].weight += _weight(visit)
+        clusters[n].total = clusters[n].total + _weight(visit) * point
+        middles[n] = clusters[n].total / clusters[n].weight
     ordered = sorted(clusters, key=lambda own: min(visit.start for visit, _ in own.visits))
     return tuple(own.place(number, named) for number, own in enumerate(ordered, start=1))
 
@@ -137,23 +144,11 @@ def plan_name(visit: TimelineEntry) -> str:
 
 @dataclass
 class _Cluster:
-    """Visits of one place with their middles ``(3,)`` on the sphere [m], and the sums for their weighted mean place.
+    """Visits of one place with their middles ``(3,)`` on the sphere [m], and the sums for their weighted mean place."""
 
-    name: of the place on a plan, "" without one.
-    """
-
-    name: str
     visits: list[tuple[TimelineEntry, Array]] = field(default_factory=list)
     weight: float = 0.0
     total: Array = field(default_factory=lambda: np.zeros(3))
-
-    def distance(self, middle: Array, sigma: float, name: str) -> float | None:
-        """Distance of a visit at this place [m], by its name on a plan 0 if unknown; None if it is elsewhere."""
-        far = float(np.linalg.norm(middle - self.total / self.weight))
-        if name or self.name:
-            # widest place [m] between visits of one name on a plan
-            return float(np.nan_to_num(far)) if self.name == name and not far > 500.0 else None
-        return far if far <= VISIT_RADIUS + min(sigma, VISIT_RADIUS) else None
 
     def place(self, number: int, named: Sequence[NamedArea]) -> Place:
         """The place of the visits, with the name of the nearest area that it is in; the last name given counts."""

@@ -209,17 +209,16 @@ def local_parts(part: Observation) -> list[Observation]:
     used = plausible(part.fixes)
     time, lonlat = part.fixes.time[used], part.frame.to_lonlat(part.fixes.position[used])
     sphere = on_sphere(lonlat)
-    far = arc(np.linalg.norm(np.diff(sphere, axis=0), axis=1))
-    jumps = far > SHORTEST_FLIGHT
-    first, spans = 0, list[tuple[int, int]]()
-    for n in range(1, len(time)):
-        if jumps[n - 1]:
-            spans.append((first, n - 1))
-            first = n
-        elif arc(np.linalg.norm(sphere[[n]] - sphere[first], axis=1)) > LARGEST_FRAME:
-            spans.append((first, n - 1))
-            first = n - 1
-    spans.append((first, len(time) - 1))
+    jumps = np.flatnonzero(arc(np.linalg.norm(np.diff(sphere, axis=0), axis=1)) > SHORTEST_FLIGHT)
+    spans = list[tuple[int, int]]()
+    for first, last in zip([0, *(jumps + 1).tolist()], [*jumps.tolist(), len(time) - 1], strict=True):
+        while True:
+            far = arc(np.linalg.norm(sphere[first : last + 1] - sphere[first], axis=1))
+            if not (far > LARGEST_FRAME).any():
+                break
+            spans.append((first, first + int(np.argmax(far > LARGEST_FRAME)) - 1))
+            first = spans[-1][1]
+        spans.append((first, last))
     found = list[Observation]()
     for first, last in spans:
         begin, end = float(time[first]), float(time[last])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -13,10 +12,10 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, detailed, diary
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period
-from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, overview, tables
+from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, guess_notes, overview, tables
 from pdr_graph.apps.lifelog.places import Place, likely_home
 from pdr_graph.apps.lifelog.store import Store
-from pdr_graph.apps.lifelog.timeline import duration_text, timeline_csv
+from pdr_graph.apps.lifelog.timeline import timeline_csv
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.whole_files import output_folder
 
@@ -67,21 +66,27 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
     ``timeline.csv`` and ``day.geojson``. Raises InputError if there is no such person, place or day.
     """
     with Store(path, reads=True) as log:
-        persons = _persons(log, choice.persons)
-        period = choice.period or _default_period(log, persons, choice)
-        diaries = list(_diaries(log, persons, period, choice.guess_home))
-        if not diaries:
-            raise _no_day(log, persons, period)
-        if period.kind == ALL:
-            dates = [date.fromisoformat(day.date) for own in diaries for day in own.days]
-            period = replace(period, first=min(dates), last=max(dates))
-        chosen = overview(diaries, period, choice.place)
-        if choice.place and not chosen.visits:
-            raise _no_place(choice.place, diaries, period)
-        folder = out or path.with_name(_folder_name(path, period))
+        chosen = overview_of(log, choice)
+        folder = out or path.with_name(_folder_name(path, chosen.period))
         with output_folder(folder, private=True, without=FORMER_FILES) if write else nullcontext() as staged:
             remarks = _written(log, chosen, staged, template)
     return Shown(chosen, tuple(remarks), folder)
+
+
+def overview_of(log: Store, choice: Choice) -> Overview:
+    """The overview of a choice. Raises InputError if there is no such person, place or day."""
+    persons = _persons(log, choice.persons)
+    period = choice.period or _default_period(log, persons, choice)
+    diaries = list(_diaries(log, persons, period, choice.guess_home))
+    if not diaries:
+        raise _no_day(log, persons, period)
+    if period.kind == ALL:
+        dates = [date.fromisoformat(day.date) for own in diaries for day in own.days]
+        period = replace(period, first=min(dates), last=max(dates))
+    chosen = overview(diaries, period, choice.place)
+    if choice.place and not chosen.visits:
+        raise _no_place(choice.place, diaries, period)
+    return chosen
 
 
 def _persons(log: Store, wanted: Sequence[str]) -> list[str]:
@@ -146,11 +151,7 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     # none of an outing that began on the day before
     stored = log.day(chosen.persons[0], chosen.period.name) if is_day else None
     notes, missing = _remarks(stored) if stored else ([], [])
-    guessed = Counter[str]()
-    for entry in (entry for day in chosen.days for entry in day.entries if entry.guess and not entry.observed):
-        guessed[entry.guess.partition(":")[0]] += round(entry.duration)
-    notes += [f"{duration_text(lasts)} are what {source} guessed, without data" for source, lasts in guessed.items()]
-    remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
+    remarks = [*(f"note: {line}" for line in [*notes, *guess_notes(chosen)]), *(f"missing: {line}" for line in missing)]
     if folder is not None:
         remarks += _files(chosen, stored, folder, template, remarks)
     return remarks

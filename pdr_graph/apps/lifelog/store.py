@@ -13,6 +13,7 @@ import math
 import os
 import sqlite3
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import astuple, dataclass, fields, replace
@@ -223,12 +224,19 @@ class Store:
 
     def day_hash(self, person: str, date: str) -> str:
         """Hash of the stored rows of a day."""
-        digest = hashlib.sha256()
+        return self.day_hashes(person, date, date)[date]
+
+    def day_hashes(self, person: str, first: str = "", last: str = "9999-12-31") -> dict[str, str]:
+        """Hash of the stored rows of each day of a person by date, from one date to another, both included."""
+        digests = defaultdict[str, Any](hashlib.sha256)
         for table in TABLES:
-            for row in self._all(f"SELECT * FROM {table} WHERE person = ? AND date = ? ORDER BY rowid", person, date):
-                digest.update(repr([value for value in row if not isinstance(value, bytes)]).encode())
-                digest.update(b"".join(value for value in row if isinstance(value, bytes)))
-        return digest.hexdigest()
+            select = f"SELECT * FROM {table} WHERE person = ? AND date BETWEEN ? AND ? ORDER BY date"  # as its key
+            with explained(self.path, LIFELOG):
+                for row in self._database.execute(select, (person, first, last)):
+                    digest = digests[row[1]]
+                    digest.update(repr([value for value in row if not isinstance(value, bytes)]).encode())
+                    digest.update(b"".join(value for value in row if isinstance(value, bytes)))
+        return {date: digest.hexdigest() for date, digest in digests.items()}
 
     def failures(self) -> tuple[tuple[str, str, str], ...]:
         """Person, date and reason of each day that failed in the last build."""

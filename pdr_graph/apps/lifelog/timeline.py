@@ -106,6 +106,11 @@ class TimelineEntry(OneLineRepr):
         return self.is_known and self.observed > 0
 
     @property
+    def is_guess(self) -> bool:
+        """True if all that is known of it is what another program guessed."""
+        return bool(self.guess) and not self.observed
+
+    @property
     def label(self) -> str:
         """The name of its place, else the number of the place, else ""."""
         return place_label(self.place, self.place_number)

@@ -34,7 +34,7 @@ TASKS_PER_WORKER = 4  # at least, so that all workers finish at about the same t
 ITEM_LIMIT = 900.0  # [s] of a recording or day in a worker process; on a busy machine the longest take a minute
 STALL_FACTOR = 5  # ITEM_LIMITs without any result after which a fleet is lost; Dask tries an item that hangs four times
 LOOK_PERIOD = 1.0  # [s] between looks at the workers and at the files of their results
-CONNECT_TIMEOUT = 15.0  # [s] for a scheduler to answer
+CONNECT_TIMEOUT = 15.0  # [s] for a scheduler to answer, and for its first worker
 RESTART_TIME = 60.0  # [s] without any worker after which the cluster is lost; a worker under load restarts in 20 s
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 Item = TypeVar("Item")
@@ -285,7 +285,9 @@ def connected(scheduler: str, time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]
             elif monotonic() - seen > RESTART_TIME:
                 raise FleetLostError(f"the scheduler {scheduler} has no worker any more")
 
-        if not (number := threads()):
+        while not (number := threads()) and monotonic() - seen < CONNECT_TIMEOUT:  # they may be starting
+            sleep(LOOK_PERIOD)
+        if not number:
             raise InputError("--scheduler", scheduler, "no workers", "at least one: start dask worker on each machine")
         losses = CancelledError, ClosedClientError, FutureCancelledError
         executor = client.get_executor(pure=False)

@@ -33,19 +33,20 @@ from starlette.staticfiles import StaticFiles
 from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.diary import DiaryDay, dates_of, diary
 from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
-from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period, period_of
+from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, MONTH, WEEK, Period, period_of
 from pdr_graph.apps.lifelog.maps import TileServer
-from pdr_graph.apps.lifelog.overview import Overview, overview, places_table, row_texts
+from pdr_graph.apps.lifelog.overview import Overview, guess_notes, overview, places_table, row_texts
 from pdr_graph.apps.lifelog.overview_page import body, document, html_table, script_hash, title_of
 from pdr_graph.apps.lifelog.picture import Links, linked, tag
-from pdr_graph.apps.lifelog.show import TRACK_TOLERANCE
+from pdr_graph.apps.lifelog.show import TRACK_TOLERANCE, Choice, overview_of
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.serve.access import OWNER, Access, cookie_name
 from pdr_graph.apps.serve.application import WEB, Guard, security_headers
 from pdr_graph.errors import InputError, count, one_line
 
 NUMBER = re.compile(r"[0-9]{1,9}")  # of an entry or a correction
-KEY = "key"  # field of every form
+KEY = "key"  # field of every form that corrects
+KEY_PLACE = "<!-- key -->"  # of it in the page of such a form; texts are escaped
 LONGEST_FORM = 1 << 14  # [bytes]
 MAP_TOLERANCE = 2.0  # [m] to which the tracks of a map are simplified
 DAYS_AROUND = 40  # days before and after one, among which the next recorded one is looked for
@@ -90,8 +91,9 @@ class DiaryServer:
             except (InputError, OSError) as error:
                 status = 400 if isinstance(error, InputError) else 500
                 content = _page("not possible", tag("p", escape(one_line(str(error))), class_="fault"))
-        key = tag("input", type="hidden", name=KEY, value=self.key)
-        return HTMLResponse(content.replace("</form>", f"{key}</form>"), status, self.headers)
+        return HTMLResponse(
+            content.replace(KEY_PLACE, tag("input", type="hidden", name=KEY, value=self.key)), status, self.headers
+        )
 
 
 def application(store: Path, token: str, tiles: str | None = None) -> Starlette:
@@ -121,7 +123,7 @@ def application(store: Path, token: str, tiles: str | None = None) -> Starlette:
         return await server.run(corrected_page, fields)
 
     pages = {"/": day_page, "/calendar": month_page, "/places": places_page, "/place": place_page}
-    pages |= {"/entry": entry_page, "/corrections": list_page}
+    pages |= {"/entry": entry_page, "/corrections": list_page, "/everybody": everybody_page}
     routes = [Route(path, shown(function)) for path, function in pages.items()]
     routes += [Mount("/web", StaticFiles(directory=WEB)), Route("/correct", correct, methods=["POST"])]
     return Starlette(False, routes, [Middleware(Guard, Access({OWNER: token}))])
@@ -131,13 +133,19 @@ def _page(title: str, content: str, person: str = "", links: Sequence[str] = ())
     """A page with the links to all others. links: to those beside it, as HTML."""
     query = "?" + urlencode({"person": person}) if person else ""
     tops = [("./", "last day"), ("calendar", "calendar"), ("places", "places"), ("corrections", "corrections")]
-    top = " · ".join(linked(path + query, text) for path, text in tops)
+    top = " · ".join([*(linked(path + query, text) for path, text in tops), linked("everybody", "everybody")])
     return document(title, content, above=tag("nav", top, class_="top"), below=tag("nav", " · ".join(links)))
+
+
+def _body(shown: Overview, tiles: TileServer, below: str = "") -> str:
+    """The content of a page with what other programs guessed, as a note. below: HTML below the picture."""
+    notes = (tag("p", escape(f"note: {line}"), class_="soft") for line in guess_notes(shown))
+    return "".join(notes) + body(shown, tiles, LINKS, below)
 
 
 def day_page(store: Path, query: Fields, tiles: TileServer) -> str:
     """A day, whose entries and places lead to their forms; the last day without a date."""
-    own, dates, people = _day(store, query)
+    own, dates, known, people = _day(store, query)
     with Store(store, reads=True) as log:
         found = diary(log, own.person, own.date, own.date, MAP_TOLERANCE)
     on = date.fromisoformat(own.date)
@@ -145,8 +153,8 @@ def day_page(store: Path, query: Fields, tiles: TileServer) -> str:
     links = _beside("./", "date", own.date, dates, own.person)
     links += [linked("calendar?" + urlencode({"person": own.person, "month": own.date[:7]}), own.date[:7])]
     forms = tag("section", id="forms", aria_live="polite", hidden="") + tag("script", type="module", src="web/diary.js")
-    links += _others("./", own.person, people)
-    return _page(title_of(shown), body(shown, tiles, LINKS, forms), own.person, links)
+    links.append(_chooser("./", own.person, people, _date_field("date", "date", known, own.date)))
+    return _page(title_of(shown), _body(shown, tiles, forms), own.person, links)
 
 
 def _beside(path: str, name: str, own: str, known: Sequence[str], person: str) -> list[str]:
@@ -157,10 +165,19 @@ def _beside(path: str, name: str, own: str, known: Sequence[str], person: str) -
     return [linked(f"{path}?{urlencode({'person': person, name: other})}", text) for other, text in near]
 
 
-def _others(path: str, person: str, people: Sequence[str]) -> list[str]:
-    """A link to the same page of each other person."""
-    others = (name for name in people if name != person)
-    return [linked(f"{path}?{urlencode({'person': name})}", escape(one_line(name))) for name in others]
+def _chooser(path: str, person: str, people: Sequence[str], *fields: str) -> str:
+    """A form that opens another person, and what other fields it has, on the same page; "" if there is none."""
+    if len(people) > 1:
+        names = tag("datalist", *(tag("option", value=name) for name in people), id="people")
+        fields = (tag("label", "person ", tag("input", name="person", value=person, list="people")), names, *fields)
+    elif fields:
+        fields = (tag("input", type="hidden", name="person", value=person), *fields)
+    return tag("form", *fields, tag("button", "Show"), class_="chooser", action=path) if fields else ""
+
+
+def _date_field(name: str, kind: str, dates: Sequence[str], own: str) -> str:
+    """The field of a date or a month, from the first to the last of some."""
+    return tag("input", type=kind, name=name, value=own, min=dates[0], max=dates[-1], aria_label=name)
 
 
 def _person(log: Store, query: Fields) -> tuple[str, list[str], list[str]]:
@@ -183,9 +200,43 @@ def month_page(store: Path, query: Fields, tiles: TileServer) -> str:
             raise InputError("month", "", "nothing", "a month such as 2024-05")
         own = diary(log, person, month.first.isoformat(), month.last.isoformat(), TRACK_TOLERANCE)
     shown = overview([replace(own, days=tuple(day for day in own.days if day.known))], month)
-    links = _beside("calendar", "month", month.name, sorted({on[:7] for on in dates} | {month.name}), person)
-    links += _others("calendar", person, people)
-    return _page(title_of(shown), body(shown, tiles, LINKS), person, links)
+    months = sorted({on[:7] for on in dates} | {month.name})
+    links = _beside("calendar", "month", month.name, months, person)
+    links.append(_chooser("calendar", person, people, _date_field("month", "month", months, month.name)))
+    return _page(title_of(shown), _body(shown, tiles), person, links)
+
+
+SPANS = (DAY, WEEK, MONTH, ALL)
+
+
+def everybody_page(store: Path, query: Fields, tiles: TileServer) -> str:
+    """All persons together on a day, in its week or month, or on all days; those whose name has a text."""
+    span, text = query.get("span") or DAY, query.get("person", "")
+    with Store(store, reads=True) as log:
+        known = dates_of(log)
+        dates = sorted({on for _, on in known})
+        day = period_of(day=query.get("date") or dates[-1]) if dates else None
+        if day is None or span not in SPANS:
+            raise InputError("date" if day is None else "span", "", span, f"a day that was built, and one of {SPANS}")
+        year, week, _ = day.first.isocalendar()
+        spans = {DAY: day, WEEK: period_of(week=f"{year}-W{week:02d}"), MONTH: period_of(month=day.name[:7])}
+        period = spans.get(span) or Period(ALL, "all days", date.min, LAST_DATE)
+        persons = tuple(sorted({name for name, _ in known if text.casefold() in name.casefold()}))
+        fields = (
+            tag(
+                "label",
+                "persons ",
+                tag("input", name="person", value=text, type="search", placeholder="part of a name"),
+            ),
+            _date_field("date", "date", dates, day.name),
+            tag("select", *(tag("option", name, selected="" if name == span else None) for name in SPANS), name="span"),
+        )
+        links = [tag("form", *fields, tag("button", "Show"), class_="chooser", action="everybody")]
+        try:
+            shown = overview_of(log, Choice(persons or (text,), period))
+        except InputError as error:
+            return _page("everybody", tag("p", escape(one_line(str(error))), class_="fault"), links=links)
+    return _page(title_of(shown), _body(shown, tiles), links=links)
 
 
 def _all_days(store: Path, query: Fields, place: str = "") -> tuple[Overview, list[str]]:
@@ -204,7 +255,7 @@ def places_page(store: Path, query: Fields, _: TileServer) -> str:
     [own] = shown.diaries
     table = html_table(own.person, places_table(own.places, short=False), links=LINKS)
     title = f"{one_line(own.person)}: {count(len(own.places), 'place')}"
-    return _page(title, table, own.person, _others("places", own.person, people))
+    return _page(title, table, own.person, [_chooser("places", own.person, people)])
 
 
 def place_page(store: Path, query: Fields, tiles: TileServer) -> str:
@@ -221,11 +272,14 @@ def place_page(store: Path, query: Fields, tiles: TileServer) -> str:
         forms = _form("name", hidden, "This place is called", value)
         sure = tag("input", name="sure", placeholder="type yes", size=8)
         forms += _form("forget-place", hidden, "Forget this place: delete all times here for good", sure, "Forget")
-    return _page(one_line(place.label), forms + body(shown, tiles, LINKS), person)
+    return _page(one_line(place.label), forms + _body(shown, tiles), person)
 
 
-def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
-    """The day of a query, the dates around it, and all persons. Raises InputError if there is no such day."""
+def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str], list[str]]:
+    """The day of a query, the dates around it, all of this person, and all persons.
+
+    Raises InputError if there is no such day.
+    """
     with Store(store, reads=True) as log:
         person, stored, people = _person(log, query)
         on = query.get("date") or stored[-1]
@@ -237,12 +291,12 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
         days = {day.date: day for day in diary(log, person, first, last, outings=False).days}
     if on not in days:
         raise InputError("date", "", on, "a recorded day")
-    return days[on], sorted(days), people
+    return days[on], sorted(days), stored, people
 
 
 def entry_page(store: Path, query: Fields, _: TileServer) -> str:
     """The forms that correct an entry of a day."""
-    day, _dates, _people = _day(store, query)
+    day, _dates, _known, _people = _day(store, query)
     number = query.get("n", "")
     if not NUMBER.fullmatch(number) or int(number) >= len(day.entries):
         raise InputError("n", "", number, "the number of an entry")
@@ -280,7 +334,7 @@ def _form(action: str, hidden: Fields, text: str, inputs: str = "", button: str 
     given = {**hidden, "do": action}.items()
     fields = (tag("input", type="hidden", name=name, value=value) for name, value in given)
     label = tag("label", f"{escape(text)} {inputs}")
-    return tag("form", *fields, label, " ", tag("button", button), method="post", action="correct")
+    return tag("form", *fields, label, " ", tag("button", button), KEY_PLACE, method="post", action="correct")
 
 
 def corrected_page(store: Path, fields: Fields, _: TileServer) -> str:

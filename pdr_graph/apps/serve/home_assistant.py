@@ -1,4 +1,6 @@
-"""Phones as devices of Home Assistant, by MQTT: ``serve --home-assistant mqtt://HOST``.
+"""The rooms of phones: for Home Assistant, by MQTT (``serve --home-assistant mqtt://HOST``), and as alerts.
+
+An alert (``serve --alert ROOM=URL``) is a POST when a phone enters a room.
 
 Each phone is announced by one retained message of device discovery (Home Assistant 2024.11 and later), with sensors for
 its room, the room's probability, the floor and the accuracy, and on a plan with latitudes a device tracker. Sources:
@@ -14,10 +16,12 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import re
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
 import msgspec
 import numpy as np
@@ -26,11 +30,12 @@ import pdr_graph
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.publishing import PROBABILITY, Hub
 from pdr_graph.apps.serve.pulling import Broker, Say, connected
-from pdr_graph.errors import one_line
+from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import squared_radius
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import Array
+from pdr_graph.web_request import request
 
 PREFIX = "pdr_graph"  # of all topics but those of the discovery
 STATUS = f"{PREFIX}/status"  # of the server
@@ -39,6 +44,9 @@ FINISHED = "finished"  # state of a walk that is over
 LEAST_SHOWN = 0.05  # probability from which a room is among the attributes
 RETAINED_TIME = 2.0  # [s] for the broker to send what it has retained
 LONGEST_PAUSE = 60.0  # [s] without news after which the connection is still looked at
+# An alert: a phone is in a room from this probability on for so long [s], and out of it below the other
+ENTERED, LEFT, STAYS = 0.8, 0.2, 2.0
+ALERT_TIME, RETRY_PAUSE, MOST_ALERTS = 10.0, 5.0, 100  # [s] of a request; before the only other one; unanswered at once
 
 
 def _spread() -> Array:
@@ -212,3 +220,96 @@ async def announce(
 ) -> None:
     """Publish the phones of a hub to a broker, for ever; a lost connection is made again. known: see `Announcer`."""
     await connected(broker, Announcer(hub, building, known).run, say, last_will=(STATUS, ABSENT))
+
+
+@dataclass(frozen=True)
+class Alert:
+    """A request to an address when a phone enters a room: a named area of the plan."""
+
+    room: str
+    address: str
+
+    @classmethod
+    def of(cls, text: str, building: Building | None) -> Alert:
+        """The alert of ``ROOM=URL``. Raises InputError if the plan has no such room, or the address is none."""
+        room, _, address = text.partition("=")
+        known = building.floors if building else ()
+        rooms = sorted({cell.name for floor in known for cell in floor.cells.cells if cell.name})
+        if room not in rooms:
+            found = repr(room) if rooms else "no plan with named areas"
+            raise InputError("--alert", "", found, f"ROOM=URL, one of {', '.join(map(one_line, rooms))}: --map")
+        try:
+            parts = urlsplit(address)
+            host = parts.hostname if parts.scheme in ("http", "https") and parts.port != 0 else None
+        except ValueError:
+            host = None
+        if not host:
+            raise InputError("--alert", room, repr(address), "ROOM=URL, as kitchen=https://host/path")
+        return cls(room, address)
+
+
+@dataclass
+class _Presence:
+    """A phone and a room. inside: None before the first pose; since: time from which the phone may be in it [s]."""
+
+    inside: bool | None = None
+    since: float | None = None
+
+    def enters(self, probability: float, time: float) -> bool:
+        """True once when the phone is surely in the room, after it was not; where it begins is no entry."""
+        if self.inside is None:
+            self.inside = probability >= ENTERED
+        if probability < ENTERED:
+            self.since = None
+            self.inside = self.inside and probability >= LEFT
+        elif self.since is None:
+            self.since = time
+        entered = not self.inside and self.since is not None and time - self.since >= STAYS
+        self.inside = self.inside or entered
+        return entered
+
+
+async def alert(alerts: Sequence[Alert], hub: Hub, building: Building | None, say: Say) -> None:
+    """Ask the address of a room when a phone enters it, until the hub ends; an address that fails is told."""
+    subscriber, known = hub.subscribe(OWNER, connection=False), defaultdict[tuple[str, str], _Presence](_Presence)
+    asked = set[asyncio.Task[None]]()
+    try:
+        while not subscriber.ended:
+            if not await subscriber.wait(LONGEST_PAUSE):
+                continue
+            for kind, data in subscriber.events():
+                if kind == "forgotten":
+                    known = defaultdict(_Presence, {own: each for own, each in known.items() if own[0] != data["id"]})
+                if kind != "pose" or data["state"] == FINISHED or data["sigma"] is None:
+                    continue
+                rooms = rooms_of(data, building)
+                for each in alerts:
+                    probability = rooms.get(each.room, 0.0)
+                    if known[data["id"], each.room].enters(probability, data["time"]) and len(asked) < MOST_ALERTS:
+                        about = {"event": "enter", "room": each.room, "phone": data["name"], "time": data["time"]}
+                        about |= {"user": hub.walkers[data["id"]].user, "probability": round(probability, 2)}
+                        task = asyncio.create_task(_post(each, about | {"floor": data["floor"]}, say))
+                        asked.add(task)
+                        task.add_done_callback(asked.discard)
+    finally:
+        hub.unsubscribe(subscriber)
+        for task in asked:
+            task.cancel()
+
+
+async def _post(to: Alert, about: Mapping[str, Any], say: Say) -> None:
+    """Post to the address of an alert, once more if it fails; redirects are not followed, so no other host is asked."""
+    for last in (False, True):
+        try:
+            headers = {"Content-Type": "application/json"}
+            body, most = msgspec.json.encode(about), 1 << 16
+            answer = await request(to.address, ALERT_TIME, ALERT_TIME, most, method="POST", body=body, headers=headers)
+            if answer.status < 300:
+                return
+            fault = f"status {answer.status}"
+        except OSError as error:
+            fault = one_line(str(error))
+        if last:
+            say(f"--alert {one_line(to.room)}: {urlsplit(to.address).hostname}: {fault}")
+        else:
+            await asyncio.sleep(RETRY_PAUSE)

@@ -27,7 +27,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
-from pdr_graph.apps.serve.home_assistant import announce, phone_of
+from pdr_graph.apps.serve.home_assistant import alert, announce, phone_of
 from pdr_graph.apps.serve.live_walk import NOT_RECORDED, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
@@ -83,6 +83,8 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         try:
             home, receivers = settings.sources.home, settings.sources.receivers
             more = [] if home is None else [announce(home, hub, building, known, say)]
+            alerts = settings.sources.alerts
+            more += [alert(alerts, hub, building, say)] if alerts else []
             more += [] if receivers is None else [listen(receivers, reception, say)]
             async with running(settings.sources, reception, say, more):
                 try:

@@ -23,7 +23,8 @@ const placeLabels = (ground, [left, top, width, height], size) => {
   const [high, wide] = [44, 80].map((length) => (length * width) / ground.width.baseVal.value);
   const occupied = pins.map(({ x, y, radius: r }) => [x - r * size, y - r * size, x + r * size, y + r * size]);
   occupied.push([right - high, top, right, top + high], [right - wide, bottom - high, right, bottom]); // north, buttons
-  occupied.push([left, bottom - high / 2, left + width / 3, bottom]); // scale bar
+  const scales = ground.parentNode.querySelector(".heat-scale") ? 0.8 : 1 / 3; // of the bar, and of a heat map
+  occupied.push([left, bottom - high / 2, left + width * scales, bottom]);
   pins.forEach(({ x, y, radius, text }) => {
     const { width: long, height: tall } = text.getBBox();
     const middles = SIDES.map(([a, b]) => [a * (radius + 3 + long / 2), b * (radius + 1 + tall / 2)]);
