@@ -188,7 +188,7 @@ def corrected_rows(
     guesses: of other programs, in time order.
     """
     rows = rows_of(fine, visits_of(fine, track), track)
-    rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections)
+    rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections, track)
     return with_places(rows, place_names(corrections))
 
 

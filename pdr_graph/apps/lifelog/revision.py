@@ -51,7 +51,7 @@ from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past, sources_of
 from pdr_graph.apps.lifelog.places import Place, is_place
-from pdr_graph.apps.lifelog.stays_and_legs import VISIT_RADIUS, Track, on_sphere
+from pdr_graph.apps.lifelog.stays_and_legs import MOVING, VISIT_RADIUS, Track, on_sphere
 from pdr_graph.apps.lifelog.store import TOGETHER, Entry, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.errors import InputError, count, one_line
@@ -197,10 +197,11 @@ def state_place(store: Path, at: str, place: str, radius: float | None = None, p
 
 
 def merge(store: Path, start: str, end: str, person: str | None = None) -> list[str]:
-    """Make one stay of all rows from one time to another."""
+    """Make one stay of all rows from one time to another; also returns a line for each walk or ride that vanishes."""
     with OpenDiary.opened(store, person, start, end) as diary:
         inside = diary.between(*diary.span_of_rows(start, end))
-        return diary.make(MERGE, (inside[0].start, inside[-1].end))
+        gone = [f"no longer in the diary: {diary.text(row)}" for row in inside if row.kind in MOVING]
+        return diary.make(MERGE, (inside[0].start, inside[-1].end)) + gone
 
 
 def split(store: Path, at: str, person: str | None = None) -> list[str]:
