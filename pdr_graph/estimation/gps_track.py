@@ -613,7 +613,7 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
 def _with_stated(knots: GpsKnots, kind: Index, stated: Stated) -> tuple[Index, Array]:
     """The modes ``(n - 1,)`` with stated modes in their place, except in gaps.
 
-    Also speeds ``(n - 1,)`` per axis [m/s] with which the track reaches, or leaves, the middle of a stated stay; else 0.
+    Also speeds ``(n - 1,)`` per axis [m/s] by which the track reaches or leaves the middle of a stated stay, else 0.
     """
     time, kind, jumps = knots.time, kind.copy(), np.zeros(len(kind))
     for start, end, mode in stated:

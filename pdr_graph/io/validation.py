@@ -379,9 +379,9 @@ def without_rollover(time: Array, name: str, notes: list[str]) -> Array:
     return time + ROLLOVER * missing
 
 
-def zoneless(texts: Iterable[Any]) -> bool:
-    """True if one of the texts is a time of day without a zone."""
-    return any(isinstance(text, str) and ZONELESS.search(text) for text in texts)
+def zoneless(texts: Iterable[Any]) -> Mask:
+    """True for each text ``(n,)`` that is a time of day without a zone."""
+    return np.array([isinstance(text, str) and ZONELESS.search(text) is not None for text in texts], dtype=bool)
 
 
 ZONELESS = re.compile(r"[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?\Z")

@@ -143,9 +143,9 @@ def _absorb_rests(entries: list[TimelineEntry], blank: int, is_cut: Sequence[boo
     A rebuilt day has slightly other ends for want of the masked data; times that persons state are moved to ends of
     entries. is_cut: True where the blank entry began, or ended, within an entry.
     """
-    for side, cut in ((1, is_cut[1]), (-1, is_cut[0])):
+    for side, inside in ((1, is_cut[1]), (-1, is_cut[0])):
         rest, beyond = blank + side, blank + 2 * side
-        if not cut or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
+        if not inside or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
             continue
         own, other = entries[rest], entries[beyond]
         if other.is_known:
