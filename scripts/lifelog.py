@@ -564,15 +564,14 @@ ANSWERS = [(kind, *others) for kind, (_, *others) in OTHERWISE.items()]
 def probabilities():
     """How right the probabilities of rows are at their moments: as shipped, and by other phones and days."""
     rows = [row for phone in sorted((DATA / "mobilitynet").iterdir()) for row in timed_rows(phone)]
-    phones, days = ([row[n] for row in rows] for n in (0, 1))
-    folds = {"all days, as shipped": None}
-    folds |= {f"{phone}, by the other phone": [(phone,)] for phone in dict.fromkeys(phones)}
-    folds |= {f"{phone}, each day by the others": [(phone, day) for day in days] for phone in dict.fromkeys(phones)}
+    phones, days = (list(dict.fromkeys(row[n] for row in rows)) for n in (0, 1))
+    folds = {"all days, as shipped": None} | {f"{phone}, by the other phone": [(0, phone)] for phone in phones}
+    folds["each day, by the others"] = [(1, day) for day in days]
     cells = []
     for name, held in folds.items():
         judged = []
-        for key in dict.fromkeys(held or [()]):
-            own = [row for row in rows if row[: len(key)] == key]
+        for n, value in held or [(None, None)]:
+            own = [row for row in rows if n is None or row[n] == value]
             lasts = {kind: fitted(rows, own, kind) for kind in OTHERWISE} if held else None
             judged += [(row, row[3] / (row[3] + (lasts[row[2]] if held else OTHERWISE[row[2]][0]))) for row in own]
         cells.append([name, len(judged), *judgement(judged)])

@@ -36,7 +36,7 @@ from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
 from pdr_graph.apps.lifelog.ingest import add
-from pdr_graph.apps.lifelog.past import past_rows
+from pdr_graph.apps.lifelog.past import past_rows, tracks
 from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.past.past_days import (
     access_points,
@@ -601,6 +601,17 @@ def test_times_without_a_zone_are_in_the_zone_that_is_stated(tmp_path, zone, hou
     [note] = result.notes
     taken = {None: "UTC (--zone)", "local": "those of where they were"}.get(zone, f"those of {zone}")
     assert note.endswith(f"times without a zone were taken as {taken}")
+
+
+def test_half_a_long_track_is_not_1024_weeks_away(tmp_path, monkeypatch):
+    """The receiver loses its weeks between two parts that are read one after the other."""
+    monkeypatch.setattr(tracks, "BATCH", 10)
+    times = [iso(NOON + 60 * n - (n >= 10) * 1024 * 7 * 86_400) for n in range(30)]
+    points = "".join(f'<trkpt lat="{LAT}" lon="{LON}"><time>{time}</time></trkpt>' for time in times)
+    (tmp_path / "a.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    result = imported(tmp_path / "log", tmp_path / "a.gpx")
+    assert [int(row[0]) for row in rows(tmp_path / "log")] == [1000 * (NOON + 60 * n) for n in range(30)]
+    assert "1024 weeks early" in result.notes[0]
 
 
 def test_an_import_of_nothing_ends_with_an_error(tmp_path):

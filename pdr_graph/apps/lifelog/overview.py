@@ -582,7 +582,10 @@ def _totals_texts(title: str, totals: Totals) -> list[str]:
 def place_texts(place: Place, short: bool = False) -> list[str]:
     """A place with the usual hours of every day, as of PLACE_TITLES; short: the first five."""
     usual = [usual_texts(own) for own in place.hours if own.weekday == EVERY_DAY]
-    comes, leaves = (", ".join(dict.fromkeys(t[n] for t in usual if t[n] != NOTHING)) or NOTHING for n in (1, 3))
+    texts = [list(dict.fromkeys(text[n] for text in usual if text[n] != NOTHING)) for n in (1, 3)]
+    if short:  # of two modes the medians
+        texts = [[text.split()[0] for text in own] if len(own) > 1 else own for own in texts]
+    comes, leaves = (", ".join(own) or NOTHING for own in texts)
     row = [fitted(one_line(place.label), 28), str(len(place.visits)), time_text(place.duration), comes, leaves]
     where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
     return row if short else [place.label, *row[1:], place.first, place.last, where]

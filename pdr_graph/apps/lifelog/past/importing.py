@@ -251,10 +251,12 @@ class _Reading:
 
     def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
         """Read a file; returns why it is refused, or where it is damaged, on a line."""
-        refused, valid, left_out, others = list[str](), 0, Counter[str](), 0
+        refused, valid, left_out, others, last = list[str](), 0, Counter[str](), 0, np.inf
         try:
             for raw in file.batches(self._advance):
                 batch = raw if self._zone is None else raw.in_zone(self._zone)
+                batch = batch.after(last)
+                last = batch.positions["time"][-1] / MS if len(batch.positions) else last
                 valid, left_out = valid + len(batch.positions), left_out + batch.left_out
                 others += len(batch.guesses) + len(batch.sightings)
                 self._remember(file.source.path, batch)

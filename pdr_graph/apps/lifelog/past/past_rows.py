@@ -31,11 +31,14 @@ from pdr_graph.errors import count
 from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.validation import (
+    LOST_WEEKS,
     NO_ZONE,
     RECEIVER,
+    ROLLOVER,
     float_of,
     in_seconds,
     plausible_times,
+    rolls_over,
     unix_time,
     unix_times,
     without_rollover,
@@ -46,7 +49,7 @@ from pdr_graph.types import Array, Index, Mask, OneLineRepr
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
 
 
-QUARTER_MS = 900 * MS  # changes of local time are at full quarters
+QUARTER_MS = int(900 * MS)  # changes of local time are at full quarters
 FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
 
 
@@ -62,6 +65,14 @@ class Batch(OneLineRepr):
     left_out: Counter[str] = field(default_factory=Counter[str])
     notes: tuple[str, ...] = ()
     unzoned: Index = field(default_factory=lambda: np.empty(0, np.intp))
+
+    def after(self, last: float) -> Batch:
+        """The batch of a track, put right if it is 1024 weeks before the `last` time of the batch before [s]."""
+        if not len(self.positions) or not rolls_over(self.positions["time"][0] / MS - last):
+            return self
+        positions = self.positions.copy()
+        positions["time"] += round(ROLLOVER * MS)
+        return replace(self, positions=positions, notes=(*self.notes, f"positions: {LOST_WEEKS}"))
 
     def in_zone(self, zone: str) -> Batch:
         """The batch with times without a zone as those of a zone, "" for that of each position."""
