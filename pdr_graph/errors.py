@@ -112,7 +112,8 @@ def percent(probability: float) -> str:
     return "more than 99 %" if 0.995 <= probability < 1 else f"{100 * probability:.0f} %"
 
 
-EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
+# Exit codes: nothing to import; bad input; finished without a part, which summary.json names
+EXIT_NOTHING, EXIT_REFUSED, EXIT_DEGRADED = 1, 2, 3
 PAGES = ("report.html", "figure.png")  # results for a person to open, the most complete first
 
 

@@ -30,7 +30,7 @@ from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session
 from pdr_graph.apps.lifelog.stays import stays_of
-from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, VISIT_RADIUS, on_sphere
+from pdr_graph.apps.lifelog.stays_and_legs import LIKELIER, OTHERWISE, SHORTEST_VISIT, VISIT_RADIUS, on_sphere
 from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.lifelog.timeline import STAY as STAY_ROW
 from pdr_graph.floor.plan import FloorPlan
@@ -554,12 +554,77 @@ def timed_days():
         for name, found in (("the diary", diary_rows(files)), ("stay points", stay_point_rows(files))):
             rows.append([phone.name.removeprefix("ucb-sdb-"), len(files), name, *timed_scores(found, files)])
     header = ["phone", "days", "by", "walks", "named", "of their time", "of that with positions", "of rides"]
-    return table([*header, "waits", "found", "others", "F1", "no data"], rows)
+    return f"{table([*header, 'waits', 'found', 'others', 'F1', 'no data'], rows)}\n\n{probabilities()}"
+
+
+TIMED = 0.5  # least share of a row that is within sections timed by hand
+ANSWERS = [(kind, *others) for kind, (_, *others) in OTHERWISE.items()]
+
+
+def probabilities():
+    """How right the probabilities of rows are at their moments: as shipped, and by other phones and days."""
+    rows = [row for phone in sorted((DATA / "mobilitynet").iterdir()) for row in timed_rows(phone)]
+    phones, days = (list(dict.fromkeys(row[n] for row in rows)) for n in (0, 1))
+    folds = {"all days, as shipped": None} | {f"{phone}, by the other phone": [(0, phone)] for phone in phones}
+    folds["each day, by the others"] = [(1, day) for day in days]
+    cells = []
+    for name, held in folds.items():
+        judged = []
+        for n, value in held or [(None, None)]:
+            own = [row for row in rows if n is None or row[n] == value]
+            lasts = {kind: fitted(rows, own, kind) for kind in OTHERWISE} if held else None
+            judged += [(row, row[3] / (row[3] + (lasts[row[2]] if held else OTHERWISE[row[2]][0]))) for row in own]
+        cells.append([name, len(judged), *judgement(judged)])
+    return table(["rows", "number", "hours", "stated", "right", "Brier", "ECE"], cells)
+
+
+def timed_rows(phone):
+    """Phone, day, kind, duration [s] and share of the moments ``(3,)`` at its ANSWERS of each row that was timed."""
+    files = sorted(phone.glob("*.rec"))
+    kinds, found = {WALK: WALKING, RIDE: VEHICLE, WAIT: STAY_ROW}, []
+    for file in files:
+        sections = [(float(r["begin"]), float(r["end"]), r["kind"]) for r in truth_of(file)]
+        for row in diary_entries([file]):
+            if not row.likely:
+                continue
+            times = {kinds[k]: t for k, t in times_within(sections, row.start, row.end).items() if k in kinds}
+            answers = next(own for own in ANSWERS if own[0] == (STAY_ROW if row.kind == STANDING else row.kind))
+            if sum(times.values()) >= TIMED * row.duration:
+                shares = np.array([times[kind] for kind in answers]) / sum(times.values())
+                found.append((phone.name.removeprefix("ucb-sdb-"), file.stem, answers[0], row.duration, shares))
+    return found
+
+
+def fitted(rows, without, kind):
+    """Time [s] of a row of a kind that is something else, most probable by the rows but those of `without`."""
+    held = set(map(id, without))
+    lasts, right = np.array([(r[3], r[4][0]) for r in rows if r[2] == kind and id(r) not in held]).T
+    trial = np.geomspace(5, 2000, 400)[:, None]
+    stated = lasts / (lasts + trial)
+    gain = (lasts * (right * np.log(stated) + (1 - right) * np.log(1 - stated))).sum(axis=1)
+    return float(trial[np.argmax(gain), 0])
+
+
+def judgement(judged):
+    """Cells of rows with the probability stated of each: hours, stated and right, Brier score of a kind, ECE."""
+    lasts, right = np.array([row[3] for row, _ in judged]), np.array([row[4] for row, _ in judged])
+    own = np.array([p for _, p in judged])
+    stated = np.column_stack([own, LIKELIER * (1 - own), (1 - LIKELIER) * (1 - own)])
+    brier = np.average(np.mean(stated**2 - 2 * stated * right + right, axis=1), weights=lasts)
+    which = np.minimum((10 * own).astype(int), 9)
+    gaps = [abs((lasts * (own - right[:, 0]))[which == n].sum()) for n in range(10)]
+    shares = [f"{np.average(own, weights=lasts):.2f}", f"{np.average(right[:, 0], weights=lasts):.2f}"]
+    return [f"{lasts.sum() / 3600:.1f}", *shares, f"{brier:.3f}", f"{sum(gaps) / lasts.sum():.3f}"]
+
+
+def truth_of(file):
+    """The sections of a day that were timed by hand."""
+    return list(csv.DictReader(file.with_suffix(".truth.csv").open()))
 
 
 def timed_scores(found, files):
     """Cells of rows ``(start, end, kind)`` beside the sections of the files; of walks and waits of SHORTEST_VISIT."""
-    truth = [row for file in files for row in csv.DictReader(file.with_suffix(".truth.csv").open())]
+    truth = [row for file in files for row in truth_of(file)]
     sections = [(float(row["begin"]), float(row["end"]), row["kind"]) for row in truth]
     named = [times_within(found, *section[:2]) for section in sections]
     every = list(zip(sections, named, strict=True))
@@ -598,15 +663,19 @@ def times_within(rows, start, end):
     return own | {NOTHING: end - start - sum(own.values())}
 
 
-def diary_rows(files):
-    """Start, end and kind of the diary's rows, stays joined over midnights."""
+def diary_entries(files):
+    """The entries of a diary of positions."""
     with TemporaryDirectory() as folder:
         import_past(Path(folder) / "log", files)
         build(Path(folder) / "log")
         with Store(Path(folder) / "log") as store:
-            days = diary(store, "me").days
+            return [row for day in diary(store, "me", outings=False).days for row in day.entries]
+
+
+def diary_rows(files):
+    """Start, end and kind of the diary's rows, stays joined over midnights."""
     found = []
-    for row in (row for one in days for row in one.entries):
+    for row in diary_entries(files):
         kind = KINDS.get(row.kind, NOTHING)
         if found and found[-1][2] == kind == WAIT and row.start - found[-1][1] < 1:
             found[-1] = (found[-1][0], row.end, kind)

@@ -74,17 +74,19 @@ class GpsKnots:
 class Motion:
     """Motion model from knot to knot ``(n - 1,)``: speed per axis s [m/s], tau: correlation time τ [s].
 
-    changed: True where the transport mode changes, so that the velocity is independent of the velocity before.
+    changed: True where the transport mode changes, so that the velocity is independent of the velocity before; free:
+    True at the ends of a stated stay, where the receiver's offset is too.
     """
 
     speed: Array
     tau: Array
     changed: Mask
+    free: Mask
 
     def of(self, which: Index) -> Motion:
         """The motion for subdivided intervals; which: ``(m,)`` original interval of each part, in order."""
         first = np.diff(which, prepend=-1) > 0
-        return Motion(self.speed[which], self.tau[which], self.changed[which] & first)
+        return Motion(self.speed[which], self.tau[which], self.changed[which] & first, self.free[which])
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     pp = variance * tau**2 * far + first * leads**2
     pv, vv = variance * leads**2 / tau + first * leads * kept, variance * (1 - kept**2) + first * kept**2
     noise = np.array([[pp, pv], [pv, vv]]).transpose(2, 0, 1)
-    still = np.exp(-span / RECEIVERS.standing)
+    still = np.exp(-span / RECEIVERS.standing) * ~motion.free
     F, inverse = np.zeros((2, len(span), 3, 3))
     F[:, P, P], F[:, G, G] = 1.0, still
     F[:, P, V], F[:, V, V] = np.where(changed, 0.0, leads), np.where(changed, 0.0, kept)
@@ -398,13 +400,21 @@ class Way:
     """A smoothed track with covariance: a row per used fix and some in gaps, ``n`` of them.
 
     kind: ``(n - 1,)`` transport mode from row to row: STANDS, WALKS, RIDES, LOST; used: ``(m,)`` indices of the fixes
-    used, in order of time, and weight: ``(m,)`` of each, 0–1.
+    used, in order of time, and weight: ``(m,)`` of each, 0–1; jumps: ``(n - 1,)`` True at the ends of a stated stay.
     """
 
     trajectory: Trajectory
     kind: Index
     used: Index
     weight: Array
+    jumps: Mask
+
+    @property
+    def lengths(self) -> Array:
+        """Distance from row to row ``(n - 1,)`` [m]: what a stated stay moves the track by was not covered."""
+        gone = np.diff(length_along(self.trajectory.position))
+        usual = np.array([0.0, TRAVEL.walk, TRAVEL.ride, 0.0])[self.kind] * np.diff(self.trajectory.time)
+        return np.where(self.jumps, np.minimum(gone, usual), gone)
 
 
 Stated = Sequence[tuple[float, float, int]]  # start and end [s] of a transport mode that is known
@@ -426,12 +436,14 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
 
     # Second pass: the motion model of each transport mode, with rows in gaps
     kind, knots = _classified(knots, first.position, lost, stated)
-    kind, jumps = _with_stated(knots.time, kind, stated)
+    kind, jumps = _with_stated(knots, kind, stated)
     rows, of = _with_rows_in_gaps(knots, kind)
     motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
     way = smooth_track(rows, motion.of(of), (1.0, 1.0), weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
-    return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])])
+    return Way(
+        _trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])], jumps[of] > 0
+    )
 
 
 def plausible(fixes: Fixes) -> Index:
@@ -565,7 +577,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
     kind = np.where(lost, LOST, moves(knots, way, begins, ends, straight))
-    for begin, end in _stretches(kind != STANDS):
+    for begin, end in _stretches((kind != STANDS) | apart):
         for first, last in _walks_between_places(knots, int(begin), int(end)):
             kind[first:last] = WALKS
     return kind, knots
@@ -615,31 +627,37 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
             yield begin + first, begin + last
 
 
-def _with_stated(time: Array, kind: Index, stated: Stated) -> tuple[Index, Mask]:
-    """The modes ``(n - 1,)`` with stated modes in their place, except in gaps; True where a stated stay begins or ends.
+def _with_stated(knots: GpsKnots, kind: Index, stated: Stated) -> tuple[Index, Array]:
+    """The modes ``(n - 1,)`` with stated modes in their place, except in gaps.
 
-    time: ``(n,)`` of the knots [s].
+    Also speeds ``(n - 1,)`` per axis [m/s] by which the track reaches or leaves the middle of a stated stay, else 0.
     """
-    kind, jumps = kind.copy(), np.zeros(len(kind), dtype=bool)
+    time, kind, jumps = knots.time, kind.copy(), np.zeros(len(kind))
     for start, end, mode in stated:
         middle = (time[1:] + time[:-1]) / 2
         kind[(middle >= start) & (middle <= end) & (kind != LOST)] = mode
-        for bound in (start, end) if mode == STANDS else ():
-            jumps |= (time[:-1] < bound + INSTANT) & (time[1:] > bound - INSTANT)
+        inside = (time > start - INSTANT) & (time < end + INSTANT)
+        if mode != STANDS or not inside.any():
+            continue
+        away = np.hypot(*(knots.position - np.median(knots.position[inside], axis=0)).T)
+        for bound in (start, end):
+            at = np.flatnonzero((time[:-1] < bound + INSTANT) & (time[1:] > bound - INSTANT))
+            far = np.maximum(away[at], away[at + 1])
+            jumps[at] = np.maximum(jumps[at], far / np.diff(time)[at] / np.sqrt(2))
     return kind, jumps
 
 
-def _motion(knots: GpsKnots, kind: Index, jumps: Mask | bool = False) -> Motion:
+def _motion(knots: GpsKnots, kind: Index, jumps: Array | float = 0.0) -> Motion:
     """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required.
 
-    Over a jump it is TRACK.free times as much, so that positions before and after a stated stay do not pull at it.
+    jumps: speeds ``(n - 1,)`` required at the ends of stated stays [m/s], 0 elsewhere. TRACK.free times as much is
+    allowed, so that positions before and after the stay do not pull at it.
     """
     takes = np.hypot(*np.diff(knots.position, axis=0).T) / np.diff(knots.time) / np.sqrt(2)
     speed = np.where(kind == LOST, np.maximum(np.array(TRACK.speed)[LOST], takes), np.array(TRACK.speed)[kind])
-    speed = np.where(jumps, np.maximum(speed, TRACK.free * takes), speed)
-    jumps = jumps & np.ones(len(kind), dtype=bool)
-    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST) | jumps[:-1])[: len(kind)] | jumps
-    return Motion(speed, np.where(jumps, np.array(TRACK.keeps)[LOST], np.array(TRACK.keeps)[kind]), changed)
+    speed, free = np.maximum(speed, TRACK.free * jumps), jumps + np.zeros(len(kind)) > 0
+    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST) | free[:-1])[: len(kind)] | free
+    return Motion(speed, np.where(free, np.array(TRACK.keeps)[LOST], np.array(TRACK.keeps)[kind]), changed, free)
 
 
 def _with_rows_in_gaps(knots: GpsKnots, kind: Index) -> tuple[GpsKnots, Index]:

@@ -73,7 +73,7 @@ def _table(source: Source, notes: list[str]) -> Array:
         raise InputError(where, "", f"{len(points)} track points{end}, none with a time", "<trkpt> with <time>")
     if len(times) < len(points):
         notes.append(f"GPX: {len(points) - len(times)} of {len(points)} track points have no time")
-    if zoneless(times):
+    if zoneless(times).any():
         notes.append(f"GPX: {NO_ZONE}")
     unix = without_rollover(unix_times(times), "GPX", notes)
     table = np.column_stack([unix, [place for time, *place in points if time]])

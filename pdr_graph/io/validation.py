@@ -365,23 +365,29 @@ def unix_times(values: Sequence[Any]) -> Array:
     return np.array([unix_time(value) for value in values], dtype=float)
 
 
+LOST_WEEKS = "1024 weeks early, as of a receiver whose weeks overflowed: put right"
 ROLLOVER = 1024 * 7 * 86400.0  # [s] after which GPS counts its weeks anew: some receivers then lose them
+
+
+def rolls_over(leap: Array) -> Mask:
+    """True for leaps of time [s] that are 1024 weeks back, with a pause of the track of half a day at most."""
+    return (leap + ROLLOVER > -3600.0) & (leap + ROLLOVER < 43_200.0)
 
 
 def without_rollover(time: Array, name: str, notes: list[str]) -> Array:
     """Times ``(n,)`` [s] of a track that leaps back by 1024 weeks and on again, put right. name: for the note."""
     leaps = np.diff(time, prepend=time[:1])
-    missing = np.cumsum(np.select([np.abs(leaps + ROLLOVER) < 3600.0, np.abs(leaps - ROLLOVER) < 3600.0], [1, -1], 0))
+    missing = np.cumsum(np.select([rolls_over(leaps), rolls_over(leaps - 2 * ROLLOVER)], [1, -1], 0))
     missing = missing - missing.min(initial=0)  # the first may be among them
     if missing.any():
         times = count(int((missing > 0).sum()), "time")
-        notes.append(f"{name}: {times} 1024 weeks early, as of a receiver whose weeks overflowed: put right")
+        notes.append(f"{name}: {times} {LOST_WEEKS}")
     return time + ROLLOVER * missing
 
 
-def zoneless(texts: Iterable[Any]) -> bool:
-    """True if one of the texts is a time of day without a zone."""
-    return any(isinstance(text, str) and ZONELESS.search(text) for text in texts)
+def zoneless(texts: Iterable[Any]) -> Mask:
+    """True for each text ``(n,)`` that is a time of day without a zone."""
+    return np.array([isinstance(text, str) and ZONELESS.search(text) is not None for text in texts], dtype=bool)
 
 
 ZONELESS = re.compile(r"[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?\Z")

@@ -34,6 +34,7 @@ from pdr_graph.apps.lifelog.multi_day import estimate_together
 from pdr_graph.apps.lifelog.observation import without_times
 from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.reconstruct import reconstruct
+from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.frames import Frame
@@ -41,6 +42,7 @@ from pdr_graph.geometry import horizontal_sigma, interpolate
 from pdr_graph.types import Fixes, Headings, Sightings, Signal
 
 DATE = "2024-05-01"
+NOWHERE = Track.of([])
 OVER_THERE = (3000.0, 560.0)  # [m] 60 m from where the positions say the office is
 
 
@@ -262,22 +264,22 @@ def correction(kind, start, end, number=1, **value):
 
 
 def test_entries_are_merged_divided_and_filled():
-    first, *rest = apply_to_entries(ENTRIES, [correction(MERGE, 0.0, 500.0)])
+    first, *rest = apply_to_entries(ENTRIES, [correction(MERGE, 0.0, 500.0)], NOWHERE)
     assert (first.kind, first.start, first.end, first.corrected) == (STAY, 0.0, 500.0, True)
     assert first.latitude == pytest.approx(48.1 + 0.001 * 300 / 400), "the mean by time"
     assert rest == ENTRIES[3:]
-    *_, first, second = apply_to_entries(ENTRIES, [correction(SPLIT, 700.0, 700.0)])
+    *_, first, second = apply_to_entries(ENTRIES, [correction(SPLIT, 700.0, 700.0)], NOWHERE)
     assert (first.end, second.start) == (700.0, 700.0)
     assert (first.distance, second.distance) == (pytest.approx(1000.0), pytest.approx(2000.0))
     value = {"latitude": 48.2, "longitude": 11.6, "radius": 15.0, "name": "the lake"}
-    [_, _, _, lake, _] = apply_to_entries(ENTRIES, [correction(AT, 500.0, 600.0, **value)])
+    [_, _, _, lake, _] = apply_to_entries(ENTRIES, [correction(AT, 500.0, 600.0, **value)], NOWHERE)
     assert (lake.kind, lake.place, lake.latitude, lake.sigma) == (STAY, "the lake", 48.2, 15.0)
 
 
 def test_a_later_correction_overrules_an_earlier_one():
     bus, car = correction(MODE, 600.0, 900.0, 1, mode="bus"), correction(MODE, 600.0, 900.0, 2, mode="car")
-    assert apply_to_entries(ENTRIES, [bus, car])[-1].mode == "car"
-    assert apply_to_entries(ENTRIES, [bus, correction(NOT_ME, 0.0, 900.0, 2)])[-1].kind == GAP
+    assert apply_to_entries(ENTRIES, [bus, car], NOWHERE)[-1].mode == "car"
+    assert apply_to_entries(ENTRIES, [bus, correction(NOT_ME, 0.0, 900.0, 2)], NOWHERE)[-1].kind == GAP
     value = {"latitude": 48.1, "longitude": 11.5, "radius": 75.0}
     named = [correction(PLACE_NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
     assert place_names(named) == [(48.1, 11.5, 75.0, "a"), (48.1, 11.5, 75.0, "b")], "in the order stated"
@@ -302,7 +304,7 @@ def test_corrected_entries_still_cover_every_second_once(drawn):
     for n, ((kind, value), a, b) in enumerate(drawn):
         start, end = min(a, b), max(a, b)
         facts.append(correction(kind, start, start if kind == SPLIT else end, n, **value))
-    found = apply_to_entries(ENTRIES, facts)
+    found = apply_to_entries(ENTRIES, facts, NOWHERE)
     assert (found[0].start, found[-1].end) == (0.0, 900.0)
     assert all(before.end == after.start for before, after in pairwise(found))
     assert sum(e.distance for e in found) <= 3130.0 + 1e-6
@@ -442,28 +444,53 @@ def test_the_list_and_the_page_of_a_day_show_what_was_corrected(tmp_path):
     assert "office; corrected" in (tmp_path / "out" / "overview.html").read_text()
 
 
-@pytest.mark.parametrize("state", [revision.state_not_me, revision.forget])
-def test_a_correction_changes_no_metre_or_minute_outside_its_row(tmp_path, state):
-    """Of each row in turn; the stays, walks and ride beside it keep their ends to 10 s and their metres to 3 %."""
+@pytest.fixture(scope="module")
+def ridden(tmp_path_factory):
+    """A lifelog with stays, walks and a ride."""
+    folder = tmp_path_factory.mktemp("ridden")
     speeds = [(0.0, 3600), (1.3, 600), (7.8, 700), (0.0, 2700), (1.3, 480), (0.0, 1800)]
     east = np.cumsum(np.repeat(*zip(*speeds, strict=True)))
     time = np.arange(0, len(east), 10)
     metres = np.random.default_rng(0).normal(0, 4, (len(time), 2)) + np.outer(east[time], [1, 0])
-    file = overland(tmp_path / "a.json", MIDDAY + time, np.array([LON, LAT]) + metres / METRES, 10)
-    import_past(tmp_path / "log", [file])
-    build(tmp_path / "log")
-    known = [row for row in rows_of(tmp_path / "log") if row.is_known]
+    file = overland(folder / "a.json", MIDDAY + time, np.array([LON, LAT]) + metres / METRES, 10)
+    import_past(folder / "log", [file])
+    build(folder / "log")
+    return folder
+
+
+def as_mode(mode):
+    return lambda store, row, *span: revision.state_mode(store, *span, mode)
+
+
+def as_place(store, row, start, end):
+    """600 m north of where it was."""
+    if row.kind == STAY:
+        revision.state_place(store, start, f"{row.latitude + 600 / 111_195},{row.longitude}")
+
+
+CORRECTIONS = {
+    "not me": lambda store, row, *span: revision.state_not_me(store, *span),
+    "forget": lambda store, row, *span: revision.forget(store, *span),
+    "merge": lambda store, row, *span: revision.merge(store, *span),
+    "place": as_place,
+    **{mode: as_mode(mode) for mode in ("bus", "walk", "stop")},
+}
+
+
+@pytest.mark.parametrize("state", CORRECTIONS)
+def test_a_correction_changes_no_metre_or_minute_outside_its_row(tmp_path, ridden, state):
+    """Of each row in turn; the stays, walks and ride beside it keep their ends to 10 s and their metres to 3 %."""
+    known = [row for row in rows_of(ridden / "log") if row.is_known]
     assert [row.kind for row in known] == [STAY, WALKING, VEHICLE, STAY, WALKING, STAY]
     for n, row in enumerate(known):
         folder = tmp_path / str(n)
-        shutil.copytree(tmp_path / "log.d", folder / "log.d")
-        shutil.copy(tmp_path / "log", folder / "log")
+        shutil.copytree(ridden, folder)
         local = [
             datetime.fromtimestamp(t, ZoneInfo("Europe/Berlin")).strftime("%Y-%m-%d %H:%M:%S")
             for t in (row.start, row.end)
         ]
-        state(folder / "log", *local)
-        after = [other for other in rows_of(folder / "log") if other.is_known]
+        CORRECTIONS[state](folder / "log", row, *local)
+        after = [other for other in rows_of(folder / "log") if other.is_known and other.start != row.start]
         kept = [other for other in known if other is not row]
         assert [other.kind for other in after] == [other.kind for other in kept]
         for one, other in zip(kept, after, strict=True):

@@ -1,6 +1,6 @@
 """A diary has the rows that a person would write: places, ways between them, midnights of where the person was."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from zoneinfo import ZoneInfo
@@ -15,12 +15,14 @@ from made_past import imported, location, overland, records
 from pyproj import Geod
 
 from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.corrections import apply_to_entries
 from pdr_graph.apps.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay, rows_of
 from pdr_graph.apps.lifelog.diary import UnpartedDiary, diary, totals_of
-from pdr_graph.apps.lifelog.facts import ALWAYS, PLACE_NAME, Correction
+from pdr_graph.apps.lifelog.facts import ALWAYS, MODE, PLACE_NAME, Correction
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.places import likely_home
+from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import STAY, timeline
 from pdr_graph.frames import Frame, enu
@@ -250,6 +252,26 @@ def test_a_simulated_day_has_its_stays_and_few_rows(tmp_path):
     assert sum(row.end - row.start for row in rows) == pytest.approx(sum(e - s for s, e, _ in true), rel=0.05)
     assert max(len(day.entries) for day in found.days) <= 30
     assert [day.date for day in found.days] == ["2024-05-14", "2024-05-15"]
+    moments = [(row, t) for start, end, _ in true for t in np.arange(start, end, 60.0) for row in rows]
+    here = [(row, t) for row, t in moments if row.start <= t < row.end]
+    stated = np.mean([dict(row.likely)[STAY] for row, _ in here])
+    assert 0.9 < stated < len(here) / sum(len(np.arange(a, b, 60.0)) for a, b, _ in true) + 0.05, "not too sure"
+
+
+def test_the_probability_of_a_row_grows_with_its_length_and_is_of_positions_alone(tmp_path):
+    """Whoever states what it was, or measures steps, leaves no doubt of that kind."""
+    legs = [(STANDING, 400, EAST), (WALKING, 600, EAST), (STANDING, 20 * HOUR, EAST)]
+    made = replace(halts(legs, at("2024-05-01T20:00"), frame=BERLIN), steps=0)
+    rows = [row for day in diary_of(tmp_path / "a", made).days for row in day.entries]
+    short, _, evening, night = (dict(row.likely) for row in rows)
+    assert short[STAY] < 0.6 < 0.95 < night[STAY] < 1.0
+    assert evening == night, "midnight parts the row, not what is known of it"
+    assert all(sum(dict(row.likely).values()) == pytest.approx(1.0) for row in rows)
+    assert list(dict(rows[1].likely)) == [WALKING, VEHICLE, STAY]
+    for other in (replace(made, steps=700), replace(made, plan="mall.geojson")):
+        assert not any(row.likely for day in diary_of(tmp_path / f"b{other.steps}", other).days for row in day.entries)
+    said = Correction(1, "me", 0.0, MODE, rows[1].start, rows[1].end, {"mode": "bus"})
+    assert [row.likely for row in apply_to_entries(rows, [said], Track.of([made])) if row.corrected] == [()]
 
 
 @dataclass(frozen=True, repr=False)

@@ -270,16 +270,20 @@ def test_steps_are_cut_too(tmp_path):
         assert log.entries()[0].steps == pytest.approx(200 - 32 / 0.55, abs=3)
 
 
-def test_what_was_imported_is_named_when_it_is_forgotten(tmp_path):
-    log, file = (
-        tmp_path / "log",
-        past.records(tmp_path / "r.json", [past.location(past.NOON + 60 * n) for n in range(60)]),
-    )
-    past.imported(log, file)
+def test_of_what_was_imported_the_files_with_that_time_are_named_and_none_of_the_lifelog(tmp_path):
+    """Three files of one day, one of which has the time."""
+    log = tmp_path / "log"
+    files = [
+        past.records(tmp_path / f"{n}.json", [past.location(past.NOON + 7200 * n + 60 * k) for k in range(60)])
+        for n in range(3)
+    ]
+    past.imported(log, *files)
     build(log)
-    line = f"still on your disk: {file}"
-    assert line in revision.forget(log, "2024-05-01 14:10", "2024-05-01 14:20")
-    assert line in revision.forget_person(log, "me")
+    told = [line for line in revision.forget(log, "2024-05-01 16:10", "2024-05-01 16:20") if "disk" in line]
+    assert told == [f"still on your disk: {files[1]}"]
+    lines = revision.forget_person(log, "me")
+    assert [line for line in lines if "disk" in line] == [f"still on your disk: {file}" for file in files]
+    assert "imported again is there again" in lines[1]
     assert left(tmp_path, [b"imported: me"]) == set()
 
 

@@ -36,7 +36,8 @@ from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.facts import FORGOTTEN, Correction
 from pdr_graph.apps.lifelog.ingest import add
-from pdr_graph.apps.lifelog.past import past_rows
+from pdr_graph.apps.lifelog.past import past_rows, tracks
+from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.past.past_days import (
     access_points,
     cut_past,
@@ -585,3 +586,39 @@ def test_logs_of_two_persons_for_one_are_doubted_and_named(tmp_path):
             days = [store.day(*key) for key in store.days()]
         notes = [note for day in days for outing in day.outings for note in outing.notes]
         assert any("doubtful" in note for note in notes) == doubted, log
+
+
+@pytest.mark.parametrize(("zone", "hours"), [(None, 0), ("local", 2), ("Europe/Berlin", 2), ("Asia/Tokyo", 9)])
+def test_times_without_a_zone_are_in_the_zone_that_is_stated(tmp_path, zone, hours):
+    """Of a track in Berlin in summer; by default they are UTC, which a note says. Times with a zone are as stated."""
+    times = [*(iso(NOON + n).removesuffix(".000Z") for n in range(3)), iso(NOON + 7)]
+    points = "".join(f'<trkpt lat="{LAT}" lon="{LON}"><time>{time}</time></trkpt>' for time in times)
+    (tmp_path / "a.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    result = import_past(tmp_path / "log", [tmp_path / "a.gpx"], zone=zone)
+    assert [int(row[0]) for row in rows(tmp_path / "log")] == sorted(
+        1000 * time for time in [*(NOON + n - 3600 * hours for n in range(3)), NOON + 7]
+    )
+    [note] = result.notes
+    taken = {None: "UTC (--zone)", "local": "those of where they were"}.get(zone, f"those of {zone}")
+    assert note.endswith(f"times without a zone were taken as {taken}")
+
+
+def test_half_a_long_track_is_not_1024_weeks_away(tmp_path, monkeypatch):
+    """The receiver loses its weeks between two parts that are read one after the other."""
+    monkeypatch.setattr(tracks, "BATCH", 10)
+    times = [iso(NOON + 60 * n - (n >= 10) * 1024 * 7 * 86_400) for n in range(30)]
+    points = "".join(f'<trkpt lat="{LAT}" lon="{LON}"><time>{time}</time></trkpt>' for time in times)
+    (tmp_path / "a.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    result = imported(tmp_path / "log", tmp_path / "a.gpx")
+    assert [int(row[0]) for row in rows(tmp_path / "log")] == [1000 * (NOON + 60 * n) for n in range(30)]
+    assert "1024 weeks early" in result.notes[0]
+
+
+def test_an_import_of_nothing_ends_with_an_error(tmp_path):
+    (tmp_path / "a.gpx").write_text("<gpx></gpx>")
+    done = commands.run("lifelog", "import", tmp_path / "log", tmp_path / "a.gpx")
+    assert (done.code, done.output) == (1, "nothing to import\n")
+    assert "without a position" in done.errors[0]
+    assert not (tmp_path / "log").exists()
+    done = commands.run("lifelog", "import", tmp_path / "log", tmp_path / "a.gpx", "--zone", "Berlin")
+    assert (done.code, len(done.errors)) == (2, 1)

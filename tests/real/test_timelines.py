@@ -1,12 +1,17 @@
 """Samples of timelines that others published are imported, or refused in a line that says what they are."""
 
+import csv
 import json
 
+import numpy as np
 import pytest
 
 from pdr_graph.apps.lifelog.build import build
+from pdr_graph.apps.lifelog.day import VEHICLE, WALKING
+from pdr_graph.apps.lifelog.diary import diary
 from pdr_graph.apps.lifelog.past.importing import import_past
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY
 from pdr_graph.io.loading import load
 
 # Sample: positions and guesses in it, counted by hand
@@ -60,3 +65,23 @@ def test_positions_and_accuracies_are_those_of_the_file(tmp_path, data):
     assert walk.epoch == first["tst"]
     assert walk.fixes.position[0].tolist() == [first["lon"], first["lat"]]
     assert walk.fixes.sigma[0] == pytest.approx(first["acc"] / 1.51)
+
+
+@pytest.mark.parametrize("phone", ["ucb-sdb-android-3", "ucb-sdb-ios-3"])
+def test_rows_are_right_as_often_as_they_state(tmp_path, data, phone):
+    """MobilityNet, a day whose sections were timed by hand: at moments of these, 0.1 more or less."""
+    file = data / "mobilitynet" / phone / "2019-11-19.rec"
+    import_past(tmp_path / "log", [file])
+    build(tmp_path / "log")
+    with Store(tmp_path / "log") as store:
+        rows = [row for day in diary(store, "me", outings=False).days for row in day.entries if row.likely]
+    kind = {"walk": WALKING, "ride": VEHICLE, "stop": STAY}
+    stated, right = [], []
+    for section in csv.DictReader(file.with_suffix(".truth.csv").open()):
+        for moment in np.arange(float(section["begin"]), float(section["end"]), 20.0):
+            for row in rows:
+                if row.start <= moment < row.end and row.duration < 3600:
+                    stated.append(row.likely[0][1])
+                    right.append(row.likely[0][0] == kind[section["kind"]])
+    assert len(right) > 500
+    assert np.mean(stated) == pytest.approx(np.mean(right), abs=0.1)

@@ -150,6 +150,19 @@ def test_a_form_does_what_the_command_does(page, made):
     assert "the office" not in page.get("/").text
 
 
+def test_a_stay_is_merged_with_the_next_stay_and_the_form_says_what_vanishes(page):
+    own = rows(page)
+    stays = [n for n, row in enumerate(own) if row[3] == "stay"]
+    walk = next(n for n, row in enumerate(own) if row[3] == "walking" and stays[0] < n < stays[1])
+    text = page.get("/entry", params={"person": "Ada", "date": DATE, "n": stays[0]}).text
+    [offer] = re.findall(r"This and the next stay .*?</label>", text)
+    assert f"{own[stays[1]][0]}–{own[stays[1]][1]}" in offer
+    assert f"{own[walk][0]}–{own[walk][1]}  walking, {own[walk][2]}, {own[walk][4]}" in offer.partition("vanishes")[2]
+    assert form(page, stays[0], "merge")["end"] == form(page, stays[1], "split")["end"]
+    assert "no longer in the diary" in page.post("/correct", data=form(page, stays[0], "merge")).text
+    assert "one stay" not in page.get("/entry", params={"person": "Ada", "date": DATE, "n": walk}).text
+
+
 def test_the_calendar_and_the_places_lead_to_every_day_and_place(page, made):
     with Store(made) as log:
         own = diary(log, "Ada")

@@ -17,7 +17,16 @@ from cyclopts.validators import Number
 from pdr_graph.apps.cli.parameters import HYPHEN, AsJson, Count, Force, PositiveCount, Quiet, only
 from pdr_graph.apps.cli.serve import serve_lifelog
 from pdr_graph.apps.cli.terminal import echo, echo_errors, echo_lines, echo_result
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, SILENT, InputError, count, one_line, shows_progress
+from pdr_graph.errors import (
+    EXIT_DEGRADED,
+    EXIT_NOTHING,
+    EXIT_REFUSED,
+    SILENT,
+    InputError,
+    count,
+    one_line,
+    shows_progress,
+)
 from pdr_graph.options import Options
 from pdr_graph.whole_files import check_replaceable
 
@@ -84,6 +93,7 @@ def import_(
     /,
     *files: Annotated[Path, Parameter(required=True)],
     person: str | None = None,
+    zone: str | None = None,
     quiet: Quiet = False,
 ) -> None:
     """Import the past from Google, OwnTracks, GPX and other exports.
@@ -97,21 +107,25 @@ def import_(
     Args:
         files: Exports: files, folders or zips (a Google Takeout).
         person: The person; default: me.
+        zone: Time zone of times that state none, as Europe/Berlin; local: that of each position; default: UTC.
     """
     from pdr_graph.apps.lifelog.past.importing import import_past
 
     with _progress_bar() as advance:
-        result = import_past(store, files, person, advance)
+        result = import_past(store, files, person, advance, zone)
     changed = result.positions
+    usable = changed.new + changed.better + changed.existing + result.guesses
     counts = [count(changed.new, "new position"), f"{changed.existing} there already"]
     counts += [f"{changed.better} replaced by more accurate ones"] if changed.better else []
     counts += [f"{count(changed.days, 'day')} changed"]
     counts += [f"{result.guesses} guessed visits or activities"] if result.guesses else []
     counts += [f"{result.placed} positions from Wi-Fi scans"] if result.placed else []
     counts += [f"{count(result.skipped, 'file')} skipped"] if result.skipped else []
-    echo(f"{', '.join(counts)} -> {store}")
+    echo(f"{', '.join(counts)} -> {store}" if usable else "nothing to import")
     echo_errors(*result.notes)
-    _end(result.refused, none=not changed.new + changed.better + changed.existing + result.guesses)
+    _end(result.refused, none=not usable)
+    if not usable:
+        sys.exit(EXIT_NOTHING)
 
 
 @lifelog.command

@@ -37,7 +37,7 @@ def _file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-RESULT_VERSION = f"{version('pdr_graph')}, 7"  # raise the number whenever observations or days change
+RESULT_VERSION = f"{version('pdr_graph')}, 8"  # raise the number whenever observations or days change
 OBSERVATIONS, DAYS, DIGESTS, COPIES = "observations", "days", "digests", "recordings"  # folders in STORE.d
 PARTIAL = ".part"  # suffix of a copy while it is being written
 Value = TypeVar("Value")

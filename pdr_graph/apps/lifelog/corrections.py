@@ -25,6 +25,7 @@ from pdr_graph.apps.lifelog.facts import (
 )
 from pdr_graph.apps.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
 from pdr_graph.apps.lifelog.sessions import is_located
+from pdr_graph.apps.lifelog.stays_and_legs import Track, cut
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.frames import enu
 from pdr_graph.types import Array, Fixes
@@ -110,15 +111,20 @@ def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: f
     return replace(part, steps=replace(steps, sigma_length=sigma_length), looks=looks)
 
 
-def apply_to_entries(entries: Sequence[TimelineEntry], corrections: Iterable[Correction]) -> tuple[TimelineEntry, ...]:
-    """The entries of a person's timeline as corrected, in time order; a later correction overrules an earlier one."""
+def apply_to_entries(
+    entries: Sequence[TimelineEntry], corrections: Iterable[Correction], track: Track
+) -> tuple[TimelineEntry, ...]:
+    """The entries of a person's timeline as corrected, in time order; a later correction overrules an earlier one.
+
+    track: where the person was, by which the distance of an entry is divided.
+    """
     found = list(entries)
     for correction in corrections:
         if correction.kind == PLACE_NAME or not found:
             continue
         start, end = _bounds(found, correction)
         is_cut = [any(e.start < time < e.end for e in found) for time in (start, end)]
-        found = _split_at(_split_at(found, start), end)
+        found = [piece for entry in found for piece in cut(entry, sorted({start, end}), track)]
         if correction.kind == SPLIT:
             found = [replace(e, corrected=True) if start in (e.start, e.end) else e for e in found]
             continue
@@ -137,9 +143,9 @@ def _absorb_rests(entries: list[TimelineEntry], blank: int, is_cut: Sequence[boo
     A rebuilt day has slightly other ends for want of the masked data; times that persons state are moved to ends of
     entries. is_cut: True where the blank entry began, or ended, within an entry.
     """
-    for side, cut in ((1, is_cut[1]), (-1, is_cut[0])):
+    for side, inside in ((1, is_cut[1]), (-1, is_cut[0])):
         rest, beyond = blank + side, blank + 2 * side
-        if not cut or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
+        if not inside or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
             continue
         own, other = entries[rest], entries[beyond]
         if other.is_known:
@@ -164,23 +170,6 @@ def _bounds(entries: Sequence[TimelineEntry], correction: Correction) -> tuple[f
     start = start if abs(start - correction.start) <= SLIVER else correction.start
     end = end if abs(end - correction.end) <= SLIVER else correction.end
     return (start, end) if start < end else correction.span
-
-
-def _split_at(entries: Sequence[TimelineEntry], time: float) -> list[TimelineEntry]:
-    """The entries, with that which contains a time in two; its distance is that of its parts, else divided by time."""
-    found: list[TimelineEntry] = []
-    for entry in entries:
-        if not entry.start < time < entry.end:
-            found.append(entry)
-            continue
-        share = (time - entry.start) / (entry.end - entry.start)
-        parts = _split_at(entry.parts, time)
-        before, after = (tuple(p for p in parts if (p.start < time) == first) for first in (True, False))
-        if gone := sum(part.distance for part in parts):
-            share = sum(part.distance for part in before) / gone
-        found.append(replace(entry, end=time, distance=share * entry.distance, parts=before))
-        found.append(replace(entry, start=time, distance=(1 - share) * entry.distance, parts=after))
-    return found
 
 
 def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> TimelineEntry:

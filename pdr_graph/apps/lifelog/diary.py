@@ -24,7 +24,15 @@ from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICL
 from pdr_graph.apps.lifelog.facts import Correction, Guess
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at, zone_named
 from pdr_graph.apps.lifelog.places import NamedArea, Place, places_of, plan_name
-from pdr_graph.apps.lifelog.stays_and_legs import SHORTEST_VISIT, Track, cut, rows_of, visits_of, with_guesses
+from pdr_graph.apps.lifelog.stays_and_legs import (
+    SHORTEST_VISIT,
+    Track,
+    cut,
+    rows_of,
+    visits_of,
+    with_guesses,
+    with_likely,
+)
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
 from pdr_graph.errors import count
@@ -194,8 +202,8 @@ def corrected_rows(
     """The rows of a person as corrected, and the places of all. fine: entries of the timeline; track: of these;
     guesses: of other programs, in time order.
     """
-    rows = rows_of(fine, visits_of(fine, track), track)
-    rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections)
+    rows = with_likely(rows_of(fine, visits_of(fine, track), track), track)
+    rows = apply_to_entries(with_guesses(rows, guesses) if guesses else rows, corrections, track)
     return with_places(rows, place_names(corrections))
 
 

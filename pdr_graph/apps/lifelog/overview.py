@@ -24,7 +24,7 @@ from rich.cells import cell_len, set_cell_size
 
 from pdr_graph.apps.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, Totals, repeated, totals_of
-from pdr_graph.apps.lifelog.local_time import DAY, MONTH, WEEK, Period
+from pdr_graph.apps.lifelog.local_time import DAY, Period
 from pdr_graph.apps.lifelog.places import (
     EVERY_DAY,
     FEWEST_HOURS,
@@ -124,7 +124,7 @@ Record = dict[str, Any]
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
 ENTRY_COLUMNS = (
-    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess"
+    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess likely"
 )
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
@@ -152,7 +152,7 @@ def day_record(day: DiaryDay) -> Record:
 def entry_record(columns: str, entry: TimelineEntry, **values: Any) -> Record:
     """An entry of a day or a visit: local times, durations [s], distance [m], position [deg] and sigma [m]."""
     span = {"start": local_iso(entry.start, entry.offset), "end": local_iso(entry.end, entry.end_offset)}
-    about = {"floor": " > ".join(entry.floor), "number": entry.place_number}
+    about = {"floor": " > ".join(entry.floor), "number": entry.place_number, "likely": dict(entry.likely)}
     return _record(columns, entry, **span, **about, **values)
 
 
@@ -260,7 +260,7 @@ def _plain(value: Any, name: str = "") -> Any:
     return value
 
 
-ROW_TITLES = ("from", "to", "for", "what", "distance", "where")
+ROW_TITLES = ("from", "to", "for", "what", "distance", "where", "probability")
 LIST_ROWS = 25  # of a list that fits a screen
 MERGED_NAMES = {
     STAY: "short stop",
@@ -313,8 +313,8 @@ def list_texts(entries: Sequence[TimelineEntry], most: int = LIST_ROWS) -> list[
 
 def row_texts(
     entry: TimelineEntry, merged: Mapping[str, int] = MappingProxyType({}), seconds: bool = False
-) -> tuple[str, str, str, str, str, str]:
-    """Texts of a row: local start and end, duration, activity, distance, place with what was merged.
+) -> tuple[str, str, str, str, str, str, str]:
+    """Texts of a row: local start and end, duration, activity, distance, place with what was merged, probability.
 
     The end has "+1" if it is on the next date, after a flight over time zones.
     """
@@ -337,12 +337,21 @@ def row_texts(
         entry.mode or KIND_NAMES.get(entry.kind, entry.kind),
         far,
         "; ".join(filter(None, words)),
+        likely_text(entry),
     )
+
+
+def likely_text(entry: TimelineEntry) -> str:
+    """The probability of the activity of an entry, and the others from one twentieth on: ``84 %, riding 10 %``."""
+    own = STAY if entry.kind == STANDING else entry.kind
+    texts = [f"{p:.0%}" if p < 0.995 else ">99%" for kind, p in entry.likely if kind == own]
+    texts += [f"{KIND_NAMES.get(kind, kind)} {p:.0%}" for kind, p in entry.likely if kind != own and p >= 0.05]
+    return ", ".join(texts)
 
 
 def entry_text(entry: TimelineEntry) -> str:
     """An entry in one line: local times, what, and where."""
-    start, end, lasts, what, far, where = row_texts(entry)
+    start, end, lasts, what, far, where, _ = row_texts(entry)
     return f"{start}–{end}  {', '.join(filter(None, (what, lasts, far, where)))}"
 
 
@@ -556,19 +565,17 @@ def _period_rows(
     """Totals of each day, of each month or year if there are more than `most` days; days without data are counted."""
     by_date = {day.date: day for day in days}
     letters = next(n for n in (10, 7, 4) if n == 4 or len({on[:n] for on in by_date}) <= most)
-    if letters == 10 and period.kind in (WEEK, MONTH):
-        for present, dates in groupby(period.dates, key=lambda on: on.isoformat() in by_date):
-            on_dates = list(dates)
-            if not present:
-                yield [f"{count(len(on_dates), 'day')} without data", *[""] * (len(PERIOD_TITLES) - 1)], None
-            for on in on_dates if present else ():
-                day = by_date[on.isoformat()]
-                yield _totals_texts(f"{on:%a} {on}", day.totals), day
-    else:
-        for name, same in groupby(days, key=lambda day: day.date[:letters]):
-            own = list(same)
-            title = name if letters == 10 else f"{name}  {count(len(own), 'day')}"
-            yield _totals_texts(title, totals_of(own, len(own))), own[0] if letters == 10 else None
+    names = {on[:letters] for on in by_date}
+    for present, dates in groupby(period.dates, key=lambda on: str(on)[:letters] in names):
+        on_dates = list(dates)
+        if not present:
+            yield [f"{count(len(on_dates), 'day')} without data", *[""] * (len(PERIOD_TITLES) - 1)], None
+            continue
+        for name, same in groupby(on_dates, key=lambda on: str(on)[:letters]):
+            every = list(same)
+            own = [by_date[str(on)] for on in every if str(on) in by_date]
+            title = f"{every[0]:%a} {name}" if letters == 10 else f"{name}  {len(own)} of {count(len(every), 'day')}"
+            yield _totals_texts(title, totals_of(own, len(every))), own[0] if letters == 10 else None
     yield _totals_texts("total", totals_of(days, len(period))), None
 
 
@@ -582,7 +589,11 @@ def _totals_texts(title: str, totals: Totals) -> list[str]:
 
 def place_texts(place: Place, short: bool = False) -> list[str]:
     """A place with the usual hours of every day, as of PLACE_TITLES; short: the first five."""
-    _, comes, _, leaves = usual_texts(place.hours[0])
+    usual = [usual_texts(own) for own in place.hours if own.weekday == EVERY_DAY]
+    texts = [list(dict.fromkeys(text[n] for text in usual if text[n] != NOTHING)) for n in (1, 3)]
+    if short:  # of two modes the medians
+        texts = [[text.split()[0] for text in own] if len(own) > 1 else own for own in texts]
+    comes, leaves = (", ".join(own) or NOTHING for own in texts)
     row = [fitted(one_line(place.label), 28), str(len(place.visits)), time_text(place.duration), comes, leaves]
     where = f"{place.latitude:.5f}, {place.longitude:.5f} ± {place.sigma:.0f} m" if place.sigma >= 0 else ""
     return row if short else [place.label, *row[1:], place.first, place.last, where]

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property
-from itertools import product
+from itertools import product, zip_longest
 
 import numpy as np
 
@@ -31,6 +31,7 @@ WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", 
 EVERY_DAY = "every day"  # instead of a weekday
 FEWEST_HOURS = 3  # times of a spread
 # Chosen by hand
+MODES_APART = 2.0  # [h] of two usual hours, at least
 UNOBSERVED_TIME = 900.0  # [s] of no data before a stay, below which its start counts as an arrival; departures likewise
 
 NamedArea = tuple[float, float, float, str]  # latitude, longitude [deg], radius [m], name
@@ -40,7 +41,7 @@ NamedArea = tuple[float, float, float, str]  # latitude, longitude [deg], radius
 class UsualHours:
     """When somebody first comes to a place on a day, and last leaves it: quartiles of local time [h].
 
-    NaN where fewer than FEWEST_HOURS are known.
+    Each is a time that was observed; NaN where fewer than FEWEST_HOURS are known.
 
     weekday: of the arrival or the departure, or EVERY_DAY; arrivals, departures: how many were observed.
     """
@@ -89,7 +90,7 @@ class Place(OneLineRepr):
 
     @cached_property
     def hours(self) -> tuple[UsualHours, ...]:
-        """Usual hours of every day, then of each weekday on which somebody arrived or left.
+        """Usual hours of every day, then of each weekday on which somebody arrived or left, a row for each mode.
 
         Of each date the first arrival and the last departure, if they were observed.
         """
@@ -104,9 +105,9 @@ class Place(OneLineRepr):
             # Monday is 0; 1 January 1970 was a Thursday
             own = [t[(weekday < 0) | ((np.floor(t / DAY_LENGTH) + 3) % 7 == weekday)] for t in (come, gone)]
             if weekday < 0 or any(len(time) for time in own):
-                quartiles = [clock_quartiles(time / 3600 % 24) for time in own]
                 name = EVERY_DAY if weekday < 0 else WEEKDAYS[weekday]
-                found.append(UsualHours(name, len(own[0]), quartiles[0], len(own[1]), quartiles[1]))
+                for came, left in zip_longest(*(clock_modes(time / 3600 % 24) for time in own), fillvalue=np.empty(0)):
+                    found.append(UsualHours(name, len(came), clock_quartiles(came), len(left), clock_quartiles(left)))
         return tuple(found)
 
     def _summary(self) -> list[str]:
@@ -342,12 +343,33 @@ def local_date(local: float) -> date:
 def clock_quartiles(hours: Array) -> tuple[float, float, float]:
     """Lower quartile, median and upper quartile of times of day [h]; 23:30 is near 0:30. NaN for few.
 
-    The quartiles are those of the distances, up to 12 h, from the circular mean.
+    Each is one of the times: the order is that of the distances, up to 12 h, from the circular mean.
     """
     if len(hours) < FEWEST_HOURS:
         return np.nan, np.nan, np.nan
     angle = np.asarray(hours) * np.pi / 12
     mean = np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * 12 / np.pi
     away = (np.asarray(hours) - mean + 12) % 24 - 12
-    low, middle, high = ((mean + np.quantile(away, [0.25, 0.5, 0.75])) % 24).tolist()
+    low, middle, high = ((mean + np.quantile(away, [0.25, 0.5, 0.75], method="inverted_cdf")) % 24).tolist()
     return low, middle, high
+
+
+def clock_modes(hours: Array) -> list[Array]:
+    """Times of day [h] parted into their modes of FEWEST_HOURS times or more; one of all if there are not several.
+
+    Two modes are farther apart than MODES_APART, and than four times their common spread; either half of a uniform
+    distribution is 3.5 of its spread from the other (Ashman's D: Ashman, Bird and Zepf, Astron. J. 108, 1994).
+    """
+    hours = np.sort(hours)
+    if len(hours) < 2 * FEWEST_HOURS:
+        return [hours]
+    first = int(np.argmax(np.diff(hours, prepend=hours[-1] - 24)))  # after the longest time without any
+    time = np.concatenate([hours[first:], hours[:first] + 24])
+    cuts = np.arange(FEWEST_HOURS, len(time) - FEWEST_HOURS + 1)
+    spread = [
+        np.sqrt((len(a) * a.var() + len(b) * b.var()) / len(time)) for a, b in (np.split(time, [k]) for k in cuts)
+    ]
+    parts = np.split(time, [cuts[np.argmin(spread)]])
+    if parts[1].mean() - parts[0].mean() <= max(MODES_APART, 4 * min(spread)):
+        return [hours]
+    return [mode for part in parts for mode in clock_modes(part % 24)]

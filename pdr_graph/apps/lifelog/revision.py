@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 import shutil
 import time as clock
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -51,7 +51,7 @@ from pdr_graph.apps.lifelog.overview import row_texts
 from pdr_graph.apps.lifelog.past.past_days import FOLDER as PAST
 from pdr_graph.apps.lifelog.past.past_days import PastDays, cut_past, sources_of
 from pdr_graph.apps.lifelog.places import Place, is_place
-from pdr_graph.apps.lifelog.stays_and_legs import VISIT_RADIUS, Track, on_sphere
+from pdr_graph.apps.lifelog.stays_and_legs import MOVING, VISIT_RADIUS, Track, on_sphere
 from pdr_graph.apps.lifelog.store import TOGETHER, Entry, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry
 from pdr_graph.errors import InputError, count, one_line
@@ -197,10 +197,11 @@ def state_place(store: Path, at: str, place: str, radius: float | None = None, p
 
 
 def merge(store: Path, start: str, end: str, person: str | None = None) -> list[str]:
-    """Make one stay of all rows from one time to another."""
+    """Make one stay of all rows from one time to another; also returns a line for each walk or ride that vanishes."""
     with OpenDiary.opened(store, person, start, end) as diary:
         inside = diary.between(*diary.span_of_rows(start, end))
-        return diary.make(MERGE, (inside[0].start, inside[-1].end))
+        gone = [f"no longer in the diary: {diary.text(row)}" for row in inside if row.kind in MOVING]
+        return diary.make(MERGE, (inside[0].start, inside[-1].end)) + gone
 
 
 def split(store: Path, at: str, person: str | None = None) -> list[str]:
@@ -451,7 +452,7 @@ def _forget(diary: OpenDiary, spans: Sequence[tuple[float, float]]) -> list[str]
     log.compact()
     named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
     remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
-    return lines + _still_there(log, touched, who) + ([remain] if named else [])
+    return lines + _still_there(log, touched, {who: spans}) + ([remain] if named else [])
 
 
 def _cut_correction(log: Store, correction: Correction, spans: Sequence[tuple[float, float]]) -> None:
@@ -483,20 +484,23 @@ def forget_recording(store: Path, recording: str) -> list[str]:
         _clean(log)
         lines = ["deleted: one recording", *_rebuilt(log, entry.person, dates)]
         log.compact()
-        return lines + _still_there(log, found)
+        imported = entry.epoch is not None and Path(entry.path).is_relative_to(log.folder)
+        span = (entry.epoch or 0.0, (entry.epoch or 0.0) + (entry.duration or 0.0))
+        return lines + _still_there(log, found, {entry.person: [span]} if imported else {})
 
 
 def forget_person(store: Path, person: str) -> list[str]:
-    """Delete all of a person: recordings, days, corrections, phones."""
+    """Delete all of a person: recordings, days, corrections, phones, and that times of theirs were deleted."""
     with Store(store) as log:
         who = person_of(log, person)
         found = [entry for entry in log.entries() if entry.person == who]
-        there = _still_there(log, found, who)
+        there = _still_there(log, found, {who: [ALWAYS]})
         _remove(log, found)
         log.delete_person(who)
         shutil.rmtree(PastDays(log, who).folder, ignore_errors=True)
         _clean(log)
-        return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", *there]
+        again = "nothing is kept, not even what was deleted: what is added or imported again is there again"
+        return [f"deleted: {one_line(who)}, {count(len(found), 'recording')}", again, *there]
 
 
 def _cut(log: Store, entry: Entry, spans: Sequence[tuple[float, float]]) -> bool:
@@ -543,12 +547,19 @@ def _clean(log: Store) -> None:
     log.compact()
 
 
-def _still_there(log: Store, entries: Iterable[Entry], *people: str) -> list[str]:
-    """A line for each file outside of the lifelog that still has the deleted data."""
-    own = list(entries)
-    files = [path for e in own for path in (Path(e.path), *(e.options.files.get(n) for n in ("fixes", "ranges")))]
-    files += [path for who in dict.fromkeys([*people, *(e.person for e in own)]) for path in sources_of(log, who)]
+def _still_there(
+    log: Store, entries: Iterable[Entry], deleted: Mapping[str, Sequence[tuple[float, float]]]
+) -> list[str]:
+    """A line for each file outside of the lifelog that still has the deleted data.
+
+    deleted: times of persons [s], of which imported files may have some.
+    """
+    files = [path for e in entries for path in (Path(e.path), *(e.options.files.get(n) for n in ("fixes", "ranges")))]
+    for who, times in deleted.items():
+        for path, spans in sources_of(log, who).items():
+            if not spans or any(a <= end and start <= b for a, b in spans for start, end in times):
+                files.append(path)
     beside = sorted(log.path.resolve().parent.glob(f"{log.path.stem}-*"))
     shown = [folder for folder in beside if any((folder / page).exists() for page in SHOWN_PAGES)]
-    there = dict.fromkeys(str(path) for path in (*files, *shown) if path is not None and path.exists())
-    return [f"still on your disk: {one_line(path)}" for path in there]
+    there = dict.fromkeys(path for path in (*files, *shown) if path is not None and path.exists())
+    return [f"still on your disk: {one_line(str(path))}" for path in there if not path.is_relative_to(log.folder)]

@@ -43,8 +43,8 @@ def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tup
     A gap lasts from one fix to the next. stated: activities that the person states.
     """
     way = way_through(fixes, [(start, end, ACTIVITIES.index(kind)) for start, end, kind in stated])
-    track, gone = way.trajectory, np.diff(length_along(way.trajectory.position))
-    return track, _segments(way.kind, track.time, gone, np.isin(track.time[:-1], fixes.time[way.used]))
+    track = way.trajectory
+    return track, _segments(way.kind, track.time, way.lengths, np.isin(track.time[:-1], fixes.time[way.used]))
 
 
 def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Segment, ...]:

@@ -46,7 +46,8 @@ class Track:
     """Where a person was, over all outings that are georeferenced.
 
     time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; sphere ``(n, 3)`` the same on a sphere [m]; along
-    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan.
+    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan; stepped ``(n,)`` True where steps were
+    measured.
     """
 
     time: Array
@@ -54,13 +55,18 @@ class Track:
     sphere: Array
     along: Array
     plan: Mask
+    stepped: Mask
 
     @classmethod
     def of(cls, outings: Sequence[Outing]) -> Track:
         """Construct from outings; those that are not georeferenced are left out."""
         parts = [(outing, without_gap_rows(outing)) for outing in outings if outing.frame.georeferenced]
         columns = [
-            (rows.time + outing.epoch, outing.frame.to_lonlat(rows.position), np.full(len(rows), bool(outing.plan)))
+            (
+                rows.time + outing.epoch,
+                outing.frame.to_lonlat(rows.position),
+                np.tile([bool(outing.plan), outing.steps > 0], (len(rows), 1)),
+            )
             for outing, rows in parts
             if len(rows)
         ]
@@ -69,17 +75,18 @@ class Track:
     @classmethod
     def concatenate(cls, tracks: Sequence[Track]) -> Track:
         """One track of several."""
-        return cls._of_columns([(track.time, track.lonlat, track.plan) for track in tracks])
+        marks = [np.column_stack([track.plan, track.stepped]) for track in tracks]
+        return cls._of_columns([(track.time, track.lonlat, own) for track, own in zip(tracks, marks, strict=True)])
 
     @classmethod
     def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask]]) -> Track:
-        """The track of parts with columns time, lonlat and plan, in any order."""
-        nothing = np.empty(0), np.empty((0, 2)), np.empty(0, bool)
-        time, lonlat, plan = map(np.concatenate, zip(nothing, *parts, strict=True))
+        """The track of parts with columns time, lonlat, and plan and stepped ``(n, 2)``, in any order."""
+        nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2), bool)
+        time, lonlat, marks = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
         moved = arc(np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1))
-        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan[order])
+        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), *marks[order].T)
 
     def between(self, start: float, end: float) -> slice:
         """The rows from `start` to `end`, both included."""
@@ -322,6 +329,27 @@ def _observed(parts: Sequence[TimelineEntry]) -> float:
     lasted = np.array([part.duration for part in parts])
     seen = np.array([0.0 if part.kind == GAP else part.observed for part in parts])
     return float(lasted @ seen / max(lasted.sum(), 1e-9))
+
+
+# Time [s] of a row by positions alone that was something else, mostly at its ends, whatever its length, and what that
+# was, the likelier first: `scripts/reproduce lifelog`
+OTHERWISE = {WALKING: (130.0, VEHICLE, STAY), VEHICLE: (49.0, WALKING, STAY), STAY: (330.0, WALKING, VEHICLE)}
+LIKELIER = 0.6  # share of the likelier
+
+
+def with_likely(rows: Sequence[TimelineEntry], track: Track) -> list[TimelineEntry]:
+    """The rows with what they are at a moment of theirs, and its probability; none where steps were measured."""
+    found = list[TimelineEntry]()
+    for row in rows:
+        here, kind = track.between(row.start, row.end), STAY if row.kind == STANDING else row.kind
+        seen = row.observed == 0 or here.stop > here.start
+        if kind in OTHERWISE and seen and not (track.plan[here] | track.stepped[here]).any():
+            lasts, likelier, other = OTHERWISE[kind]
+            wrong = lasts / (row.duration + lasts)
+            likely = (kind, 1 - wrong), (likelier, LIKELIER * wrong), (other, (1 - LIKELIER) * wrong)
+            row = replace(row, likely=tuple(sorted(likely, key=itemgetter(1), reverse=True)))
+        found.append(row)
+    return found
 
 
 GUESSED_SIGMA = 75.0  # [m] per axis of a place that another program guessed; as of its processed paths

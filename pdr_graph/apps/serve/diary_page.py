@@ -35,11 +35,13 @@ from pdr_graph.apps.lifelog.diary import DiaryDay, dates_of, diary
 from pdr_graph.apps.lifelog.facts import MODE_ACTIVITIES
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, MONTH, WEEK, Period, period_of
 from pdr_graph.apps.lifelog.maps import TileServer
-from pdr_graph.apps.lifelog.overview import Overview, guess_notes, overview, places_table, row_texts
+from pdr_graph.apps.lifelog.overview import Overview, entry_text, guess_notes, overview, places_table, row_texts
 from pdr_graph.apps.lifelog.overview_page import body, document, html_table, script_hash, title_of
 from pdr_graph.apps.lifelog.picture import Links, linked, tag
 from pdr_graph.apps.lifelog.show import TRACK_TOLERANCE, Choice, overview_of
+from pdr_graph.apps.lifelog.stays_and_legs import MOVING
 from pdr_graph.apps.lifelog.store import Store
+from pdr_graph.apps.lifelog.timeline import STAY
 from pdr_graph.apps.serve.access import OWNER, Access, cookie_name
 from pdr_graph.apps.serve.application import WEB, Guard, security_headers
 from pdr_graph.errors import InputError, count, one_line
@@ -300,7 +302,7 @@ def entry_page(store: Path, query: Fields, _: TileServer) -> str:
     number = query.get("n", "")
     if not NUMBER.fullmatch(number) or int(number) >= len(day.entries):
         raise InputError("n", "", number, "the number of an entry")
-    entry, after = day.entries[int(number)], day.entries[int(number) + 1 : int(number) + 2]
+    entry, later = day.entries[int(number)], day.entries[int(number) + 1 :]
     middle = _time((entry.start + entry.end) / 2, entry.offset)
     hidden = {"person": day.person, "date": day.date, "start": _time(entry.start, entry.offset), "at": middle}
     hidden |= {"end": _time(entry.end, entry.end_offset)}
@@ -316,9 +318,12 @@ def entry_page(store: Path, query: Fields, _: TileServer) -> str:
     ]
     if np.isfinite(entry.latitude):
         forms.insert(1, _form("name", hidden, "This place is called", tag("input", name="value", required="")))
-    if after:
-        both = hidden | {"end": _time(after[0].end, after[0].end_offset)}
-        forms.insert(2, _form("merge", both, "This and the next are one stay"))
+    following = next((n for n, row in enumerate(later) if row.kind == STAY), None)
+    if entry.kind == STAY and following is not None:
+        stay, gone = later[following], [entry_text(row) for row in later[:following] if row.kind in MOVING]
+        both = hidden | {"end": _time(stay.end, stay.end_offset)}
+        vanishes = f"; this vanishes: {'; '.join(gone)}" if gone else ""
+        forms.insert(2, _form("merge", both, f"This and the next stay ({entry_text(stay)}) are one{vanishes}"))
     title = f"{row_texts(entry)[0]} to {row_texts(entry)[1]}, {' '.join(filter(None, row_texts(entry)[3:]))}"
     return _page(title, "".join(forms), day.person)
 

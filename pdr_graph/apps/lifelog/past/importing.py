@@ -22,6 +22,7 @@ import numpy as np
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import END, Guess, forgotten_times
 from pdr_graph.apps.lifelog.ingest import DEFAULT_PERSON
+from pdr_graph.apps.lifelog.local_time import checked_zone
 from pdr_graph.apps.lifelog.past import google, tracks
 from pdr_graph.apps.lifelog.past.past_days import FOLDER, Changes, PastDays, add_sources, enter
 from pdr_graph.apps.lifelog.past.past_rows import Batch, DaySpill, Format, assumed_accuracy, day_of, metres_of
@@ -30,7 +31,8 @@ from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.errors import InputError, count, quoted
 from pdr_graph.io.past_day import GOOGLE_PATH, MS, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import RADIUS_68
+from pdr_graph.io.validation import NO_ZONE, RADIUS_68
+from pdr_graph.types import DAY_LENGTH
 
 # The first whose sign a file has reads it
 PAST_FORMATS = (
@@ -168,17 +170,20 @@ def import_past(
     files: Sequence[Path],
     person: str | None = None,
     progress: Progress = lambda stage, done, total: None,
+    zone: str | None = None,
 ) -> ImportResult:
     """Import timelines of a person into a lifelog, which is created if it does not exist.
 
     files: of PAST_FORMATS, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
-    has deleted stays deleted. A file that is damaged from some place on is imported up to there.
+    has deleted stays deleted. A file that is damaged from some place on is imported up to there. zone: of times that
+    state none, LOCAL_ZONE for that of each position; UTC by default, with a note.
 
     Raises InputError if the person's name or the lifelog cannot be used; OSError of the disk.
     """
     person = DEFAULT_PERSON if person is None else person
     if not (person.strip() and person.isprintable()):
         raise InputError("--person", "", repr(person), "a name")
+    zone = None if zone is None else checked_zone(zone)
     found, skipped, notes, refused = find_files(files)
     if not found:
         return ImportResult(Changes(), 0, 0, skipped, tuple(notes), tuple(refused))
@@ -187,7 +192,7 @@ def import_past(
         folder = log.folder / FOLDER
         cache.remove_partial_copies(folder)
         with DaySpill(folder, POSITION) as positions, DaySpill(folder, SIGHTING) as sightings:
-            reading = _Reading(log, person, sum(file.size for file in found), progress)
+            reading = _Reading(log, person, sum(file.size for file in found), progress, zone)
             for file in found:
                 refused += reading.read(file, positions, sightings)
             past, changed = PastDays(log, person), Changes()
@@ -204,7 +209,7 @@ def import_past(
             log.put_guesses(person, (guess for guess in reading.guesses if guess.kind == END))
             placed = past.place_scans()
             enter(log, past, past.days())
-        add_sources(log, person, {file.source.path for file in found})
+        add_sources(log, person, {path: sorted(own.values()) for path, own in reading.spans.items()})
         result = ImportResult(changed, guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
         is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
     if is_new and is_empty:
@@ -236,27 +241,32 @@ def _doubts(rows: Rows, sources: Sequence[str]) -> tuple[str, ...]:
 class _Reading:
     """Reads files into the spills; guesses: those that are kept."""
 
-    def __init__(self, log: Store, person: str, size: int, progress: Progress):
-        self._size, self._progress = size, progress
+    def __init__(self, log: Store, person: str, size: int, progress: Progress, zone: str | None):
+        self._size, self._progress, self._zone = size, progress, zone
         self._done = 0
         self._forgotten = forgotten_times(log.corrections(person))
         self.guesses, self.notes = list[Guess](), list[str]()
         self.files = defaultdict[int, list[str]](list)  # of each day
+        self.spans = defaultdict[Path, dict[int, tuple[float, float]]](dict)  # of each path and UTC day [s]
 
     def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
         """Read a file; returns why it is refused, or where it is damaged, on a line."""
-        refused, valid, left_out, others = list[str](), 0, Counter[str](), 0
+        refused, valid, left_out, others, last = list[str](), 0, Counter[str](), 0, np.inf
         try:
-            for batch in file.batches(self._advance):
+            for raw in file.batches(self._advance):
+                batch = raw if self._zone is None else raw.in_zone(self._zone)
+                batch = batch.after(last)
+                last = batch.positions["time"][-1] / MS if len(batch.positions) else last
                 valid, left_out = valid + len(batch.positions), left_out + batch.left_out
                 others += len(batch.guesses) + len(batch.sightings)
+                self._remember(file.source.path, batch)
                 positions.add(kept_rows := self._kept(batch.positions))
                 for day in set(day_of(kept_rows).tolist()):
                     self.files[day] += [] if file.where in self.files[day] else [file.where]
                 sightings.add(self._kept(batch.sightings))
                 touched = self._forgotten
                 self.guesses += [g for g in batch.guesses if not any(a <= g.stop and b >= g.start for a, b in touched)]
-                notes = (f"{file.where}: {note}" for note in batch.notes)
+                notes = (f"{file.where}: {note}{' (--zone)' if note == NO_ZONE else ''}" for note in batch.notes)
                 self.notes += [note for note in notes if note not in self.notes]
         except InputError as error:
             before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
@@ -268,6 +278,17 @@ class _Reading:
         elif not valid + others and not refused:
             self.notes.append(f"{file.where}: {file.format.name} without a position, visit or activity")
         return refused
+
+    def _remember(self, path: Path, batch: Batch) -> None:
+        """Note the times of all rows of a file, also of those that the person has deleted."""
+        own, time = self.spans[path], np.concatenate([batch.positions["time"], batch.sightings["time"]]) / MS
+        start = np.concatenate([time, [guess.start for guess in batch.guesses]])
+        end = np.concatenate([time, [guess.stop for guess in batch.guesses]])
+        day = start // DAY_LENGTH
+        for number in np.unique(day).tolist():
+            first, last = own.get(int(number), (np.inf, -np.inf))
+            inside = day == number
+            own[int(number)] = min(first, float(start[inside].min())), max(last, float(end[inside].max()))
 
     def _advance(self, size: int) -> None:
         self._done += size

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -354,15 +354,19 @@ class PastDays:
         return (int(match[1]), int(match[2])) if match else (0, 0)
 
 
-def sources_of(store: Store, person: str) -> list[Path]:
-    """The files, folders and zips that were imported for a person."""
-    return [Path(path) for path in json.loads(store.setting(SOURCES + person) or "[]")]
+Spans = list[tuple[float, float]]  # Unix times of the first and last row of each day [s]
 
 
-def add_sources(store: Store, person: str, paths: Iterable[Path]) -> None:
+def sources_of(store: Store, person: str) -> dict[Path, Spans]:
+    """The files, folders and zips that were imported for a person, with their times: none if these are not known."""
+    stored = json.loads(store.setting(SOURCES + person) or "{}")  # a list of earlier versions
+    return {Path(path): [(a, b) for a, b in stored[path]] if isinstance(stored, dict) else [] for path in stored}
+
+
+def add_sources(store: Store, person: str, spans: Mapping[Path, Spans]) -> None:
     """Remember what was imported for a person, to name it when something is deleted."""
-    every = {*sources_of(store, person), *(path.resolve() for path in paths)}
-    store.put_setting(SOURCES + person, json.dumps(sorted(map(str, every))))
+    every = sources_of(store, person) | {path.resolve(): own for path, own in spans.items()}
+    store.put_setting(SOURCES + person, json.dumps({str(path): every[path] for path in sorted(every)}))
 
 
 def about(day: int) -> tuple[int, ...]:

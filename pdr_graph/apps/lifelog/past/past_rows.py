@@ -17,6 +17,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO
@@ -25,15 +26,19 @@ import numpy as np
 
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.facts import Guess
+from pdr_graph.apps.lifelog.local_time import zone_at, zone_named
 from pdr_graph.errors import count
 from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.validation import (
+    LOST_WEEKS,
     NO_ZONE,
     RECEIVER,
+    ROLLOVER,
     float_of,
     in_seconds,
     plausible_times,
+    rolls_over,
     unix_time,
     unix_times,
     without_rollover,
@@ -44,13 +49,14 @@ from pdr_graph.types import Array, Index, Mask, OneLineRepr
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
 
 
+QUARTER_MS = int(900 * MS)  # changes of local time are at full quarters
 FIRST_TIME = 315_964_800.0  # [s] Unix time of 1980-01-06, the first of GPS
 
 
 @dataclass(frozen=True)
 class Batch(OneLineRepr):
     """Some rows of a file. positions: of POSITION; sightings: of SIGHTING; left_out: number of invalid positions by
-    reason; notes: warnings, a line each.
+    reason; notes: warnings, a line each; unzoned: positions whose time has no zone.
     """
 
     positions: Rows = field(default_factory=lambda: np.empty(0, POSITION))
@@ -58,6 +64,31 @@ class Batch(OneLineRepr):
     guesses: tuple[Guess, ...] = ()
     left_out: Counter[str] = field(default_factory=Counter[str])
     notes: tuple[str, ...] = ()
+    unzoned: Index = field(default_factory=lambda: np.empty(0, np.intp))
+
+    def after(self, last: float) -> Batch:
+        """The batch of a track, put right if it is 1024 weeks before the `last` time of the batch before [s]."""
+        if not len(self.positions) or not rolls_over(self.positions["time"][0] / MS - last):
+            return self
+        positions = self.positions.copy()
+        positions["time"] += round(ROLLOVER * MS)
+        return replace(self, positions=positions, notes=(*self.notes, f"positions: {LOST_WEEKS}"))
+
+    def in_zone(self, zone: str) -> Batch:
+        """The batch with times without a zone as those of a zone, "" for that of each position."""
+        if not len(self.unzoned):
+            return self
+        positions, offsets = self.positions.copy(), dict[tuple[str, int], int]()
+        for n in self.unzoned.tolist():
+            time, lat, lon = (int(positions[name][n]) for name in ("time", "lat", "lon"))
+            key = zone or zone_at(lat / E7, lon / E7), time // QUARTER_MS
+            if key not in offsets:
+                local = datetime.fromtimestamp(time / MS, UTC).replace(tzinfo=zone_named(key[0]))
+                offsets[key] = round((local.utcoffset() or timedelta()).total_seconds() * MS)
+            positions["time"][n] = time - offsets[key]
+        where = zone or "where they were"
+        notes = (NO_ZONE.replace("UTC", f"those of {where}") if note == NO_ZONE else note for note in self.notes)
+        return replace(self, positions=positions, notes=tuple(notes))
 
     def _summary(self) -> list[str]:
         parts = [count(len(self.positions), "position"), count(len(self.sightings), "reception")]
@@ -75,11 +106,13 @@ class Format:
     rows: Callable[[BinaryIO, str], Iterator[Batch]]
 
 
-def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source: Any) -> Batch:
+def valid_positions(
+    time: Array, lat: Array, lon: Array, accuracy: Array, source: Any, unzoned: Mask | None = None
+) -> Batch:
     """The valid positions, and how many are invalid for which reason.
 
     time: ``(n,)`` Unix times [s, ms, µs or ns]; lat, lon: [deg]; accuracy: 68 % radius [m], not above 0 or NaN if
-    unknown; each NaN where missing. source: number in SOURCES, of all or ``(n,)``.
+    unknown; each NaN where missing. source: number in SOURCES, of all or ``(n,)``; unzoned: as of `Batch`, a mask.
     """
     time = in_seconds(time)
     with np.errstate(invalid="ignore"):
@@ -106,7 +139,7 @@ def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source
     radius = np.clip(np.rint(np.where(stated, np.minimum(accuracy, 10_000_000.0), 0)[valid] * CM), 1, None)
     rows["accuracy"] = np.where(stated[valid], radius, NO_ACCURACY)
     rows["source"] = source[valid] if isinstance(source, np.ndarray) else source
-    return Batch(rows, left_out=left_out)
+    return Batch(rows, left_out=left_out, unzoned=np.flatnonzero([] if unzoned is None else unzoned[valid]))
 
 
 Point = tuple[Any, tuple[float, float], float, int]  # time, latitude and longitude [deg], accuracy [m], source
@@ -124,10 +157,12 @@ def batch_of(
     """
     texts, notes = [point[0] for point in points], list[str]()
     time = without_rollover(unix_times(texts), "positions", notes)
-    notes += [NO_ZONE] if zoneless(texts) else []
+    unzoned = zoneless(texts)
+    notes += [NO_ZONE] if unzoned.any() else []
     lat, lon = np.array([point[1] for point in points], float).reshape(-1, 2).T
     accuracy = np.array([point[2] for point in points], float)
-    batch = valid_positions(time, lat, lon, accuracy, np.array([point[3] for point in points], np.uint8))
+    source = np.array([point[3] for point in points], np.uint8)
+    batch = valid_positions(time, lat, lon, accuracy, source, unzoned)
     items = tuple(guesses)
     valid = tuple(item for item in items if math.isfinite(item.start))
     lost = {"unreadable": unreadable, "a visit or activity without a valid time": len(items) - len(valid)}
