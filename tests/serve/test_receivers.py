@@ -150,6 +150,29 @@ async def test_receivers_place_a_phone_that_nothing_else_does(tmp_path, port, mo
         assert np.hypot(*(there - (walker.pose["x"], walker.pose["y"]))) < 5.0
 
 
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_states_of_bermuda_are_levels_of_the_walk(tmp_path, port):
+    """As Home Assistant's statestream publishes them: retained, of all its sensors."""
+    entity = "homeassistant/sensor/alice_unfiltered_distance_to_{}/state".format
+    receivers = receivers_of(broker_of(f"mqtt://127.0.0.1:{port}"), [f"{PHONE}=alice"], ["Kitchen"])
+    app = build(Settings(tmp_path, workers=0, sources=Sources(receivers=receivers)))
+    async with aiomqtt.Client("127.0.0.1", port) as home:
+        await home.publish(entity("kitchen"), "1.0", qos=1, retain=True)
+    async with aiomqtt.Client("127.0.0.1", port) as home, app.router.lifespan_context(app):
+        server = app.state.server.reception
+        server.receive(SENSOR_LOGGER, OWNER, bodies(outdoors())[0])
+        while not receivers.unplaced:  # nobody listens yet
+            await home.publish(entity("garage"), "3.0", retain=True)
+            await asyncio.sleep(0.05)
+        assert logged(server) == 0, "a state of before the connection is of any age"
+        for topic, value in (("sensor/outdoor_temperature", "21.5"), ("sensor/alice_area", "Kitchen")):
+            await home.publish(f"homeassistant/{topic}/state", value, retain=True)
+        for value in ("10.0", "unavailable", "5.5"):
+            await home.publish(entity("kitchen"), value, retain=True)
+        await soon(lambda: logged(server) == 2)
+
+
 @contextlib.contextmanager
 def served(folder):
     """A server whose receiver of the kitchen has a place, and what it says."""

@@ -42,7 +42,7 @@ from pdr_graph.apps.serve import publishing
 from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, is_own, token_of
 from pdr_graph.apps.serve.publishing import Hub, Published, plan_layers
 from pdr_graph.apps.serve.reception import Reception
-from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.sensor_messages import OWNTRACKS, SENSOR_LOGGER
 from pdr_graph.apps.serve.study import StudyReports, upload_of
 from pdr_graph.errors import InputError
 
@@ -232,7 +232,7 @@ async def sensorlogger(request: Request) -> Response:
 async def owntracks(request: Request) -> Response:
     """A message of OwnTracks; answered by an empty list of commands."""
     user, device = (request.headers.get(f"x-limit-{letter}", "") for letter in "ud")
-    await _receive(request, "owntracks", device or user)
+    await _receive(request, OWNTRACKS, device or user)
     return JSONResponse([])
 
 

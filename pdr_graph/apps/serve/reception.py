@@ -157,7 +157,7 @@ class Reception:
         """Log a message; returns a text to show to the user of the phone, once, or "".
 
         protocol: SENSOR_LOGGER or that of an app for positions; platform: "ios" or "android" if it was stated; name: of
-        the device if the message has none. Raises HTTPException, and InputError for a malformed message.
+        the device, if not as in the message. Raises HTTPException, and InputError for a malformed message.
         """
         if platform and platform not in PLATFORMS:
             raise HTTPException(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
@@ -176,7 +176,7 @@ class Reception:
             device, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
-            key = label = one_line(device or name or "phone")[:64]
+            key = label = one_line(name or device or "phone")[:64]
             phone, sampled = "", []
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
         state = self._state(protocol, user, key, label, platform, phone)
