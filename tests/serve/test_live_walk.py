@@ -16,7 +16,7 @@ from pdr_graph.apps.serve import live_walk
 from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session, finish
 from pdr_graph.errors import InputError
 from pdr_graph.online.interface import events_of
-from pdr_graph.online.journal import MESSAGES, Entry, read_body, read_entries
+from pdr_graph.online.journal import END, MESSAGES, Entry, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 
 SECONDS = 20
@@ -189,6 +189,16 @@ def test_a_clock_hours_off_is_an_issue(messages, tmp_path):
     assert "the phone's clock is 2.0 h behind this machine's" in used(opened(tmp_path))["issues"]
 
 
+def test_positions_that_a_clock_set_back_leaves_out_are_an_issue(tmp_path):
+    """The machine's, by three hours, between two messages of positions alone."""
+    log = MessageLog(tmp_path / LOG)
+    for n in range(4):
+        body = json.dumps(sensor_logger(n, EPOCH + n, 11.0)).encode()
+        log.add(n, EPOCH + n - (3 * 3600.0 if n > 1 else 0.0), body)
+    log.close()
+    assert "the phone's clock is 3.0 h ahead of this machine's" in used(opened(tmp_path))["issues"]
+
+
 def entry(identity, received=0.0):
     return Entry(identity, received, identity, identity + 1)
 
@@ -282,7 +292,7 @@ def test_a_message_that_is_damaged_or_cut_short_by_a_kill_is_no_message(tmp_path
     log.add(1, 0.0, b"one")
     log.add(2, 0.0, b"two" * 100)
     log.close()
-    whole = (tmp_path / "log").read_bytes()
+    whole = (tmp_path / "log").read_bytes().removesuffix(END)
     for damaged in (whole[:-1] + b"?", *(whole[:end] for end in range(len(MESSAGES), len(whole)))):
         (tmp_path / "log").write_bytes(damaged)
         log = MessageLog(tmp_path / "log")

@@ -31,7 +31,7 @@ from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
 from pdr_graph.online.interface import Event
-from pdr_graph.online.journal import MESSAGES, Entry, RecordLog, read_body, read_entries
+from pdr_graph.online.journal import END, MESSAGES, Entry, RecordLog, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Trajectory
 
@@ -164,7 +164,7 @@ class LiveWalk:
             self._read_until = entry.end
             self._damaged += entry.skipped
             self._queue.add(entry)
-        self._unfinished = (self.folder / LOG).stat().st_size - self._read_until
+        self._unfinished = max(0, (self.folder / LOG).stat().st_size - len(END) - self._read_until)
 
     @property
     def due(self) -> float:
@@ -194,8 +194,8 @@ class LiveWalk:
             self._refused += 1
             return True
         self._push(events)
-        if events:
-            sensed, at = np.isfinite(self.intake.latest), self.intake.origin + self.intake.latest
+        sensed, at = np.isfinite(self.intake.latest), self.intake.origin + self.intake.latest
+        if events or not sensed:  # positions that are long ahead give no event
             # Positions alone may be queued: late is no error
             self._clock_error = at - entry.received if sensed else max(self.intake.ahead, 0.0)
         return True
