@@ -16,7 +16,7 @@ from streamed_walks import bodies, local_server, outdoors, soon
 
 from pdr_graph.apps.serve import reception
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.live_walk import write_recording
+from pdr_graph.apps.serve.live_walk import LOG, write_recording
 from pdr_graph.apps.serve.pulling import Sources, broker_of
 from pdr_graph.apps.serve.receivers import heard, receivers_of, take
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -25,6 +25,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.online.journal import read_entries
 from pdr_graph.options import Options
 
 aiomqtt = pytest.importorskip("aiomqtt")
@@ -124,7 +125,7 @@ async def walked(folder, port, monkeypatch, late):
 
 def logged(server, session="walk-one"):
     """Number of levels in the log of a walk."""
-    return sum(identity < 0 for identity in server._log(session).identities)
+    return sum(entry.identity < 0 for entry in read_entries(server.root / session / LOG))
 
 
 def all_logged(server, published):

@@ -317,6 +317,21 @@ def test_all_walks_that_end_together_have_their_recordings(tmp_path):
         until(lambda: len(recordings(tmp_path)) == len(ids))
 
 
+def test_the_latest_finished_walks_are_shown_and_the_others_are_kept(tmp_path):
+    """Without a word to those who see them: "forgotten" would remove the phone's device from Home Assistant."""
+    with local_server(tmp_path, limits=Limits(shown=1)) as client:
+        hub = client.app.state.server.hub
+        viewer = hub.subscribe(OWNER)
+        for n in range(2):
+            place = {"id": f"w{n}", "lat": 48.1, "lon": 11.5, "timestamp": 1_700_000_000}
+            client.get("/osmand", params=place).raise_for_status()
+            [id_] = [each["id"] for each in client.get("/walkers").json() if each["name"] == f"w{n}"]
+            client.post(f"/walkers/{id_}/finish").raise_for_status()
+            until(lambda id_=id_: hub.walkers[id_].pose["state"] == "finished")
+        until(lambda: {each["name"] for each in client.get("/walkers").json()} == {"w1"})
+        assert "forgotten" not in {kind for kind, _ in viewer.events()}
+
+
 def recordings(folder):
     return sorted(folder.glob("sessions/*/recording.*"))
 

@@ -278,7 +278,7 @@ async def walker(request: Request) -> Response:
 async def geojson(request: Request) -> Response:
     """The path of a walker, finalised and current part, and its pose."""
     walker = _walker(request)
-    content = publishing.walk_geojson(walker.pose, walker.finalised, walker.current)
+    content = publishing.walk_geojson(walker.pose, walker.path()["finalised"], walker.current)
     return _json(content, "application/geo+json")
 
 

@@ -405,7 +405,7 @@ def receiving_once(reception: Reception, say: Say) -> Callable[[str, bytes], Non
             elif kind == "encrypted":
                 raise InputError("message", "", "OwnTracks with encryption", "none: the broker may use TLS")
             else:
-                reception.receive(OWNTRACKS, OWNER, body, name=" ".join(topic.split("/")[-2:]))  # user, device
+                reception.receive(OWNTRACKS, OWNER, body, device=" ".join(topic.split("/")[-2:]))  # user, device
         except (HTTPException, InputError) as refused:
             text = str(refused.detail if isinstance(refused, HTTPException) else refused)
             kind = re.sub(r"\d+", "", text)

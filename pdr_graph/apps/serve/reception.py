@@ -153,11 +153,14 @@ class Reception:
 
     # ── messages ────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def receive(self, protocol: str, user: str, body: bytes, platform: str = "", name: str = "") -> str:
+    def receive(
+        self, protocol: str, user: str, body: bytes, platform: str = "", name: str = "", device: str = ""
+    ) -> str:
         """Log a message; returns a text to show to the user of the phone, once, or "".
 
         protocol: SENSOR_LOGGER or that of an app for positions; platform: "ios" or "android" if it was stated; name: of
-        the device, if not as in the message. Raises HTTPException, and InputError for a malformed message.
+        the device if the message has none; device: its name, whatever a message of positions says. Raises
+        HTTPException, and InputError for a malformed message.
         """
         if platform and platform not in PLATFORMS:
             raise HTTPException(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
@@ -173,10 +176,10 @@ class Reception:
             sampled = [sample.time for sample in message.payload]
             label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
         else:
-            device, fixes = sensor_messages.parse_positions(protocol, body)
+            stated, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
-            key = label = one_line(name or device or "phone")[:64]
+            key = label = one_line(device or stated or name or "phone")[:64]
             phone, sampled = "", []
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
         state = self._state(protocol, user, key, label, platform, phone)
@@ -368,9 +371,14 @@ class Reception:
         self._close(state.session.id)
         walker = self.hub.walkers.get(state.session.id)
         if walker is not None:
-            path = {"finalised": walker.finalised, "current": walker.current}
+            path = {"finalised": walker.path()["finalised"], "current": walker.current}
             published = encode_json({"pose": walker.pose, "path": path}).encode()
             write(self.root / state.session.id / PUBLISHED, published, durable=True)
+        ended = [
+            each for each in self._states.values() if each.session.finished and each.session.id in self.hub.walkers
+        ]
+        for each in sorted(ended, key=lambda each: each.last_received)[: -self.limits.shown]:
+            self.hub.retire(each.session.id)
         await self._record(state)
 
     def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
