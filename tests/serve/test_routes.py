@@ -424,6 +424,19 @@ def test_a_flood_is_refused_and_told_when_to_come_again(client):
     client.delete("/walkers/flood")
 
 
+def test_the_flood_of_a_user_keeps_nobody_else_out(tmp_path, monkeypatch):
+    """By requests, and by the bytes of all sessions together."""
+    monkeypatch.setattr(application, "REQUESTS", (0.01, 500.0))
+    first, second = first_message("one"), first_message("two")
+    limits = replace(LIMITS, user_rate=0.01, burst=150.0 * len(first))  # a message and a half at once
+    with TestClient(build(Settings(tmp_path, workers=0, tokens=TOKENS, limits=limits)), headers=OWN) as client:
+        assert post(client, first, headers=ANN).status_code in (200, 499)
+        assert "of a user" in one_line(post(client, second, headers=ANN), 429)
+        statuses = [client.get("/walkers", headers=ANN).status_code for _ in range(5)]
+        assert statuses == [200] * 3 + [429] * 2
+        assert post(client, first_message("three")).status_code in (200, 499)
+
+
 def test_too_many_sessions_of_a_user_are_refused(client):
     names = [f"many{n:04d}" for n in range(LIMITS.sessions + 1)]
     answers = [post(client, first_message(name), headers=ANN) for name in names]

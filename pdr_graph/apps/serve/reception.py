@@ -22,6 +22,7 @@ from starlette.exceptions import HTTPException
 
 from pdr_graph.apps.lifelog.cache import write
 from pdr_graph.apps.serve import sensor_messages
+from pdr_graph.apps.serve.access import Allowance
 from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.live_walk import (
     LOG,
@@ -49,15 +50,16 @@ PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 class Limits:
     """Limits of what a phone may send. Chosen by hand: a phone with five sensors at 100 Hz sends 50 kB/s.
 
-    body: of a message [bytes]; samples: of a message; rate: of a session on average [bytes/s], over ``burst`` seconds;
-    sessions: that are not finished, of a user; idle: time without a message after which a session is finished [s], by
-    protocol; silent: from which on a session may be ended for a new one [s]; shown: number of finished sessions on the
-    page; open_logs: files that are kept open.
+    body: of a message [bytes]; samples: of a message; rate, user_rate: of a session and of a user on average [bytes/s],
+    over ``burst`` seconds; sessions: that are not finished, of a user; idle: time without a message after which a
+    session is finished [s], by protocol; silent: from which on a session may be ended for a new one [s]; shown: number
+    of finished sessions on the page; open_logs: files that are kept open.
     """
 
     body: int = 8 << 20
     samples: int = 200_000
     rate: float = 1e6
+    user_rate: float = 1e7
     burst: float = 30.0
     sessions: int = 200
     idle: float = 600.0
@@ -69,14 +71,13 @@ class Limits:
 
 @dataclass
 class State:
-    """A session in memory. credit: bytes that it may send now; announced: its process has yet to look into its log;
+    """A session in memory. allowance: bytes that it may send; announced: its process has yet to look into its log;
     ending: it is being finished; behind: times from the last sample to the arrival of the last messages
     [s], the least of which is how far the phone's clock is behind this machine's, but for the fastest delivery.
     """
 
     session: Session
-    credit: float
-    credited: float
+    allowance: Allowance
     last_received: float
     announced: bool = False
     ending: bool = False
@@ -106,6 +107,7 @@ class Reception:
         self.root, self.hub, self.limits = root, hub, limits or Limits()
         self._finishing, self._say = finishing, say
         self._states = dict[str, State]()
+        self._allowances = dict[str, Allowance]()  # of users [bytes]
         self._logs = OrderedDict[str, MessageLog]()
         self._background = set[asyncio.Task[Any]]()
         self.estimators: Estimators | None = None
@@ -127,7 +129,7 @@ class Reception:
             except (OSError, InputError) as error:
                 self._say(f"session left out: {one_line(str(error))}")
                 continue
-            self._states[session.id] = State(session, self.limits.rate * self.limits.burst, time.monotonic(), last)
+            self._states[session.id] = State(session, Allowance(self.limits.rate, self.limits.burst), last)
             if session.finished:
                 finished.append((last, session, file.parent))
             else:
@@ -245,7 +247,7 @@ class Reception:
             self._make_room(user)
             session = Session(id_, key, label, user, protocol, platform, time.time(), phone=phone)
             (self.root / id_).mkdir(exist_ok=True, mode=0o700)
-            state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
+            state = State(session, Allowance(self.limits.rate, self.limits.burst), session.began)
             self._store(state, session)
             self._states[id_] = state
             self.hub.pose(user, blank_pose(session))
@@ -274,15 +276,13 @@ class Reception:
         write_session(self.root / session.id, session)
 
     def _charge(self, state: State, size: int) -> None:
-        """Raise HTTPException if a session sends more than its rate."""
-        now, most = time.monotonic(), self.limits.rate * self.limits.burst
-        state.credit = min(most, state.credit + (now - state.credited) * self.limits.rate)
-        state.credited = now
-        if size > state.credit:
-            wait = (size - state.credit) / self.limits.rate
-            text = f"found more than {self.limits.rate / 1e6:.1f} MB/s of a session, expected a phone's sensors"
-            raise HTTPException(429, text, {"Retry-After": f"{wait + 1:.0f}"})
-        state.credit -= size
+        """Raise HTTPException if a session, or its user, sends more than its rate."""
+        limits, user = self.limits, state.session.user
+        of_user = self._allowances.setdefault(user, Allowance(limits.user_rate, limits.burst))
+        for allowance, rate, of in ((state.allowance, limits.rate, "session"), (of_user, limits.user_rate, "user")):
+            if wait := allowance.use(size):
+                text = f"found more than {rate / 1e6:.1f} MB/s of a {of}, expected a phone's sensors"
+                raise HTTPException(429, text, {"Retry-After": f"{wait + 1:.0f}"})
 
     def _log(self, id_: str) -> MessageLog:
         if id_ not in self._logs:
