@@ -1,12 +1,14 @@
 """The routes: what is posted is published; every fault has a status code and one line."""
 
 import base64
+import errno
 import gzip
 import hashlib
 import json
 import re
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from starlette.testclient import TestClient
 from streamed_walks import bodies, finished_recording, local_server, outdoors, until, used
 
 import pdr_graph
-from pdr_graph.apps.serve import application
+from pdr_graph.apps.serve import application, reception
 from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
 from pdr_graph.apps.serve.live_walk import read_session, write_session
 from pdr_graph.apps.serve.reception import Limits
@@ -435,6 +437,24 @@ def test_the_flood_of_a_user_keeps_nobody_else_out(tmp_path, monkeypatch):
         statuses = [client.get("/walkers", headers=ANN).status_code for _ in range(5)]
         assert statuses == [200] * 3 + [429] * 2
         assert post(client, first_message("three")).status_code in (200, 499)
+
+
+def test_a_full_disk_takes_no_first_message_and_puts_off_the_end_of_a_walk(tmp_path, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(reception, "END_AGAIN", 0.2)
+    with local_server(tmp_path) as client:
+        assert post(client, first_message("earlier")).status_code in (200, 499)
+        with monkeypatch.context() as disk:
+            disk.setattr(reception, "write_session", Mock(side_effect=full))
+            for path, body in (("/sensorlogger", first_message("new")), ("/owntracks", json.dumps(PLACE).encode())):
+                answer = post(client, body, path)
+                assert "No space" in one_line(answer, 507)
+                assert answer.headers["Retry-After"]
+            client.post("/walkers/earlier/finish").raise_for_status()
+            until(lambda: any("the end is tried again" in issue for issue in used(client, 0)["issues"]))
+        assert [each["id"] for each in client.get("/walkers").json()] == ["earlier"]
+        until(lambda: used(client, 0)["state"] == "finished" and recordings(tmp_path))
+        assert post(client, first_message("new")).status_code in (200, 499)
 
 
 def test_too_many_sessions_of_a_user_are_refused(client):

@@ -42,6 +42,7 @@ from pdr_graph.io.sensor_logger import NANOSECOND
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.storage import decode_json, encode_json
 
+END_AGAIN = 60.0  # [s] after which a walk is ended again whose end the disk did not take
 LATEST = 1 << 62  # [ns] Unix time that a sample may state
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -184,10 +185,10 @@ class Reception:
             key = label = one_line(device or stated or name or "phone")[:64]
             phone, sampled = "", []
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
-        state = self._state(protocol, user, key, label, platform, phone)
-        self._charge(state, len(body))
         now = time.time()
         try:
+            state = self._state(protocol, user, key, label, platform, phone)
+            self._charge(state, len(body))
             if self._log(state.session.id).add(identity, now, body):
                 state.last_received, state.ending = now, False
                 if sampled:
@@ -272,8 +273,8 @@ class Reception:
 
     def _store(self, state: State, session: Session) -> None:
         """Write what a session is; a power cut leaves the former file or this one."""
-        state.session = session
         write_session(self.root / session.id, session)
+        state.session = session
 
     def _charge(self, state: State, size: int) -> None:
         """Raise HTTPException if a session, or its user, sends more than its rate."""
@@ -367,19 +368,30 @@ class Reception:
         """Store what is published of a finished session, and make its recording."""
         if state.announced:
             return  # a message came meanwhile
-        self._store(state, replace(state.session, finished=True, recorded=False))
-        self._close(state.session.id)
         walker = self.hub.walkers.get(state.session.id)
-        if walker is not None:
-            path = {"finalised": walker.path()["finalised"], "current": walker.current}
-            published = encode_json({"pose": walker.pose, "path": path}).encode()
-            write(self.root / state.session.id / PUBLISHED, published, durable=True)
+        try:
+            if walker is not None:
+                path = {"finalised": walker.path()["finalised"], "current": walker.current}
+                published = encode_json({"pose": walker.pose, "path": path}).encode()
+                write(self.root / state.session.id / PUBLISHED, published, durable=True)
+            self._store(state, replace(state.session, finished=True, recorded=False))
+        except OSError as error:
+            issue = f"the disk of the server: {error.strerror or error}; the end is tried again"
+            if walker is not None:
+                self.hub.pose(state.session.user, walker.pose | {"issues": [issue]})
+            asyncio.get_running_loop().call_later(END_AGAIN, self._end_again, state)
+            return
+        self._close(state.session.id)
         ended = [
             each for each in self._states.values() if each.session.finished and each.session.id in self.hub.walkers
         ]
         for each in sorted(ended, key=lambda each: each.last_received)[: -self.limits.shown]:
             self.hub.retire(each.session.id)
         await self._record(state)
+
+    def _end_again(self, state: State) -> None:
+        if state.ending and state.session.id in self._states:  # no message since
+            self.finish(state.session.id)
 
     def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
