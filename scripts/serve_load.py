@@ -1,10 +1,14 @@
-"""Load of `pdr-graph serve` by simulated phones on loopback: the figures of docs/serving.md.
+"""Load of `pdr-graph serve` by simulated phones on loopback: the figures of docs/serving.md and docs/reliability.md.
 
     python scripts/serve_load.py PHONES [PHONES ...] [--workers 2] [--seconds 60] [--option=--map --option=FILE]
+    python scripts/serve_load.py PHONES --hours HOURS [--row 3600]     as fast as one core takes them
 
 Each phone posts a message of Sensor Logger every second: accelerometer, gyroscope and magnetometer at 100 Hz and GNSS
 at 1 Hz; every fourth phone has no GNSS. The delay of a pose is the time from the POST to the event `pose` that has its
 message. The load generator prepares all messages before; its processor time is stated beside that of the server.
+
+With --hours a phone sends a message each second of its time: a position, and in the first minute of each row, of so
+many seconds, the sensors too. At its end one message of each phone is timed while nothing else waits.
 """
 
 import argparse
@@ -44,10 +48,18 @@ HEADER += ["serving / estimating, cores", "load generator / other programs, core
 class Server:
     """`pdr-graph serve` in its processes, on a free port."""
 
-    def __init__(self, folder, *options):
+    def __init__(self, folder, *options, cores=None):
+        def pin():
+            os.sched_setaffinity(0, cores or os.sched_getaffinity(0))
+
         command = [sys.executable, "-c", SERVE, "serve", "--port", "0", "--out", str(folder), *options]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+            preexec_fn=pin,
         )
         first = self.process.stdout.readline()
         if not first:
@@ -228,11 +240,116 @@ def measure(counts, workers, seconds, options):
             print(f"refused: {len(delays.refused)} messages, status {sorted(set(delays.refused))}")
 
 
+WALK, AHEAD = 60, 30  # messages of a walk, and those of a phone that may wait
+COLUMNS = ["hours", "messages", "CPU of a message, serving / estimating [ms]", "idle: acknowledged p50 / max [ms]"]
+COLUMNS += ["idle: pose p50 / max [ms]", "serving / estimating [MB]", "files [MB]"]
+
+
+class Day:
+    """The messages of a phone, one for each second; ``used``: how many of them are part of its pose."""
+
+    def __init__(self, name, walk, begin, row):
+        self.name, self.begin, self.sent, self.used, self._walk, self.row = name, begin, 0, 0, walk, row
+        self._last = next(sample for part in reversed(walk) for sample in part if sample["name"] == "location")
+        self._place, self._random = np.zeros(2), np.random.default_rng(zlib.crc32(name.encode()))
+
+    def next(self):
+        """The next message: of the walk with which a row begins, else a position a few metres from its end."""
+        second = self.sent % self.row
+        if second < len(self._walk):
+            shift = (self.begin + self.sent - second) * 10**9 - self._walk[0][0]["time"]
+            payload = [{**sample, "time": sample["time"] + shift} for sample in self._walk[second]]
+        else:
+            self._place = 0.99 * self._place + self._random.normal(0, 3e-6, 2)  # [deg]
+            values = dict(self._last["values"])
+            values["latitude"] += self._place[0]
+            values["longitude"] += self._place[1]
+            payload = [{**self._last, "time": (self.begin + self.sent) * 10**9, "values": values}]
+        self.sent += 1
+        return message(self.name, self.sent - 1, payload)
+
+
+async def watched(port, days):
+    """Note how many messages are part of each pose."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 24)
+    writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    name = b""
+    async for line in reader:
+        if line.startswith(b"event: "):
+            name = line[7:].strip()
+        elif line.startswith(b"data: ") and name == b"pose":
+            pose = json.loads(line[6:])
+            days[pose["id"]].used = pose["message"]
+
+
+async def row_of(port, day):
+    """Post the messages of a row but its last, AHEAD of those that are used at most."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    for _ in range(day.row - 1):
+        while day.sent - day.used > AHEAD:
+            await asyncio.sleep(0.01)
+        status = await post(reader, writer, "/sensorlogger", day.next())
+        assert status in (200, 499), status
+    writer.close()
+
+
+async def timed(port, day):
+    """Post a message; time until it is acknowledged and until it is part of the pose [ms]."""
+    while day.used < day.sent:
+        await asyncio.sleep(0.01)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    begin = time.monotonic()
+    await post(reader, writer, "/sensorlogger", day.next())
+    acknowledged = time.monotonic()
+    while day.used < day.sent:
+        await asyncio.sleep(0.001)
+    writer.close()
+    return 1e3 * (acknowledged - begin), 1e3 * (time.monotonic() - begin)
+
+
+async def rows_of(server, days, count, folder):
+    """Print so many rows."""
+    watching = asyncio.create_task(watched(server.port, {day.name: day for day in days}))
+    for _ in range(count):
+        before = server.usage()[0]
+        await asyncio.gather(*(row_of(server.port, day) for day in days))
+        used, memory = server.usage() - np.outer([1, 0], before)
+        each = 1e3 * used / (len(days) * (days[0].row - 1))
+        idle = np.array([await timed(server.port, day) for day in days])
+        size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+        cells = [f"{days[0].sent / 3600:.2g}", sum(day.sent for day in days), f"{each[0]:.1f} / {each[1]:.1f}"]
+        cells += [f"{np.median(column):.0f} / {column.max():.0f}" for column in idle.T]
+        print(f"| {' | '.join(map(str, cells))} | {memory[0]:.0f} / {memory[1]:.0f} | {size:.1f} |", flush=True)
+    watching.cancel()
+
+
+def last(count, hours, row, options):
+    """Print the rows of so many phones, of which each has some seconds."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(simulate(replace(Scenario.load(Path("outdoors")), seed=SEEDS[0])), Path(folder))
+        walk = batches(load(Path(folder)))[:WALK]
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        server = Server(Path(folder), "--workers", "1", *options, cores={max(os.sched_getaffinity(0))})
+        begin = int(time.time() - 3600 * (hours + 1))
+        try:
+            days = [Day(f"phone{n}", walk, begin, row) for n in range(count)]
+            asyncio.run(rows_of(server, days, round(3600 * hours / row), Path(folder)))
+        finally:
+            server.kill()
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("phones", nargs="+", type=int)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--hours", type=float, default=0.0)
+    parser.add_argument("--row", type=int, default=3600)
     parser.add_argument("--option", action="append", default=[], help="of pdr-graph serve")
     chosen = parser.parse_args()
-    measure(chosen.phones, chosen.workers, chosen.seconds, chosen.option)
+    if chosen.hours:
+        for count in chosen.phones:
+            last(count, chosen.hours, chosen.row, chosen.option)
+    else:
+        measure(chosen.phones, chosen.workers, chosen.seconds, chosen.option)

@@ -2,7 +2,8 @@
 
 A `RecordLog` is a file that is only ever appended to: eight bytes that name its kind, then for each record a header
 (checksum, length, identity, time of arrival) and its bytes, compressed. What was appended survives the end of the
-process. Bytes that are no whole record are passed over, so damage costs the records that it hits and no others.
+process. Bytes that are no whole record are passed over, so damage costs the records that it hits and no others. The
+last bytes of the file, which the next record replaces, mark its end: a file without them was cut off.
 
 The journal is such a log of the walk's settings and its events. ``push`` appends the event, and only then passes it to
 the navigator. A navigator is a function of its events, so that a resumed one continues exactly as one that was never
@@ -18,6 +19,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, Literal, TypeVar
@@ -30,6 +32,7 @@ from pdr_graph.types import Estimate, Trajectory
 from pdr_graph.whole_files import lock
 
 WALK_MAGIC, MESSAGES = b"PDRGWALK", b"PDRGLOG1"  # first bytes of a journal, and of the messages of a session of serve
+END = b"PDRGEND\n"  # shorter than a header
 RECORD_HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 ZLIB_START = b"x\x01"  # how bytes begin that are compressed at this level
 ADVICE = "finish the walk with the pdr_graph that began it, or start a new --journal"
@@ -51,7 +54,8 @@ class Entry:
 
 
 class RecordLog:
-    """A log of records, open for appending; ``file``: its descriptor, ``end``: its length [bytes].
+    """A log of records, open for appending; ``file``: its descriptor, ``end``: its length without END [bytes]; ``cut``:
+    True if END was missing.
 
     kind: its first bytes; sync: seconds between two waits for the disk.
     Raises OSError of the disk. What follows the last whole record was not written completely: it stays, and further
@@ -64,6 +68,10 @@ class RecordLog:
         self.file = os.open(path, os.O_CREAT | os.O_RDWR | bytes_as_they_are, 0o600)  # owner only
         begin = os.read(self.file, len(kind))
         self.end = os.lseek(self.file, 0, os.SEEK_END)
+        os.lseek(self.file, max(0, self.end - len(END)), os.SEEK_SET)
+        self.cut = self.end > 0 and os.read(self.file, len(END)) != END
+        if self.end and not self.cut:
+            self.end -= len(END)
         if self.end < len(kind) and kind.startswith(begin):  # the process was killed before it wrote all of it
             self._write(kind[self.end :])
 
@@ -76,14 +84,16 @@ class RecordLog:
     def truncate(self, end: int) -> None:
         """Delete what follows the first ``end`` bytes."""
         os.ftruncate(self.file, end)
-        self.end = os.lseek(self.file, end, os.SEEK_SET)
+        self.end = end
+        self._write(b"")
 
     def close(self) -> None:
         """Close the file."""
         os.close(self.file)
 
     def _write(self, data: bytes) -> None:
-        view = memoryview(data)
+        view = memoryview(data + END)
+        os.lseek(self.file, self.end, os.SEEK_SET)
         try:
             while view:  # a disk that becomes full writes a part without an error
                 view = view[os.write(self.file, view) :]
@@ -91,7 +101,10 @@ class RecordLog:
                 os.fsync(self.file)
                 self._synced = time.monotonic()
         except OSError as error:
-            self.truncate(self.end)
+            os.ftruncate(self.file, self.end)
+            with suppress(OSError):
+                os.lseek(self.file, self.end, os.SEEK_SET)
+                os.write(self.file, END)
             raise OSError(error.errno, error.strerror or str(error), str(self._path)) from None
         self.end += len(data)
 
@@ -159,6 +172,8 @@ class Journal(Generic[Navigator]):
         self._path, self._log, self._make = path, log, make
         self._navigator: Navigator | None = self._replayed()
         self.loss = ""
+        if log.cut:
+            self.loss = f"{path}: cut off, all later events are lost: the walk goes on after event {self.count}"
         if (end := self._end) < log.end:
             aside = keep_aside(path)
             log.truncate(end)

@@ -83,6 +83,7 @@ if TYPE_CHECKING:
 
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 KEPT = 300.0  # [s] of events that are kept, to restart the walk if the unit or sign of a sensor is another
+OF_SILENCE = 30.0  # part of a silence of the sensors, by which two fixes that the graph takes are apart at least
 CAUGHT_UP = 1.0  # [s] of earlier events that a push takes after a restart, until the walk has caught up
 MIRRORED = "the walk before {:.0f} s is its mirror image: only then was the sign of the accelerations recognised"
 
@@ -179,6 +180,7 @@ class Navigator:
         self._tail: Steps | None = None  # the provisional steps, on stairs as long as the treads
         self._pose: Pose | None = None  # the current pose, if it was asked for since it changed last
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
+        self._newest_kept = -np.inf  # time of the newest fix that the graph has [s]
         self._checks = EventChecks(sign=AccelerationSign(platform))
         self._mirror, self._mirrored_until = MirrorTest(), np.nan
         self._kept: list[Event] | None = []  # all events so far; None once rows were finalised, or after KEPT seconds
@@ -635,7 +637,10 @@ class Navigator:
             self._accepted += len(data)
             self._floors.add_fixes(data)
             self._mirror.add(data)
-        self._graph.append(data)
+        if not isinstance(data, Fixes):
+            self._graph.append(data)
+        elif kept := [n for n, time in enumerate(data.time.tolist()) if self._is_kept(time)]:
+            self._graph.append(data if len(kept) == len(data) else take(data, np.array(kept)))
         self._filter.add(data)
         for n in range(len(data) if isinstance(data, Fixes) else 0):
             self._alone, riding = after_fixes(self._alone, data[n]), self._rides.since is not None
@@ -648,6 +653,16 @@ class Navigator:
             if self._window.keyframes and self._alone is not None:
                 belief = self._graph.output.belief(self._tail, self._alone.time)
                 self._away = self._away.after(self._alone, belief, self._walked)
+
+    def _is_kept(self, time: float) -> bool:
+        """Whether the graph takes a fix: of a silence of the sensors, the longer it is, the fewer.
+
+        All of them would be keyframes at once when the sensors go on: of an hour at 1 Hz, minutes of computing.
+        """
+        if self._sensors_silent and 0 <= time - self._newest_kept < (time - self._gait.accelerated) / OF_SILENCE:
+            return False
+        self._newest_kept = max(self._newest_kept, time)
+        return True
 
     def _scan(self, scan: Scan) -> None:
         """Pass the usable signals of a scan to the collectors."""

@@ -148,6 +148,21 @@ def test_what_falls_silent_is_named_and_nothing_else_is_blamed(sources):
         assert 1.0 < pose.sigma < 3.5
 
 
+def test_a_long_silence_of_the_sensors_has_few_keyframes_however_many_fixes():
+    """Four a second; then the walk goes on where it was. All of them at once took minutes after an hour."""
+    begin, silence, end, truth = 20.0, 100.0, 45.0, walk("figure_eight")[1]
+    at = np.arange(begin, begin + silence, 0.25)
+    place = np.array([np.interp(begin, truth.time, axis) for axis in truth.position.T]) + 0.01 * np.sin(at)[:, None]
+    standing = [Fixes(at[n : n + 1], place[n : n + 1], np.ones(1), ("",), source=("GNSS",)) for n in range(len(at))]
+    early, late = ([event for event in events() if a <= when(event) < b] for a, b in ((0, begin), (begin, end)))
+    nav, _ = pushed([*early, *standing, *(later(event, silence) for event in late)], lag=None)
+    assert nav.status.state == "running"
+    assert nav.status.keyframes < len(standing) / 2
+    pose = nav.pose
+    there = np.array([np.interp(pose.time - silence, truth.time, axis) for axis in truth.position.T])
+    assert np.hypot(*(there - (pose.x, pose.y))) < 3.0
+
+
 @pytest.mark.parametrize(
     ("seconds", "fixes_too"), [(-JUMP, True), (JUMP, False), thorough(-JUMP, False), thorough(JUMP, True)]
 )

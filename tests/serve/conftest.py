@@ -1,4 +1,5 @@
 import contextlib
+import os
 import shutil
 import socket
 import subprocess
@@ -6,7 +7,8 @@ import subprocess
 import pytest
 from streamed_walks import until
 
-MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/opt/homebrew/sbin")
+FOLDERS = os.pathsep.join([os.environ["PATH"], "/usr/sbin", "/usr/local/sbin", "/opt/homebrew/sbin"])
+MOSQUITTO = shutil.which("mosquitto", path=FOLDERS)
 
 
 @pytest.fixture

@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 import simulated
+from hypothesis import given
+from hypothesis import strategies as st
 from streamed_walks import bodies
 
 from pdr_graph.apps.lifelog.store import Store
@@ -16,7 +18,7 @@ from pdr_graph.apps.serve import live_walk
 from pdr_graph.apps.serve.live_walk import LOG, SESSION, LiveWalk, MessageLog, Queue, Session, finish
 from pdr_graph.errors import InputError
 from pdr_graph.online.interface import events_of
-from pdr_graph.online.journal import MESSAGES, Entry, read_body, read_entries
+from pdr_graph.online.journal import END, MESSAGES, Entry, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 
 SECONDS = 20
@@ -189,6 +191,16 @@ def test_a_clock_hours_off_is_an_issue(messages, tmp_path):
     assert "the phone's clock is 2.0 h behind this machine's" in used(opened(tmp_path))["issues"]
 
 
+def test_positions_that_a_clock_set_back_leaves_out_are_an_issue(tmp_path):
+    """The machine's, by three hours, between two messages of positions alone."""
+    log = MessageLog(tmp_path / LOG)
+    for n in range(4):
+        body = json.dumps(sensor_logger(n, EPOCH + n, 11.0)).encode()
+        log.add(n, EPOCH + n - (3 * 3600.0 if n > 1 else 0.0), body)
+    log.close()
+    assert "the phone's clock is 3.0 h ahead of this machine's" in used(opened(tmp_path))["issues"]
+
+
 def entry(identity, received=0.0):
     return Entry(identity, received, identity, identity + 1)
 
@@ -282,15 +294,33 @@ def test_a_message_that_is_damaged_or_cut_short_by_a_kill_is_no_message(tmp_path
     log.add(1, 0.0, b"one")
     log.add(2, 0.0, b"two" * 100)
     log.close()
-    whole = (tmp_path / "log").read_bytes()
+    whole = (tmp_path / "log").read_bytes().removesuffix(END)
     for damaged in (whole[:-1] + b"?", *(whole[:end] for end in range(len(MESSAGES), len(whole)))):
         (tmp_path / "log").write_bytes(damaged)
         log = MessageLog(tmp_path / "log")
-        assert log.identities <= {1}
+        assert 2 not in log.identities
         assert log.add(2, 0.0, b"again")
         log.close()
         read = [read_body(tmp_path / "log", each) for each in read_entries(tmp_path / "log")]
         assert read[-1] == b"again"
+
+
+@given(st.lists(st.integers(-9, 9) | st.integers(-(1 << 62), 1 << 62), unique=True, max_size=30))
+def test_the_numbers_of_messages_are_those_that_were_added(added):
+    numbers = live_walk.Numbers()
+    for n, number in enumerate(added):
+        assert number not in numbers
+        numbers.add(number)
+        assert all(each in numbers for each in added[: n + 1])
+    assert [each for each in range(-11, 12) if each in numbers] == sorted(each for each in added if abs(each) < 12)
+    assert sum(end - begin for begin, end in zip(numbers._begins, numbers._ends, strict=True)) == len(added)
+
+
+def test_messages_that_follow_one_another_cost_no_memory():
+    numbers = live_walk.Numbers()
+    for number in [*range(1, 1000, 2), *range(0, 1001, 2)]:
+        numbers.add(number)
+    assert len(numbers._begins) == 1
 
 
 def test_another_file_is_no_log(tmp_path):

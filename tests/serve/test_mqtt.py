@@ -1,7 +1,10 @@
-"""Sensor Logger by MQTT, against a broker of MQTT 3.1.1 with quality of service 0 and exact topics, over TCP."""
+"""Sensor Logger and OwnTracks by MQTT, against a broker of MQTT 3.1.1 with quality of service 0 and exact topics, over
+TCP, and against Mosquitto.
+"""
 
 import asyncio
 import contextlib
+import json
 import sys
 from types import SimpleNamespace
 
@@ -111,7 +114,7 @@ async def broker():
 async def listening(url):
     """A subscription; yields the list of the messages and that of what was said, with one line at least."""
     messages, said = [], []
-    task = asyncio.create_task(subscribe(broker_of(url), messages.append, said.append))
+    task = asyncio.create_task(subscribe(broker_of(url), lambda _, body: messages.append(body), said.append))
     try:
         await soon(lambda: said)
         yield messages, said
@@ -200,10 +203,42 @@ async def test_a_retained_message_is_not_used(port):
             assert messages == [b"new"]
 
 
+@pytest.mark.timeout(60)
+async def test_phones_with_owntracks_are_walkers_named_by_their_topics(tmp_path, port, capsys):
+    """As the app publishes: each location retained, a last will; two phones of one name; one encrypts."""
+    place = {"_type": "location", "lat": 48.1, "lon": 11.5, "acc": 8, "tid": "ne", "tst": 1_700_000_000}
+    topics = "owntracks/{}/phone".format
+    sources = Sources(broker=broker_of(f"mqtt://127.0.0.1:{port}", [TOPIC, "owntracks/+/+"]))
+    app = build(Settings(tmp_path, workers=0, sources=sources))
+
+    async def published(client, user, **more):
+        await client.publish(topics(user), json.dumps(place | more), qos=1, retain=True)
+
+    async with aiomqtt.Client("127.0.0.1", port) as phones:
+        await published(phones, "gone")
+        async with app.router.lifespan_context(app):
+            walkers = app.state.server.hub.walkers
+            said = ""
+            while "subscribed" not in said:
+                await asyncio.sleep(0.05)
+                said += capsys.readouterr().err
+            await phones.publish(topics("ann"), json.dumps({"_type": "lwt", "tst": 1}), retain=True)
+            for _ in range(2):
+                await phones.publish(topics("eve"), json.dumps({"_type": "encrypted", "data": "x"}), retain=True)
+            for n in range(3):
+                await published(phones, "ann", tst=place["tst"] + n)
+                await published(phones, "ben", lat=52.5, tst=place["tst"] + n)
+            await soon(lambda: sum(each.pose["message"] for each in walkers.values()) == 6)
+    at = {each.pose["name"]: round(each.pose["lat"], 3) for each in walkers.values()}
+    assert at == {"ann phone": 48.1, "ben phone": 52.5}
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "not used" in line]
+    assert "OwnTracks with encryption" in line
+
+
 def test_an_address_names_broker_and_user_and_a_password_may_come_from_the_environment(monkeypatch):
-    broker = broker_of("wss://me:a%40b@broker.example/ws", "walks")
+    broker = broker_of("wss://me:a%40b@broker.example/ws", ["walks"])
     assert (broker.host, broker.port, broker.tls, broker.websocket) == ("broker.example", 8884, True, True)
-    assert (broker.path, broker.username, broker.password, broker.topic) == ("/ws", "me", "a@b", "walks")
+    assert (broker.path, broker.username, broker.password, broker.topics) == ("/ws", "me", "a@b", ("walks",))
     assert broker_of("mqtt://h").port == 1883
     assert broker_of("mqtts://h").tls
     monkeypatch.setenv(pulling.PASSWORD, "from outside")

@@ -16,7 +16,7 @@ from streamed_walks import bodies, local_server, outdoors, soon
 
 from pdr_graph.apps.serve import reception
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.live_walk import write_recording
+from pdr_graph.apps.serve.live_walk import LOG, write_recording
 from pdr_graph.apps.serve.pulling import Sources, broker_of
 from pdr_graph.apps.serve.receivers import heard, receivers_of, take
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -25,6 +25,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.io.loading import load
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
+from pdr_graph.online.journal import read_entries
 from pdr_graph.options import Options
 
 aiomqtt = pytest.importorskip("aiomqtt")
@@ -124,7 +125,7 @@ async def walked(folder, port, monkeypatch, late):
 
 def logged(server, session="walk-one"):
     """Number of levels in the log of a walk."""
-    return sum(identity < 0 for identity in server._log(session).identities)
+    return sum(entry.identity < 0 for entry in read_entries(server.root / session / LOG))
 
 
 def all_logged(server, published):
@@ -148,6 +149,29 @@ async def test_receivers_place_a_phone_that_nothing_else_does(tmp_path, port, mo
     async with walked(tmp_path, port, monkeypatch, late) as (_, walker):
         assert walker.pose["message"] == 30 + sum(map(len, levels))
         assert np.hypot(*(there - (walker.pose["x"], walker.pose["y"]))) < 5.0
+
+
+@pytest.mark.anyio
+@pytest.mark.timeout(60)
+async def test_states_of_bermuda_are_levels_of_the_walk(tmp_path, port):
+    """As Home Assistant's statestream publishes them: retained, of all its sensors."""
+    entity = "homeassistant/sensor/alice_unfiltered_distance_to_{}/state".format
+    receivers = receivers_of(broker_of(f"mqtt://127.0.0.1:{port}"), [f"{PHONE}=alice"], ["Kitchen"])
+    app = build(Settings(tmp_path, workers=0, sources=Sources(receivers=receivers)))
+    async with aiomqtt.Client("127.0.0.1", port) as home:
+        await home.publish(entity("kitchen"), "1.0", qos=1, retain=True)
+    async with aiomqtt.Client("127.0.0.1", port) as home, app.router.lifespan_context(app):
+        server = app.state.server.reception
+        server.receive(SENSOR_LOGGER, OWNER, bodies(outdoors())[0])
+        while not receivers.unplaced:  # nobody listens yet
+            await home.publish(entity("garage"), "3.0", retain=True)
+            await asyncio.sleep(0.05)
+        assert logged(server) == 0, "a state of before the connection is of any age"
+        for topic, value in (("sensor/outdoor_temperature", "21.5"), ("sensor/alice_area", "Kitchen")):
+            await home.publish(f"homeassistant/{topic}/state", value, retain=True)
+        for value in ("10.0", "unavailable", "5.5"):
+            await home.publish(entity("kitchen"), value, retain=True)
+        await soon(lambda: logged(server) == 2)
 
 
 @contextlib.contextmanager

@@ -1,12 +1,14 @@
 """The routes: what is posted is published; every fault has a status code and one line."""
 
 import base64
+import errno
 import gzip
 import hashlib
 import json
 import re
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from starlette.testclient import TestClient
 from streamed_walks import bodies, finished_recording, local_server, outdoors, until, used
 
 import pdr_graph
-from pdr_graph.apps.serve import application
+from pdr_graph.apps.serve import application, reception
 from pdr_graph.apps.serve.access import OWNER, is_foreign, load_tokens
 from pdr_graph.apps.serve.live_walk import read_session, write_session
 from pdr_graph.apps.serve.reception import Limits
@@ -317,6 +319,21 @@ def test_all_walks_that_end_together_have_their_recordings(tmp_path):
         until(lambda: len(recordings(tmp_path)) == len(ids))
 
 
+def test_the_latest_finished_walks_are_shown_and_the_others_are_kept(tmp_path):
+    """Without a word to those who see them: "forgotten" would remove the phone's device from Home Assistant."""
+    with local_server(tmp_path, limits=Limits(shown=1)) as client:
+        hub = client.app.state.server.hub
+        viewer = hub.subscribe(OWNER)
+        for n in range(2):
+            place = {"id": f"w{n}", "lat": 48.1, "lon": 11.5, "timestamp": 1_700_000_000}
+            client.get("/osmand", params=place).raise_for_status()
+            [id_] = [each["id"] for each in client.get("/walkers").json() if each["name"] == f"w{n}"]
+            client.post(f"/walkers/{id_}/finish").raise_for_status()
+            until(lambda id_=id_: hub.walkers[id_].pose["state"] == "finished")
+        until(lambda: {each["name"] for each in client.get("/walkers").json()} == {"w1"})
+        assert "forgotten" not in {kind for kind, _ in viewer.events()}
+
+
 def recordings(folder):
     return sorted(folder.glob("sessions/*/recording.*"))
 
@@ -407,6 +424,37 @@ def test_a_flood_is_refused_and_told_when_to_come_again(client):
     assert refused
     assert int(refused[0].headers["Retry-After"]) >= 1
     client.delete("/walkers/flood")
+
+
+def test_the_flood_of_a_user_keeps_nobody_else_out(tmp_path, monkeypatch):
+    """By requests, and by the bytes of all sessions together."""
+    monkeypatch.setattr(application, "REQUESTS", (0.01, 500.0))
+    first, second = first_message("one"), first_message("two")
+    limits = replace(LIMITS, user_rate=0.01, burst=150.0 * len(first))  # a message and a half at once
+    with TestClient(build(Settings(tmp_path, workers=0, tokens=TOKENS, limits=limits)), headers=OWN) as client:
+        assert post(client, first, headers=ANN).status_code in (200, 499)
+        assert "of a user" in one_line(post(client, second, headers=ANN), 429)
+        statuses = [client.get("/walkers", headers=ANN).status_code for _ in range(5)]
+        assert statuses == [200] * 3 + [429] * 2
+        assert post(client, first_message("three")).status_code in (200, 499)
+
+
+def test_a_full_disk_takes_no_first_message_and_puts_off_the_end_of_a_walk(tmp_path, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(reception, "END_AGAIN", 0.2)
+    with local_server(tmp_path) as client:
+        assert post(client, first_message("earlier")).status_code in (200, 499)
+        with monkeypatch.context() as disk:
+            disk.setattr(reception, "write_session", Mock(side_effect=full))
+            for path, body in (("/sensorlogger", first_message("new")), ("/owntracks", json.dumps(PLACE).encode())):
+                answer = post(client, body, path)
+                assert "No space" in one_line(answer, 507)
+                assert answer.headers["Retry-After"]
+            client.post("/walkers/earlier/finish").raise_for_status()
+            until(lambda: any("the end is tried again" in issue for issue in used(client, 0)["issues"]))
+        assert [each["id"] for each in client.get("/walkers").json()] == ["earlier"]
+        until(lambda: used(client, 0)["state"] == "finished" and recordings(tmp_path))
+        assert post(client, first_message("new")).status_code in (200, 499)
 
 
 def test_too_many_sessions_of_a_user_are_refused(client):

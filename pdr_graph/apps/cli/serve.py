@@ -36,7 +36,7 @@ def serve(
     tiles: str | None = None,
     phyphox: tuple[str, ...] = (),
     mqtt: str | None = None,
-    mqtt_topic: str = "sensor-logger",
+    mqtt_topic: tuple[str, ...] = ("sensor-logger",),
     home_assistant: str | None = None,
     heard_as: tuple[str, ...] = (),
     study: tuple[str, ...] = (),
@@ -62,7 +62,7 @@ def serve(
         tiles: Tile server for the page's map, https://host/{z}/{x}/{y}.png; default: none.
         phyphox: A phone with phyphox's remote access, http://192.168.0.12:8080; repeatable.
         mqtt: Broker that phones publish to: mqtt, mqtts, ws or wss://USER@HOST:PORT.
-        mqtt_topic: Topic of --mqtt.
+        mqtt_topic: Topic of --mqtt, of Sensor Logger or OwnTracks (owntracks/+/+); repeatable.
         home_assistant: Broker of Home Assistant, to which phones are announced: as --mqtt.
         heard_as: PHONE=DEVICE, a phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it;
             repeatable.
@@ -90,7 +90,7 @@ def serve(
     reports = StudyReports(out / STUDY, study, options.plan, serving.say) if study else None
     for url in phyphox:
         PhyphoxPhone(url)  # refuses what is no address
-    home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
+    home = broker_of(home_assistant, (), "--home-assistant") if home_assistant else None
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
     sources = Sources(phyphox, pulled, reports, home, receivers, tuple(Alert.of(text, building) for text in alert))

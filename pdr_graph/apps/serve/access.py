@@ -10,6 +10,7 @@ import base64
 import hmac
 import json
 import secrets
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -141,3 +142,21 @@ def _read(file: Path) -> dict[str, str]:
     if not isinstance(tokens, dict) or not all(isinstance(text, str) and text for text in tokens.values()):
         raise InputError(file, "", "another content", "a JSON object of users and tokens")
     return tokens
+
+
+class Allowance:
+    """What may be used on average ``rate`` a second; unused, it adds up to ``burst`` seconds of it."""
+
+    def __init__(self, rate: float, burst: float):
+        self._rate, self._most = rate, rate * burst
+        self._left, self._at = self._most, time.monotonic()
+
+    def use(self, amount: float) -> float:
+        """Use an amount if it is there, and return 0; else the time until it is [s]."""
+        now = time.monotonic()
+        self._left = min(self._most, self._left + (now - self._at) * self._rate)
+        self._at = now
+        if amount > self._left:
+            return (amount - self._left) / self._rate
+        self._left -= amount
+        return 0.0

@@ -39,16 +39,26 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import pdr_graph
 from pdr_graph.apps.serve import publishing
-from pdr_graph.apps.serve.access import Access, cookie_name, is_browser, is_foreign, is_local, is_own, token_of
+from pdr_graph.apps.serve.access import (
+    Access,
+    Allowance,
+    cookie_name,
+    is_browser,
+    is_foreign,
+    is_local,
+    is_own,
+    token_of,
+)
 from pdr_graph.apps.serve.publishing import Hub, Published, plan_layers
 from pdr_graph.apps.serve.reception import Reception
-from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.sensor_messages import OWNTRACKS, SENSOR_LOGGER
 from pdr_graph.apps.serve.study import StudyReports, upload_of
 from pdr_graph.errors import InputError
 
 WEB, OPENAPI = Path(__file__).parent / "web", Path(__file__).parent / "openapi.json"
 HEARTBEAT = 15.0  # [s] after which a silent stream sends a comment, by which proxies and the page know that it lives
 ARRIVING = 4  # unfinished messages of a user, of the largest size, that are kept in memory at once
+REQUESTS = 500.0, 10.0  # of a user: a second on average, and seconds of it at once
 SLOWEST_BODY = 30.0  # [s] for a message to arrive completely
 SLOWEST_READER = 30.0  # [s] for an event to be taken
 SHOW_TO_USER = 499  # status by which Sensor Logger shows the text of the answer
@@ -108,13 +118,14 @@ def application(server: Server, lifespan: Any = None) -> Starlette:
 
 
 class Guard:
-    """Refuses requests without a valid token and those of other sites' pages, before any body is read."""
+    """Refuses requests without a valid token, of other sites' pages and of a user's flood, before any body is read."""
 
     def __init__(self, app: ASGIApp, access: Access):
         self.app, self.access = app, access
+        self._allowances = dict[str, Allowance]()  # of users [requests]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Set the user of a request, or answer with 401 or 403."""
+        """Set the user of a request, or answer with 401, 403 or 429."""
         if scope["type"] not in ("http", "websocket"):
             return await self.app(scope, receive, send)
         connection = HTTPConnection(scope)
@@ -129,6 +140,8 @@ class Guard:
             status, text = 403, "found a request of a browser, expected one of an app or a program"
         elif not (access.tokens or is_local(headers)):
             status, text = 403, "found a proxy or another host's name and no token, expected pdr-graph serve --token"
+        elif self._allowances.setdefault(user, Allowance(*REQUESTS)).use(1):
+            status, text = 429, f"found more than {REQUESTS[0]:.0f} requests a second of a user, expected fewer"
         else:
             scope["user"] = user
 
@@ -142,7 +155,7 @@ class Guard:
             return await self.app(scope, receive, answer)
         if scope["type"] == "websocket":
             return await WebSocket(scope, receive, send).close(4000 + status)
-        header = {"WWW-Authenticate": 'Basic realm="pdr-graph"'} if status == 401 else None
+        header = {401: {"WWW-Authenticate": 'Basic realm="pdr-graph"'}, 429: {"Retry-After": "1"}}.get(status)
         await PlainTextResponse(f"{text}\n", status, header)(scope, receive, send)
 
 
@@ -232,7 +245,7 @@ async def sensorlogger(request: Request) -> Response:
 async def owntracks(request: Request) -> Response:
     """A message of OwnTracks; answered by an empty list of commands."""
     user, device = (request.headers.get(f"x-limit-{letter}", "") for letter in "ud")
-    await _receive(request, "owntracks", device or user)
+    await _receive(request, OWNTRACKS, device or user)
     return JSONResponse([])
 
 
@@ -278,7 +291,7 @@ async def walker(request: Request) -> Response:
 async def geojson(request: Request) -> Response:
     """The path of a walker, finalised and current part, and its pose."""
     walker = _walker(request)
-    content = publishing.walk_geojson(walker.pose, walker.finalised, walker.current)
+    content = publishing.walk_geojson(walker.pose, walker.path()["finalised"], walker.current)
     return _json(content, "application/geo+json")
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import heapq
 import time
 import zipfile
+from array import array
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -31,11 +33,12 @@ from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
 from pdr_graph.online.interface import Event
-from pdr_graph.online.journal import MESSAGES, Entry, RecordLog, read_body, read_entries
+from pdr_graph.online.journal import END, MESSAGES, Entry, RecordLog, read_body, read_entries
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Trajectory
 
 LONGEST_WAIT = 2.0  # [s] for which a message waits for those before it
+MOST_PARTS = 100  # of a path, in memory
 MOST_WAITING = 64  # messages that wait for one; then it is given up
 OF_RECEIVERS = -(1 << 62)  # identities of what receivers hear are negative, and grow: none waits for another
 LOG, SESSION, PUBLISHED = "messages.log", "session.json", "published.json"
@@ -64,6 +67,33 @@ class Session:
     recorded: bool = True
 
 
+class Numbers:
+    """A set of numbers, as ranges: of numbers that follow one another it needs 16 bytes."""
+
+    def __init__(self) -> None:
+        self._begins, self._ends = array("q"), array("q")  # ends are not in their range
+
+    def __contains__(self, number: int) -> bool:
+        before = bisect_right(self._begins, number)
+        return before > 0 and number < self._ends[before - 1]
+
+    def add(self, number: int) -> None:
+        """Add a number that is not in the set."""
+        at = bisect_right(self._begins, number)
+        joins_before = at > 0 and self._ends[at - 1] == number
+        joins_after = at < len(self._begins) and self._begins[at] == number + 1
+        if joins_before and joins_after:
+            self._ends[at - 1] = self._ends[at]
+            del self._begins[at], self._ends[at]
+        elif joins_before:
+            self._ends[at - 1] += 1
+        elif joins_after:
+            self._begins[at] -= 1
+        else:
+            self._begins.insert(at, number)
+            self._ends.insert(at, number + 1)
+
+
 class MessageLog(RecordLog):
     """The log of a session, open for appending; ``identities`` of all its messages.
 
@@ -73,8 +103,11 @@ class MessageLog(RecordLog):
 
     def __init__(self, path: Path):
         super().__init__(path, MESSAGES)
+        self.identities = Numbers()
         try:
-            self.identities = {entry.identity for entry in read_entries(path)}
+            for entry in read_entries(path):
+                if entry.identity not in self.identities:
+                    self.identities.add(entry.identity)
         except BaseException:
             self.close()
             raise
@@ -164,7 +197,7 @@ class LiveWalk:
             self._read_until = entry.end
             self._damaged += entry.skipped
             self._queue.add(entry)
-        self._unfinished = (self.folder / LOG).stat().st_size - self._read_until
+        self._unfinished = max(0, (self.folder / LOG).stat().st_size - len(END) - self._read_until)
 
     @property
     def due(self) -> float:
@@ -194,8 +227,8 @@ class LiveWalk:
             self._refused += 1
             return True
         self._push(events)
-        if events:
-            sensed, at = np.isfinite(self.intake.latest), self.intake.origin + self.intake.latest
+        sensed, at = np.isfinite(self.intake.latest), self.intake.origin + self.intake.latest
+        if events or not sensed:  # positions that are long ahead give no event
             # Positions alone may be queued: late is no error
             self._clock_error = at - entry.received if sensed else max(self.intake.ahead, 0.0)
         return True
@@ -247,6 +280,8 @@ class LiveWalk:
         sent = 0 if whole else sum(map(len, self._finalised))
         new = navigator.finalized()
         self._finalised += [new] * (len(new) > 0)
+        if len(self._finalised) > MOST_PARTS:  # a part has a kilobyte beside its rows
+            self._finalised = [_joined(self._finalised)]
         return self._path_event(navigator, sent, _joined(self._finalised) if whole else new, navigator.trajectory)
 
     def _path_event(

@@ -42,9 +42,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from sys import intern
 from typing import Any
 
 import numpy as np
@@ -252,29 +254,39 @@ Event = tuple[str, dict[str, Any]]  # name and data
 MOST_SUBSCRIBERS = 100
 
 
+def _column(name: str, values: Sequence[Any]) -> Any:
+    """A column of a path, of 8 bytes a value. Raises TypeError for values of another type."""
+    return list(map(intern, values)) if name == "floor" else array("d", values)
+
+
 @dataclass
 class Published:
     """The last pose of a walker and its path, in columns; user: to whom it belongs; revision: of the finalised part."""
 
     user: str
     pose: dict[str, Any]
-    finalised: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
+    finalised: dict[str, Any] = field(default_factory=lambda: {name: _column(name, []) for name in PATH_KEYS})
     current: dict[str, Any] = field(default_factory=lambda: {name: [] for name in PATH_KEYS})
     revision: int = 0
 
     def extend(self, path: dict[str, Any]) -> None:
         """Take over an event ``path``, whose ``from`` is the number of points that stay."""
-        count, new = path["from"], path["finalised"]
+        count, columns = path["from"], path["finalised"]
+        new = {name: None if columns[name] is None else _column(name, columns[name]) for name in PATH_KEYS}
         if count < len(self.finalised["time"]) or (new["lon"] is None) != (self.finalised["lon"] is None):
             self.revision += 1
-        self.finalised = {
-            name: None if new[name] is None else (self.finalised[name] or [])[:count] + new[name] for name in PATH_KEYS
-        }
+        for name, added in new.items():
+            column = self.finalised[name]
+            if column is None or added is None:
+                self.finalised[name] = added
+            else:
+                del column[count:]
+                column += added
         self.current = path["current"]
 
-    def path(self, count: int) -> dict[str, Any]:
+    def path(self, count: int = 0) -> dict[str, Any]:
         """The event ``path`` for a subscriber who has ``count`` finalised points."""
-        finalised = {name: None if column is None else column[count:] for name, column in self.finalised.items()}
+        finalised = {name: None if column is None else list(column[count:]) for name, column in self.finalised.items()}
         return {"id": self.pose["id"], "from": count, "finalised": finalised, "current": self.current}
 
 
@@ -367,8 +379,12 @@ class Hub:
             walker.extend(path)
             self._note(path["id"], walker.user, "path")
 
+    def retire(self, id_: str) -> None:
+        """Remove a walker without a word: those who see it keep it."""
+        self.walkers.pop(id_, None)
+
     def forget(self, id_: str) -> None:
-        """Remove a walker."""
+        """Remove a walker that was deleted."""
         walker = self.walkers.pop(id_, None)
         if walker is not None:
             self._note(id_, walker.user, "forgotten")

@@ -30,10 +30,11 @@ import msgspec
 import numpy as np
 from starlette.exceptions import HTTPException
 
+from pdr_graph.apps.serve import sensor_messages
 from pdr_graph.apps.serve.access import OWNER
 from pdr_graph.apps.serve.live_walk import LOG
 from pdr_graph.apps.serve.reception import Reception, id_of
-from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
+from pdr_graph.apps.serve.sensor_messages import OWNTRACKS, SENSOR_LOGGER
 from pdr_graph.apps.serve.study import StudyReports
 from pdr_graph.errors import InputError, install, one_line
 from pdr_graph.io.phyphox import ExperimentClock
@@ -392,13 +393,21 @@ async def receive_patiently(reception: Reception, say: Say, body: bytes, name: s
         await asyncio.sleep(REFUSAL_PAUSE)
 
 
-def receiving_once(reception: Reception, say: Say) -> Callable[[bytes], None]:
-    """Store a message of a broker; one that is refused is lost, as by MQTT it may be, and each reason is told once."""
+def receiving_once(reception: Reception, say: Say) -> Callable[[str, bytes], None]:
+    """Store a message of a broker, of Sensor Logger or OwnTracks; the latter's phone is named by its topic.
+
+    One that is refused is lost, as by MQTT it may be, and each reason is told once.
+    """
     reasons = set[str]()
 
-    def receive(body: bytes) -> None:
+    def receive(topic: str, body: bytes) -> None:
         try:
-            reception.receive(SENSOR_LOGGER, OWNER, body)
+            if not (kind := sensor_messages.owntracks_type(body)):
+                reception.receive(SENSOR_LOGGER, OWNER, body)
+            elif kind == "encrypted":
+                raise InputError("message", "", "OwnTracks with encryption", "none: the broker may use TLS")
+            else:
+                reception.receive(OWNTRACKS, OWNER, body, device=" ".join(topic.split("/")[-2:]))  # user, device
         except (HTTPException, InputError) as refused:
             text = str(refused.detail if isinstance(refused, HTTPException) else refused)
             kind = re.sub(r"\d+", "", text)
@@ -421,11 +430,11 @@ FIRST_RECONNECT, LAST_RECONNECT = 1.0, 60.0  # [s] until a lost connection is tr
 
 @dataclass(frozen=True)
 class Broker:
-    """Where messages come from. address: without the password, for people."""
+    """Where messages come from. topics: that are subscribed to, if any; address: without the password, for people."""
 
     host: str
     port: int
-    topic: str
+    topics: tuple[str, ...]
     tls: bool
     websocket: bool
     path: str
@@ -435,10 +444,10 @@ class Broker:
     @property
     def address(self) -> str:
         """The broker's address for people."""
-        return f"{self.host}:{self.port}, topic {self.topic}"
+        return ", ".join([f"{self.host}:{self.port}", *(f"topic {topic}" for topic in self.topics)])
 
 
-def broker_of(url: str, topic: str = TOPIC, option: str = "--mqtt") -> Broker:
+def broker_of(url: str, topics: Sequence[str] = (TOPIC,), option: str = "--mqtt") -> Broker:
     """The broker at an address ``mqtt://USER@HOST:PORT`` (or mqtts, ws, wss). Raises InputError, of an option."""
     expected = "mqtt://HOST, mqtts://USER@HOST:PORT, ws://HOST/mqtt or wss://…"
     try:
@@ -455,7 +464,7 @@ def broker_of(url: str, topic: str = TOPIC, option: str = "--mqtt") -> Broker:
     return Broker(
         host=parts.hostname,
         port=port or PORTS[parts.scheme],
-        topic=topic,
+        topics=tuple(topics),
         tls=parts.scheme in ("mqtts", "wss"),
         websocket=websocket,
         path=parts.path or "/mqtt",
@@ -490,18 +499,18 @@ class BoundedQueue(asyncio.Queue[Any]):
         return item
 
 
-async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Say) -> None:
-    """Give each message of a broker to ``receive``, for ever; a lost connection is tried again.
+async def subscribe(broker: Broker, receive: Callable[[str, bytes], None], say: Say) -> None:
+    """Give topic and content of each message of a broker to ``receive``, for ever; a lost connection is tried again.
 
     say: called with one line when the connection is there, or lost. Raises InputError without aiomqtt.
     """
 
     async def listen(client: Any) -> None:
-        await client.subscribe(broker.topic)
+        await client.subscribe([(topic, 0) for topic in broker.topics])  # 0: quality of service
         say(f"mqtt: subscribed to {broker.address}")
         async for message in client.messages:
             if not message.retain:  # a retained one may be of a walk that was deleted
-                receive(bytes(message.payload))
+                receive(str(message.topic), bytes(message.payload))
 
     await connected(broker, listen, say)
 

@@ -22,6 +22,7 @@ from starlette.exceptions import HTTPException
 
 from pdr_graph.apps.lifelog.cache import write
 from pdr_graph.apps.serve import sensor_messages
+from pdr_graph.apps.serve.access import Allowance
 from pdr_graph.apps.serve.estimators import Estimators
 from pdr_graph.apps.serve.live_walk import (
     LOG,
@@ -41,6 +42,7 @@ from pdr_graph.io.sensor_logger import NANOSECOND
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.storage import decode_json, encode_json
 
+END_AGAIN = 60.0  # [s] after which a walk is ended again whose end the disk did not take
 LATEST = 1 << 62  # [ns] Unix time that a sample may state
 PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -49,15 +51,16 @@ PLAIN_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 class Limits:
     """Limits of what a phone may send. Chosen by hand: a phone with five sensors at 100 Hz sends 50 kB/s.
 
-    body: of a message [bytes]; samples: of a message; rate: of a session on average [bytes/s], over ``burst`` seconds;
-    sessions: that are not finished, of a user; idle: time without a message after which a session is finished [s], by
-    protocol; silent: from which on a session may be ended for a new one [s]; shown: number of finished sessions on the
-    page; open_logs: files that are kept open.
+    body: of a message [bytes]; samples: of a message; rate, user_rate: of a session and of a user on average [bytes/s],
+    over ``burst`` seconds; sessions: that are not finished, of a user; idle: time without a message after which a
+    session is finished [s], by protocol; silent: from which on a session may be ended for a new one [s]; shown: number
+    of finished sessions on the page; open_logs: files that are kept open.
     """
 
     body: int = 8 << 20
     samples: int = 200_000
     rate: float = 1e6
+    user_rate: float = 1e7
     burst: float = 30.0
     sessions: int = 200
     idle: float = 600.0
@@ -69,14 +72,13 @@ class Limits:
 
 @dataclass
 class State:
-    """A session in memory. credit: bytes that it may send now; announced: its process has yet to look into its log;
+    """A session in memory. allowance: bytes that it may send; announced: its process has yet to look into its log;
     ending: it is being finished; behind: times from the last sample to the arrival of the last messages
     [s], the least of which is how far the phone's clock is behind this machine's, but for the fastest delivery.
     """
 
     session: Session
-    credit: float
-    credited: float
+    allowance: Allowance
     last_received: float
     announced: bool = False
     ending: bool = False
@@ -106,6 +108,7 @@ class Reception:
         self.root, self.hub, self.limits = root, hub, limits or Limits()
         self._finishing, self._say = finishing, say
         self._states = dict[str, State]()
+        self._allowances = dict[str, Allowance]()  # of users [bytes]
         self._logs = OrderedDict[str, MessageLog]()
         self._background = set[asyncio.Task[Any]]()
         self.estimators: Estimators | None = None
@@ -127,7 +130,7 @@ class Reception:
             except (OSError, InputError) as error:
                 self._say(f"session left out: {one_line(str(error))}")
                 continue
-            self._states[session.id] = State(session, self.limits.rate * self.limits.burst, time.monotonic(), last)
+            self._states[session.id] = State(session, Allowance(self.limits.rate, self.limits.burst), last)
             if session.finished:
                 finished.append((last, session, file.parent))
             else:
@@ -153,11 +156,14 @@ class Reception:
 
     # ── messages ────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def receive(self, protocol: str, user: str, body: bytes, platform: str = "", name: str = "") -> str:
+    def receive(
+        self, protocol: str, user: str, body: bytes, platform: str = "", name: str = "", device: str = ""
+    ) -> str:
         """Log a message; returns a text to show to the user of the phone, once, or "".
 
         protocol: SENSOR_LOGGER or that of an app for positions; platform: "ios" or "android" if it was stated; name: of
-        the device if the message has none. Raises HTTPException, and InputError for a malformed message.
+        the device if the message has none; device: its name, whatever a message of positions says. Raises
+        HTTPException, and InputError for a malformed message.
         """
         if platform and platform not in PLATFORMS:
             raise HTTPException(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
@@ -173,16 +179,16 @@ class Reception:
             sampled = [sample.time for sample in message.payload]
             label = one_line(name or f"phone {message.deviceId[:8]}".strip())[:64]
         else:
-            device, fixes = sensor_messages.parse_positions(protocol, body)
+            stated, fixes = sensor_messages.parse_positions(protocol, body)
             if not len(fixes):
                 return ""  # a message without a position, as apps send them
-            key = label = one_line(device or name or "phone")[:64]
+            key = label = one_line(device or stated or name or "phone")[:64]
             phone, sampled = "", []
             identity = int.from_bytes(hashlib.sha256(body).digest()[:7], "big")
-        state = self._state(protocol, user, key, label, platform, phone)
-        self._charge(state, len(body))
         now = time.time()
         try:
+            state = self._state(protocol, user, key, label, platform, phone)
+            self._charge(state, len(body))
             if self._log(state.session.id).add(identity, now, body):
                 state.last_received, state.ending = now, False
                 if sampled:
@@ -242,7 +248,7 @@ class Reception:
             self._make_room(user)
             session = Session(id_, key, label, user, protocol, platform, time.time(), phone=phone)
             (self.root / id_).mkdir(exist_ok=True, mode=0o700)
-            state = State(session, self.limits.rate * self.limits.burst, time.monotonic(), session.began)
+            state = State(session, Allowance(self.limits.rate, self.limits.burst), session.began)
             self._store(state, session)
             self._states[id_] = state
             self.hub.pose(user, blank_pose(session))
@@ -267,19 +273,17 @@ class Reception:
 
     def _store(self, state: State, session: Session) -> None:
         """Write what a session is; a power cut leaves the former file or this one."""
-        state.session = session
         write_session(self.root / session.id, session)
+        state.session = session
 
     def _charge(self, state: State, size: int) -> None:
-        """Raise HTTPException if a session sends more than its rate."""
-        now, most = time.monotonic(), self.limits.rate * self.limits.burst
-        state.credit = min(most, state.credit + (now - state.credited) * self.limits.rate)
-        state.credited = now
-        if size > state.credit:
-            wait = (size - state.credit) / self.limits.rate
-            text = f"found more than {self.limits.rate / 1e6:.1f} MB/s of a session, expected a phone's sensors"
-            raise HTTPException(429, text, {"Retry-After": f"{wait + 1:.0f}"})
-        state.credit -= size
+        """Raise HTTPException if a session, or its user, sends more than its rate."""
+        limits, user = self.limits, state.session.user
+        of_user = self._allowances.setdefault(user, Allowance(limits.user_rate, limits.burst))
+        for allowance, rate, of in ((state.allowance, limits.rate, "session"), (of_user, limits.user_rate, "user")):
+            if wait := allowance.use(size):
+                text = f"found more than {rate / 1e6:.1f} MB/s of a {of}, expected a phone's sensors"
+                raise HTTPException(429, text, {"Retry-After": f"{wait + 1:.0f}"})
 
     def _log(self, id_: str) -> MessageLog:
         if id_ not in self._logs:
@@ -364,14 +368,30 @@ class Reception:
         """Store what is published of a finished session, and make its recording."""
         if state.announced:
             return  # a message came meanwhile
-        self._store(state, replace(state.session, finished=True, recorded=False))
-        self._close(state.session.id)
         walker = self.hub.walkers.get(state.session.id)
-        if walker is not None:
-            path = {"finalised": walker.finalised, "current": walker.current}
-            published = encode_json({"pose": walker.pose, "path": path}).encode()
-            write(self.root / state.session.id / PUBLISHED, published, durable=True)
+        try:
+            if walker is not None:
+                path = {"finalised": walker.path()["finalised"], "current": walker.current}
+                published = encode_json({"pose": walker.pose, "path": path}).encode()
+                write(self.root / state.session.id / PUBLISHED, published, durable=True)
+            self._store(state, replace(state.session, finished=True, recorded=False))
+        except OSError as error:
+            issue = f"the disk of the server: {error.strerror or error}; the end is tried again"
+            if walker is not None:
+                self.hub.pose(state.session.user, walker.pose | {"issues": [issue]})
+            asyncio.get_running_loop().call_later(END_AGAIN, self._end_again, state)
+            return
+        self._close(state.session.id)
+        ended = [
+            each for each in self._states.values() if each.session.finished and each.session.id in self.hub.walkers
+        ]
+        for each in sorted(ended, key=lambda each: each.last_received)[: -self.limits.shown]:
+            self.hub.retire(each.session.id)
         await self._record(state)
+
+    def _end_again(self, state: State) -> None:
+        if state.ending and state.session.id in self._states:  # no message since
+            self.finish(state.session.id)
 
     def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)

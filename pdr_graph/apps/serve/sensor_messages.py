@@ -264,7 +264,7 @@ def shifted(part: Any, origin: float) -> Any:
 
 
 LATEST_TIME = 1e8  # [s] from the first sample: three years; times beyond are damage
-SENSOR_LOGGER = "sensorlogger"
+SENSOR_LOGGER, OWNTRACKS = "sensorlogger", "owntracks"
 PLATFORMS = ("ios", "android")
 
 
@@ -436,6 +436,20 @@ def parse_positions(protocol: str, body: bytes) -> tuple[str, Fixes]:
     return one_line(name)[:64], receiver_fixes(table[valid], [])
 
 
+class Typed(msgspec.Struct):
+    """What messages of OwnTracks have, and others do not."""
+
+    type: str = msgspec.field(name="_type")
+
+
+def owntracks_type(body: bytes) -> str:
+    """The type that a message of OwnTracks states; "" for other messages."""
+    try:
+        return msgspec.json.decode(body, type=Typed).type
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
+        return ""
+
+
 def owntracks(body: bytes) -> tuple[str, list[Row]]:
     """A message of OwnTracks: JSON by ``_type``; only ``location`` has a position."""
     message = _object(body, "OwnTracks")
@@ -507,7 +521,7 @@ def _traccar(message: Mapping[str, Any]) -> tuple[str, list[Row]]:
 
 
 PARSERS: dict[str, Callable[[bytes], tuple[str, list[Row]]]] = {
-    "owntracks": owntracks,
+    OWNTRACKS: owntracks,
     "overland": overland,
     "osmand": osmand,
 }
