@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 PASSWORD = re.compile(r"(://[^/@\s:]*:)[^/@\s]*@")  # in an address
-LONGEST_PART = 250  # characters of a message's part: file names and contents are untrusted and may be very long
+LONGEST_PART = 300  # characters of a message's part: file names and contents are untrusted and may be very long
 
 
 class InputError(ValueError):

@@ -210,6 +210,50 @@ def ipin21(s):
     return files | {"GroundTruthEight.csv": columns(ms[:3], *np.full((3, 3), 5e5), delimiter="\t", form="{:.3f}")}
 
 
+def strides(s):
+    """A walk of the stride data: Unix milliseconds after the sensors, then stride, number and way."""
+    ms, none = np.round((UNIX + s.time) * 1e3), np.zeros((len(s.time), 3))
+    rows = columns(s.acceleration, s.angular_rate, s.field, ms, none, form="{:.17g}").splitlines()
+    return "\n".join(f"test {row}" for row in rows) + "\n"
+
+
+def workbook(names, *values):
+    """The files of a workbook of one sheet with a header."""
+    main, office = "http://schemas.openxmlformats.org", "officeDocument/2006/relationships"
+    relation = f'<Relationship Id="r" Type="{main}/{office}/{{}}" Target="{{}}"/>'
+    relations = f'<Relationships xmlns="{main}/package/2006/relationships">{relation}</Relationships>'
+    header = "".join(f'<c t="inlineStr"><is><t>{name}</t></is></c>' for name in names)
+    cells = ["".join(f"<c><v>{value:.17g}</v></c>" for value in row) for row in np.column_stack(values).tolist()]
+    rows = "\n".join(f"<row>{row}</row>" for row in [header, *cells])
+    sheet, space = '<sheet name="a" sheetId="1" r:id="r"/>', f'xmlns="{main}/spreadsheetml/2006/main"'
+    return {
+        "[Content_Types].xml": f'<Types xmlns="{main}/package/2006/content-types"/>',
+        "_rels/.rels": relations.format("officeDocument", "xl/workbook.xml"),
+        "xl/_rels/workbook.xml.rels": relations.format("worksheet", "worksheets/s.xml"),
+        "xl/workbook.xml": f'<workbook {space} xmlns:r="{main}/{office}"><sheets>{sheet}</sheets></workbook>',
+        "xl/worksheets/s.xml": f"<worksheet {space}><sheetData>{rows}</sheetData></worksheet>",
+    }
+
+
+def ridi(s):
+    """A workbook with a camera's track of a straight walk."""
+    names = [f"{name}_{axis}" for name in ("acce", "gyro", "magnet", "pos") for axis in "xyz"]
+    track = SPEED * s.time[:, None] * [1.0, 0.0, 0.0]
+    return workbook(["time", *names], s.time + 500, s.acceleration, s.angular_rate, s.field, track)
+
+
+def edinburgh(s):
+    """A log whose sensors have nanoseconds since boot and, late by the phone, Unix milliseconds; a scan of Wi-Fi."""
+    rows = list[tuple[float, str]]()
+    for tag, values in (("a", s.acceleration), ("g", s.angular_rate), ("m", s.field)):
+        for t, (x, y, z) in zip(s.time.tolist(), values.tolist(), strict=True):
+            when = f't="{(UNIX + t) * 1e3:.0f}" st="{(t + 500) * 1e9:.0f}"'
+            rows.append((t, f'<{tag} {when} x="{x!r}" y="{y!r}" z="{z!r}" />'))
+    rows.append((3.0, f'<wr t="{(UNIX + 3) * 1e3:.0f}">\n<r b="00:11:22:33:44:55" s="-61" c="6" />\n</wr>'))
+    lines = [row for _, row in sorted(rows, key=lambda row: row[0])]
+    return "\n".join(['<data phone="a" building="undefined" t="2023-11-14 22:13:20.000">', *lines, "</data>\n"])
+
+
 def sensor_log(s, version=5):
     """A log of SensorLog on an iPhone: a row for each sample, in which other sensors have their last one; G, kPa.
 
@@ -283,6 +327,9 @@ EXPORTS = {
     "movella": ("walk.csv", movella),
     "ipin21": ("walk", ipin21),
     "oxford_steps": ("walk.csv", oxford_steps),
+    "strides": ("walk.txt", strides),
+    "ridi": ("walk.zip", ridi),
+    "edinburgh": ("walk.xml", edinburgh),
     "geolife": ("walk.plt", geolife),
     "gpx": ("walk.gpx", gpx),
     "past_day": ("walk.csv", past_day),

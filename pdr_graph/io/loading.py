@@ -53,8 +53,6 @@ def _unknown(source: Source) -> tuple[str, str]:
     if source.single is None:
         if "summary.json" in files and "trajectory.csv" in files:
             return "a result of pdr-graph", "the recording that it was made from"
-        if "[Content_Types].xml" in files and any(name.startswith("xl/") for name in files):
-            return "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
         kinds = sorted({PurePosixPath(name).suffix or "no ending" for name in files})
         return f"{len(files)} files ({', '.join(kinds[:4])}), {', '.join(files[:3])[:QUOTED]}", expected
     head = source.head(source.single, HEAD)

@@ -1,4 +1,4 @@
-"""Recordings of research data sets: GeoLife, the Oxford step counter, IPIN21Data.
+"""Recordings of research data sets: GeoLife, the Oxford step counter, IPIN21Data, strides, RIDI, Edinburgh.
 
 GeoLife (Microsoft Research), ``.plt``: positions of a day, no other sensor.
 
@@ -7,12 +7,23 @@ or a folder with an ``accelerometer.csv`` of ``t_ns,accuracy,ax,ay,az``. Times a
 
 IPIN21Data (HafenCity University Hamburg): folders with ``acc.csv``, ``gyr.csv``, ``mag.csv``, ``bar.csv`` of Unix
 milliseconds and values, separated by spaces, without a header. Positions beside them are metres in UTM zone 32N.
+
+Strides (Wang et al., Sensors 2019): rows ``test ax ay az gx gy gz mx my mz ms …`` of Unix milliseconds; the length of
+the stride and the way follow.
+
+RIDI (Yan, Shan and Furukawa, ECCV 2018), as workbooks: columns ``time``, ``acce_x``, …, and ``pos_x``, ``pos_y`` of a
+camera.
+
+Edinburgh (Wei and Radu, IPIN 2019): XML of elements ``a``, ``g``, ``m`` with ``st`` [ns since boot], ``t`` [Unix ms],
+``x``, ``y``, ``z``, and of Wi-Fi scans ``wr`` with ``t``, of ``r`` with ``b`` (address) and ``s`` (level).
 """
 
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +31,13 @@ from pdr_graph.errors import InputError, count
 from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.signatures import OXFORD_WITH_ACCURACY
 from pdr_graph.io.source import Source
-from pdr_graph.io.validation import build_recording, plausible_times, receiver_fixes, surveyed
-from pdr_graph.types import DAY_LENGTH, UTM_32N, Array, Fixes, Recording
+from pdr_graph.io.tables import AN_EXCEL_FILE, AS_CSV, workbook_columns
+from pdr_graph.io.validation import build_recording, float_of, plausible_times, receiver_fixes, surveyed
+from pdr_graph.io.xml_elements import XmlElements
+from pdr_graph.types import DAY_LENGTH, UTM_32N, Array, Fixes, Recording, Sightings
 
+EDINBURGH_SENSORS = {"a": "accelerometer", "g": "gyroscope", "m": "magnetometer"}
+LARGEST_WORKBOOK = 200_000_000  # [bytes] unpacked, of which cells take ten times as much memory
 EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, where days count from
 
 
@@ -70,8 +85,8 @@ def read_ipin21(source: Source) -> Recording:
     )
     truth = None
     if track is not None:
-        rows = _ipin21_rows(source.where(track), source.text(track), 3)
-        truth = surveyed(rows[:, 0], rows[:, 1:3], epsg=UTM_32N)
+        rows = _ipin21_rows(source.where(track), source.text(track), 2)  # one of their two tracks has no height
+        truth = surveyed(rows[:, 0], rows[:, 1:], epsg=UTM_32N)
     return build_recording(str(source.path), source.path.stem, tables, 0.0, truth=truth, notes=notes)
 
 
@@ -94,3 +109,79 @@ def _ipin21_rows(where: str, text: str, values: int) -> Array:
     delimiter = next((d for d in "\t, " if d in text.strip().partition("\n")[0]), " ")
     rows = TextRows(where, text.encode(), delimiter=delimiter)
     return rows.floats(range(1 + values)) * ([0.001] + values * [1.0])
+
+
+def read_strides(source: Source) -> Recording:
+    """Read one walk whose strides a sensor at the foot measured. It has no positions."""
+    name = source.single or ""
+    rows = TextRows(source.where(name), source.utf8(name), delimiter=" ").floats((10, *range(1, 10))) * (
+        [0.001] + 9 * [1]
+    )
+    sensors = {"accelerometer": (0, 1, 2, 3), "gyroscope": (0, 4, 5, 6), "magnetometer": (0, 7, 8, 9)}
+    tables = {sensor: rows[:, columns] for sensor, columns in sensors.items()}
+    return build_recording(source.where(name), source.path.stem, tables, 0.0)
+
+
+RIDI_COLUMNS = {
+    "accelerometer": ("time", "acce_x", "acce_y", "acce_z"),
+    "gyroscope": ("time", "gyro_x", "gyro_y", "gyro_z"),
+    "magnetometer": ("time", "magnet_x", "magnet_y", "magnet_z"),
+}
+TRACK = "pos_x", "pos_y"
+
+
+def read_ridi(source: Source) -> Recording:
+    """Read one walk of RIDI, seconds since boot. The camera's track [m], in axes of its own, becomes ``truth``.
+
+    Raises InputError for any other workbook.
+    """
+    size = sum(len(source.content(name)) for name in source.names)  # whatever the archive states
+    if size > LARGEST_WORKBOOK:
+        raise InputError(source.path, "", f"a workbook of {size // 10**6} MB, unpacked", "a walk of some minutes")
+    columns = workbook_columns(source.path)
+    needed = list(dict.fromkeys(sum(RIDI_COLUMNS.values(), ())))
+    if absent := [name for name in needed if name not in columns]:
+        if len(absent) > len(needed) / 2:
+            raise InputError(source.path, "", AN_EXCEL_FILE, AS_CSV)
+        raise InputError(source.path, f"column {absent[0]}", "no such column, or texts in it", "numbers, as in RIDI")
+    tables = {k: np.column_stack([columns[name] for name in names]) for k, names in RIDI_COLUMNS.items()}
+    truth = None
+    if columns.keys() >= {*TRACK}:
+        truth = surveyed(columns["time"], np.column_stack([columns[name] for name in TRACK]))
+    return build_recording(str(source.path), source.path.stem, tables, None, truth=truth)
+
+
+def read_edinburgh(source: Source) -> Recording:
+    """Read one walk of Edinburgh. The places of the walk are in another file, which is not read."""
+    logs = [name for name in source.names if source.single or name.lower().endswith(".xml")]
+    if len(logs) > 1:
+        raise InputError(source.path, "", f"{len(logs)} logs, {logs[0]} and others", "one recording at a time")
+    where, content, notes = source.where(logs[0]), source.content(logs[0]), set[str]()
+
+    def elements(tag: str) -> list[Any]:
+        """All elements of one kind."""
+        log = XmlElements(BytesIO(content), where, "data", tag)
+        found = list(log)
+        notes.update([*log.notes, *(["the file ends in the middle, it is read up to there"] if log.is_cut else [])])
+        return found
+
+    def numbers(found: list[Any], *names: str) -> Array:
+        """Attributes ``(n, k)``; NaN where one is missing. Raises InputError for a text."""
+        texts = [each.get(name, "nan") for each in found for name in names]
+        values = np.array([float_of(text) for text in texts])
+        if wrong := [text for text, value in zip(texts, values, strict=True) if value != value and text != "nan"]:
+            raise InputError(where, f"<{found[0].tag}>", repr(wrong[0][:40]), f"numbers in {', '.join(names)}")
+        return values.reshape(-1, len(names))
+
+    tables = {sensor: numbers(elements(tag), "st", "x", "y", "z", "t") for tag, sensor in EDINBURGH_SENSORS.items()}
+    clocks = np.concatenate([table[:, [0, 4]] for table in tables.values()]) * (1e-9, 1e-3)
+    boot = float(np.nanmedian(np.append(clocks[:, 1] - clocks[:, 0], np.nan))) if len(clocks) else 0.0
+    tables = {
+        sensor: table[:, :4] * (1e-9, 1, 1, 1) + (boot, 0, 0, 0) for sensor, table in tables.items() if len(table)
+    }
+    radios = [(scan, radio) for scan in elements("wr") for radio in scan]
+    times, levels = numbers([scan for scan, _ in radios], "t")[:, 0] / 1000, numbers([r for _, r in radios], "s")[:, 0]
+    rows = np.flatnonzero(np.isfinite(times + levels))
+    rows = rows[np.argsort(times[rows], kind="stable")]
+    wifi = Sightings(times[rows], tuple(radios[row][1].get("b", "") for row in rows.tolist()), levels[rows])
+    return build_recording(where, source.path.stem, tables, 0.0, wifi=wifi, notes=sorted(notes))

@@ -111,6 +111,9 @@ IPIN21 = rb"\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\
 IPIN21_FIXES = rb"\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,"
 OXFORD_WITH_ACCURACY = rb"[0-9]{9,19},[0-3](?:,%b){3}\r?\n" % DECIMAL  # of each sample
 OXFORD_ROW = OXFORD_WITH_ACCURACY + rb"|[0-9]{9,19}(?:,%b){3}(?:,[0-9]+){3}\r?\n" % DECIMAL
+STRIDES = rb"test(?: %b){9} 1[0-9]{12} " % DECIMAL
+EDINBURGH = rb"\s*(?:<\?xml[^>]*>\s*)?<data\s[^>]*>\s*<(?:[agm]|wr)\s"
+WORKBOOK = r"workbook\.(?:xml|bin)"  # in an Excel file
 GPX_ROOT = rb"[\s\S]{0,4000}?<\0?(?:(?:[\w.-]\0?)+:\0?)?g\0?p\0?x\0?[\s>]"  # also in UTF-16
 OSM_ROOT = rb"[\s\S]{0,2048}?<\0?o\0?s\0?m"
 DXF = rb"(?:AutoCAD Binary DXF|\s*(?:0\s+SECTION|999)(?!\S))"
@@ -131,6 +134,9 @@ RECORDING_FORMATS: tuple[Signature, ...] = (
     Signature("ROS 2", "io.ros_bags:read", rb"rosbag2_bagfile_information:", r"metadata\.yaml", named=True),
     Signature("IPIN21Data", "io.research_recordings:read_ipin21", IPIN21, r"(?:acc|gyr)\.csv", named=True),
     Signature("Oxford step counter", "io.research_recordings:read_oxford", OXFORD_ROW, r"accelerometer\.csv"),
+    Signature("strides", "io.research_recordings:read_strides", STRIDES),
+    Signature("RIDI", "io.research_recordings:read_ridi", rb"", WORKBOOK, named=True),
+    Signature("Edinburgh", "io.research_recordings:read_edinburgh", EDINBURGH, r".*\.xml"),
     GEOLIFE,
     Signature("GPX", "io.gpx:read", GPX_ROOT),
     Signature("imported past", "io.past_day:read_fixes", rb"# pdr_graph past", positions=True),

@@ -41,21 +41,32 @@ if TYPE_CHECKING:
     from pdr_graph.floor.plan import FloorPlan
 
 
+AN_EXCEL_FILE, AS_CSV = "an Excel file", "CSV: save each table as CSV, or export CSV from the app"
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
 FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 
 
 def workbook_columns(path: Path) -> dict[str, Array]:
-    """The columns of numbers of a workbook's first sheet, by name."""
-    try:
-        from python_calamine import CalamineWorkbook
-    except ImportError:
-        raise InputError(path, "", "a workbook", "pip install '.[bench]' in a clone, which reads it") from None
+    """The columns of numbers of a workbook's first sheet, by name; NaN where a cell is empty.
 
-    head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
-    columns = zip(head, zip(*rows, strict=True), strict=True)
-    return {str(name): np.array(column, dtype=float) for name, column in columns if name}
+    Raises InputError if the workbook is damaged.
+    """
+    try:
+        from python_calamine import CalamineError, CalamineWorkbook
+    except ImportError:
+        expected = f"{AS_CSV} (a walk of RIDI: pip install '.[bench]' in a clone)"
+        raise InputError(path, "", AN_EXCEL_FILE, expected) from None
+    try:
+        head, *rows = CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python() or [[]]
+    except CalamineError:
+        raise InputError(path, "", AN_EXCEL_FILE, AS_CSV) from None
+    columns = zip(map(str, head), zip(*rows, strict=True), strict=True) if rows else ()
+    return {
+        name: np.array([float_of(cell) for cell in column])
+        for name, column in columns
+        if name and all(cell == "" or isinstance(cell, int | float) for cell in column)
+    }
 
 
 def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:

@@ -9,17 +9,22 @@ from recorders import (
     UNIX,
     G,
     device_motion,
+    edinburgh,
     get_sensor_data,
     gnss_logger,
     in_folder,
     in_zip,
+    ipin21,
     movella,
     nanoseconds,
     phyphox,
+    ridi,
     sample,
     sensor_log,
     sensor_logger,
+    strides,
     table,
+    workbook,
     xyz,
 )
 from refusals import refused
@@ -298,3 +303,47 @@ def test_the_times_of_a_step_counter_are_in_the_unit_in_which_somebody_walks(tmp
     counter = load(path).step_counter
     assert counter.values[-1, 0] == 118
     assert counter.time[-1] - counter.time[0] == pytest.approx(59.0)
+
+
+@pytest.mark.parametrize("of", [strides, ridi, edinburgh])
+def test_the_sensors_of_a_walk_of_research_are_those_written(tmp_path, sampled, of):
+    content = of(sampled)
+    path = tmp_path / "walk"
+    walk = load(in_zip(path.with_suffix(".xlsx"), content) if of is ridi else written(path, content))
+    for sensor, values in (("accelerometer", "acceleration"), ("gyroscope", "angular_rate"), ("magnetometer", "field")):
+        signal = walk.signals[sensor]
+        assert signal.time == pytest.approx(sampled.time - sampled.time[0], abs=1.1e-3)
+        assert signal.values == pytest.approx(getattr(sampled, values), abs=1e-9)
+    assert walk.epoch == (None if of is ridi else pytest.approx(UNIX, abs=1e-3))
+    assert walk.notes == ()
+
+
+def test_truth_and_receptions_of_a_walk_of_research(tmp_path, sampled):
+    truth = load(in_zip(tmp_path / "walk.xlsx", ridi(sampled))).truth
+    assert truth.position[:, 0] == pytest.approx(SPEED * truth.time)
+    assert truth.epsg is None, "axes of the camera"
+    wifi = load(written(tmp_path / "walk", edinburgh(sampled))).wifi
+    assert (wifi.time, wifi.transmitter, wifi.rssi) == (pytest.approx([3.0], abs=1e-3), ("00:11:22:33:44:55",), [-61.0])
+
+
+def test_a_track_of_ipin21_needs_no_height(tmp_path, sampled):
+    files = ipin21(sampled)
+    high = load(in_folder(tmp_path / "a", files)).truth
+    files["GroundTruthEight.csv"] = re.sub(r"(?m)\t[^\t]*$", "", files["GroundTruthEight.csv"])
+    low = load(in_folder(tmp_path / "b", files)).truth
+    assert low.time.tolist() == high.time.tolist()
+    assert low.position.tolist() == high.position.tolist()
+
+
+def test_a_workbook_or_log_that_is_no_walk_of_research_is_refused(tmp_path, sampled):
+    counted = workbook(["time", "steps"], sampled.time, sampled.time)
+    refused(load, in_zip(tmp_path / "steps.xlsx", counted), "found an Excel file, expected CSV")
+    two = {"1.xml": edinburgh(sampled), "2.xml": edinburgh(sampled)}
+    refused(load, in_folder(tmp_path / "two", two), "found 2 logs, 1.xml and others, expected one recording at a time")
+    refused(load, written(tmp_path / "a", "<data x='1'>\n<b t='1'/></data>"), "found XML of another kind")
+    refused(load, written(tmp_path / "b", "test 1 2 3 4 5 6 7 8 9 10\n"), "a text that begins with 'test 1 2 3")
+
+
+def written(path, text):
+    path.write_text(text)
+    return path

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, smooth
+from pdr_graph.apps.bench.data_sets import walks_of
 from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.frames import enu, projected
 from pdr_graph.geometry import interpolate
@@ -196,3 +197,15 @@ def test_a_tram_among_walks_is_named_and_the_fixes_carry_it(data):
     assert np.abs(first[:, 1]).max() < 5, "due east"
     turn = np.arctan2(*(last[-1] - last[0])[::-1])
     assert turn == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("name", "paths"), [("strides", "strides/*-25-11-33-56.txt"), ("ridi", "ridi/hao_leg2.xlsx")])
+def test_walks_of_research_data_are_those_of_the_bench(data, name, paths):
+    (path,) = data.glob(paths)
+    walk, of_bench = load(path), next(read for walk, read in walks_of(name, data) if walk in path.stem)()
+    for sensor, signal in of_bench.evidence.walk.signals.items():
+        assert walk.signals[sensor].time[-1] == pytest.approx(signal.time[-1])
+        assert walk.signals[sensor].values.mean(axis=0) == pytest.approx(signal.values.mean(axis=0), rel=1e-2, abs=1e-3)
+    if walk.truth:
+        ways = [np.hypot(*np.diff(truth.position, axis=0).T).sum() for truth in (walk.truth, of_bench.truth)]
+        assert ways[0] == pytest.approx(ways[1])
