@@ -472,7 +472,7 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
     elif not any(label):
         raise InputError(path, "line 1", "no place", "place (a name on the plan), x,y or lat,lon in each row")
     else:
-        found = [_named_area(path, row, name, floors) for row, name in enumerate(label)]
+        found = [named_area(path, row, name, floors) for row, name in enumerate(label)]
         position, unstated = np.array([place for place, _ in found]), np.array([sigma for _, sigma in found])
     sigma = numbers.get("sigma", np.full(count, np.nan))
     sigma = np.where(np.isnan(sigma), unstated, sigma)
@@ -494,7 +494,7 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
     return UntimedFixes(time, position, sigma, named), epsg
 
 
-def _named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
+def named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
     """Position ``(2,)`` and sigma [m] of the area with a name, or of several that are parts of one."""
     wanted = name.strip().casefold()
     areas = [(floor, area) for floor in floors for area in floor.areas]

@@ -124,7 +124,8 @@ Record = dict[str, Any]
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
 ENTRY_COLUMNS = (
-    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess"
+    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess "
+    "evidence"
 )
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
@@ -152,7 +153,7 @@ def day_record(day: DiaryDay) -> Record:
 def entry_record(columns: str, entry: TimelineEntry, **values: Any) -> Record:
     """An entry of a day or a visit: local times, durations [s], distance [m], position [deg] and sigma [m]."""
     span = {"start": local_iso(entry.start, entry.offset), "end": local_iso(entry.end, entry.end_offset)}
-    about = {"floor": " > ".join(entry.floor), "number": entry.place_number}
+    about = {"floor": " > ".join(entry.floor), "number": entry.place_number, "evidence": evidence_text(entry)}
     return _record(columns, entry, **span, **about, **values)
 
 
@@ -325,6 +326,7 @@ def row_texts(
     words = [
         _place(entry),
         one_line(entry.guess),
+        evidence_text(entry),
         "corrected" if entry.corrected else "",
         f"and {', '.join(texts)}" if texts else "",
     ]
@@ -338,6 +340,12 @@ def row_texts(
         far,
         "; ".join(filter(None, words)),
     )
+
+
+def evidence_text(entry: TimelineEntry) -> str:
+    """Receipts and photos of the time of an entry, with local times."""
+    inside = [(time, text) for time, text in entry.evidence if entry.start <= time <= entry.end]
+    return "; ".join(f"{clock_text(time, entry.offset)} {one_line(text)}" for time, text in sorted(inside))
 
 
 def entry_text(entry: TimelineEntry) -> str:

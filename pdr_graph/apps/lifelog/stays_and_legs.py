@@ -28,7 +28,7 @@ from pdr_graph.apps.lifelog.facts import (
     Guess,
 )
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
-from pdr_graph.geometry import without
+from pdr_graph.geometry import horizontal_sigma, without
 from pdr_graph.priors import TRACK, TRAVEL
 from pdr_graph.types import Array, Mask
 
@@ -46,7 +46,7 @@ class Track:
     """Where a person was, over all outings that are georeferenced.
 
     time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; sphere ``(n, 3)`` the same on a sphere [m]; along
-    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan.
+    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan; sigma ``(n,)`` per axis [m].
     """
 
     time: Array
@@ -54,13 +54,19 @@ class Track:
     sphere: Array
     along: Array
     plan: Mask
+    sigma: Array
 
     @classmethod
     def of(cls, outings: Sequence[Outing]) -> Track:
         """Construct from outings; those that are not georeferenced are left out."""
         parts = [(outing, without_gap_rows(outing)) for outing in outings if outing.frame.georeferenced]
         columns = [
-            (rows.time + outing.epoch, outing.frame.to_lonlat(rows.position), np.full(len(rows), bool(outing.plan)))
+            (
+                rows.time + outing.epoch,
+                outing.frame.to_lonlat(rows.position),
+                np.full(len(rows), bool(outing.plan)),
+                np.zeros(len(rows)) if rows.covariance is None else horizontal_sigma(rows.covariance),
+            )
             for outing, rows in parts
             if len(rows)
         ]
@@ -69,17 +75,17 @@ class Track:
     @classmethod
     def concatenate(cls, tracks: Sequence[Track]) -> Track:
         """One track of several."""
-        return cls._of_columns([(track.time, track.lonlat, track.plan) for track in tracks])
+        return cls._of_columns([(track.time, track.lonlat, track.plan, track.sigma) for track in tracks])
 
     @classmethod
-    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask]]) -> Track:
-        """The track of parts with columns time, lonlat and plan, in any order."""
-        nothing = np.empty(0), np.empty((0, 2)), np.empty(0, bool)
-        time, lonlat, plan = map(np.concatenate, zip(nothing, *parts, strict=True))
+    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask, Array]]) -> Track:
+        """The track of parts with columns time, lonlat, plan and sigma, in any order."""
+        nothing = np.empty(0), np.empty((0, 2)), np.empty(0, bool), np.empty(0)
+        time, lonlat, plan, sigma = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
         moved = arc(np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1))
-        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan[order])
+        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan[order], sigma[order])
 
     def between(self, start: float, end: float) -> slice:
         """The rows from `start` to `end`, both included."""

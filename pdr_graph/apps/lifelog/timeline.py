@@ -64,6 +64,7 @@ class TimelineEntry(OneLineRepr):
     entries that it covers, in time order, none for a single one.
     mode: what the person calls the activity, as "bus", "" by default; corrected: True if the person states it.
     guess: what another program guessed, as "Google Timeline: HOME, 78 %"; it is all that is known if observed is 0.
+    evidence: receipts and photos of its time, each with a time [s] and a text.
     Of a visit: arrived, left: True if its start and end were observed, not inside a time without data.
     """
 
@@ -87,6 +88,7 @@ class TimelineEntry(OneLineRepr):
     mode: str = ""
     corrected: bool = False
     guess: str = ""
+    evidence: tuple[tuple[float, str], ...] = ()
     arrived: bool = False
     left: bool = False
 
