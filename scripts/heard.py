@@ -26,7 +26,7 @@ from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.options import Options
 from pdr_graph.types import take
-from pdr_graph.walk import estimate, read, with_tables
+from pdr_graph.walk import estimate, observe, read
 
 PLACE = (135.0, 35.0)
 ROOMS = {  # west, south, east, north [m]
@@ -138,7 +138,7 @@ def evidence_of(folder, walk, beacons, **options):
 
 
 def live(seed, beacons):
-    """Of each second of a walk live: error [m], whether the room is right and said with 90 %, whether somebody walks."""
+    """Error [m] of each second of a walk live, whether the room is right, and said with 90 %, and whether one walks."""
     walk = walked(seed)
     with TemporaryDirectory() as folder:
         evidence = evidence_of(Path(folder), walk, beacons)
@@ -174,7 +174,7 @@ def surveyed(seed):
         )
         file.write_text("\n".join(["time,x,y,sigma", *rows]) + "\n")
         evidence = evidence_of(Path(folder), walk, {name: (("", ""), "") for name in ROOMS}, fixes=file)
-        reports = estimate(with_tables(evidence)).estimate.beacons
+        reports = estimate(observe(evidence)).estimate.beacons
     return {report.label: ((report.x, report.y), SURVEYED) for report in reports}
 
 

@@ -618,7 +618,7 @@ def places_of_days():
         for kind, texts in counts.items():
             seen = [text for text in texts if "no data then" not in text]
             fits = sum("does not fit" not in text for text in seen)
-            why = sum("time zone" in text for text in seen), sum("another time" in text for text in seen)
+            why = sum("time zone" in text for text in seen), sum("another time?" in text for text in seen)
             rows.append(
                 [phone.name.removeprefix("ucb-sdb-"), kind, len(texts), len(seen), fits, len(seen) - fits, *why]
             )

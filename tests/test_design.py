@@ -46,7 +46,8 @@ LIBRARIES = {
     "cli": {"cyclopts"},
     "bench": {"matplotlib"},
     "serve": {"starlette", "uvicorn", "h11", "aiomqtt"},
-    "lifelog": {"lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"} | {"garmin_fit_sdk"},
+    "lifelog": {"lxml", "joblib", "tzfpy", "PIL", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}
+    | {"garmin_fit_sdk"},
     "report": {"matplotlib", "isal", "rerun"},
     "online": {"sqlite3"},
     "papers": {"vqf"},

@@ -42,6 +42,7 @@ TIME_FORM = "a date or a local time, as 2024-05-01 or 2024-05-01 13:10, in time,
 RECEIPT_SIGMA, PHOTO_SIGMA, TRACK_SIGMA, PLAN_SIGMA = 15.0, 15.0, 20.0, 2.0
 MOST_SIGMA = 100.0  # [m] of a track whose place is hardly known: a place far off does not fit it
 TILL, SHUTTER = 120.0, 5.0
+EXACT = 600.0  # [s] in which a place with a time was visited: that time is shown
 LEAST_SILENCE = 600.0  # [s] without data in which somebody may have been elsewhere
 FITS = 3.0  # standard deviations of a place from the track within which it fits
 LONGEST_SPAN = 366 * DAY_LENGTH  # [s] between earliest and latest
@@ -283,8 +284,9 @@ def beside(
             doubts.append((middle, f"{name} does not fit: {why}{unless}"))
             continue
         n = next(n for n in inside if found[n].start <= time[nearest] <= found[n].end)
-        text = float(time[nearest]), f"{name}, {off[nearest]:.0f} m"
-        found[n] = replace(found[n], evidence=(*found[n].evidence, text))
+        shown = middle if place.end - place.start <= EXACT else float(time[nearest])
+        shown = min(max(shown, found[n].start), found[n].end)
+        found[n] = replace(found[n], evidence=(*found[n].evidence, (shown, f"{name}, {off[nearest]:.0f} m")))
     return found, tuple(doubts)
 
 
