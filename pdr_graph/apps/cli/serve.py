@@ -39,6 +39,7 @@ def serve(
     mqtt_topic: str = "sensor-logger",
     home_assistant: str | None = None,
     heard_as: tuple[str, ...] = (),
+    motion: tuple[str, ...] = (),
     study: tuple[str, ...] = (),
 ) -> None:
     """Show live phones on a map.
@@ -65,6 +66,7 @@ def serve(
         home_assistant: Broker of Home Assistant, to which phones are announced: as --mqtt.
         heard_as: PHONE=DEVICE, a phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it;
             repeatable.
+        motion: SENSOR=ROOM, a binary_sensor of Home Assistant and the room of --map that it sees; repeatable.
         study: Sensor Logger study whose uploads are reported; any: all; repeatable.
     """
     try:
@@ -73,6 +75,7 @@ def serve(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
+    from pdr_graph.apps.serve.home_assistant import motion_of
     from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
@@ -90,7 +93,7 @@ def serve(
     home = broker_of(home_assistant, "pdr_graph", "--home-assistant") if home_assistant else None
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
-    sources = Sources(phyphox, pulled, reports, home, receivers)
+    sources = Sources(phyphox, pulled, reports, home, receivers, motion_of(home, motion, building))
     server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
     scheme = "https" if certificate else "http"

@@ -42,6 +42,7 @@ from pdr_graph.types import Array
 from pdr_graph.web_request import TooLongError, request
 
 if TYPE_CHECKING:
+    from pdr_graph.apps.serve.home_assistant import MotionSensors
     from pdr_graph.apps.serve.receivers import Receivers
 
 POLL_INTERVAL = 1.0  # [s] between two polls
@@ -325,7 +326,7 @@ class Sources:
     """What the server connects to by itself.
 
     phyphox: addresses of phones; broker: of MQTT, None without; study: reports for studies, None without; home: the
-    broker of Home Assistant, None without; receivers: that hear phones, None without.
+    broker of Home Assistant, None without; receivers: that hear phones, None without; motion: sensors in rooms.
     """
 
     phyphox: tuple[str, ...] = ()
@@ -333,6 +334,7 @@ class Sources:
     study: StudyReports | None = None
     home: Broker | None = None
     receivers: Receivers | None = None
+    motion: MotionSensors | None = None
 
 
 @asynccontextmanager
