@@ -84,8 +84,8 @@ class MotionSensors:
 
     rooms: name of the room in which each entity ``binary_sensor.SENSOR`` is; since: when each saw motion begin [s], by
     a monotonic clock, -inf if that is unknown, NaN where it sees none.
-    A sensor sees whoever is there, goes on for up to a minute after them, and sees nobody who sits still. So it counts
-    that motion begins, by ENTERED, and that there is none, by QUIET: odds of the room, whatever the position says.
+    A sensor sees anybody who moves there, goes on for up to a minute after them, and sees nobody who sits still. So it
+    counts that motion begins, by ENTERED, and that there is none, by QUIET: odds of the room, whatever the position is.
     """
 
     rooms: Mapping[str, str] = field(default_factory=dict)
