@@ -78,7 +78,7 @@ GOALS: dict[str, tuple[int, int]] = {
     "lines of scripts": (5_200, 7_620),
     "lines of tests": (33_000, 42_700),
     "words of docs": (27_000, 29_950),
-    "words of results": (15_000, 17_600),
+    "words of results": (15_000, 17_800),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}
