@@ -6,6 +6,7 @@ sections were timed by hand, beside stay points; days indoors are in a mall, and
 
 import csv
 import json
+import re
 import sys
 import warnings
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from tables import publish, table
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING, Stay
 from pdr_graph.apps.lifelog.diary import detailed, diary
+from pdr_graph.apps.lifelog.facts import VISITED, Correction
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.observation import observe
 from pdr_graph.apps.lifelog.past.importing import import_past
@@ -35,7 +37,8 @@ from pdr_graph.apps.lifelog.store import RecordingOptions, Store
 from pdr_graph.apps.lifelog.timeline import STAY as STAY_ROW
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.plan_files import Building
-from pdr_graph.geometry import interpolate
+from pdr_graph.frames import enu
+from pdr_graph.geometry import interpolate, rotation
 from pdr_graph.lab.simulation.recorders import write
 from pdr_graph.lab.simulation.scenario import SHOP_FRONT, Scenario
 from pdr_graph.lab.simulation.simulate import simulate
@@ -58,6 +61,7 @@ PEOPLE, DAYS = range(1, 13), 4  # of the simulation; constants were chosen on th
 def lifelog(days=20):
     """The tables of stays and of visits."""
     publish("results/lifelog.md", "lifelog-timed-days", timed_days())
+    publish("results/lifelog.md", "lifelog-places", places_of_days())
     publish("results/lifelog.md", "lifelog-recipe", beside_the_recipe())
     publish("results/lifelog.md", "lifelog-simulated-days", simulated_days())
     seen = [day(MAPS / f"{'market' if seed % 2 else 'mall'}.geojson", seed) for seed in range(days)]
@@ -661,6 +665,70 @@ def times_within(rows, start, end):
         if kind in own:
             own[kind] += max(0.0, min(b, end) - max(a, start))
     return own | {NOTHING: end - start - sum(own.values())}
+
+
+PLACES, OFF, APART = 30, (300.0, 3000.0), 200.0  # of each kind a day; of false ones, and least from the way [m]
+
+
+def places_of_days():
+    """Receipts and photos where the other phone of the same day was, and false ones, beside the diary of one."""
+    phones = sorted((DATA / "mobilitynet").iterdir())
+    rows = []
+    for phone, other in (phones, phones[::-1]):
+        counts = {}
+        for file in sorted(phone.glob("*.rec")):
+            if (other / file.name).exists():
+                for kind, text in judged_places(file, other / file.name):
+                    counts.setdefault(kind, []).append(text)
+        for kind, texts in counts.items():
+            seen = [text for text in texts if "no data then" not in text]
+            fits = sum("does not fit" not in text for text in seen)
+            why = sum("time zone" in text for text in seen), sum("another time?" in text for text in seen)
+            rows.append(
+                [phone.name.removeprefix("ucb-sdb-"), kind, len(texts), len(seen), fits, len(seen) - fits, *why]
+            )
+    return table(["phone", "place", "given", "with data", "fit", "do not fit", "zone named", "other time named"], rows)
+
+
+def judged_places(file, other):
+    """Kind and text of each receipt and photo that is drawn for a day. other: the file of the true positions."""
+    messages = (json.loads(line[line.index("{") :]) for line in other.read_text().splitlines())
+    exact = [m for m in messages if m["_type"] == "location" and m.get("acc", 999) <= 100]
+    time, lonlat = np.array([m["tst"] for m in exact], float), np.array([(m["lon"], m["lat"]) for m in exact])
+    accuracy = np.maximum([m["acc"] / 1.51 for m in exact], 15.0)
+    random, frame = np.random.default_rng([len(time), 9]), enu(lonlat[0, 1], lonlat[0, 0])
+    way, drawn = frame.from_lonlat(lonlat), []
+    for n in random.choice(len(time), min(PLACES, len(time)), replace=False).tolist():
+        around = way[n] + rotation(random.uniform(0, 2 * np.pi)) @ [random.uniform(*OFF), 0.0]
+        away = np.hypot(*(way - around).T).min() > APART
+        clock = 3600 * random.choice([-3, -2, -1, 1, 2, 3])
+        day = time[0], time[-1]
+        sigma, then = accuracy[n], (time[n], time[n])
+        drawn += [("photo", way[n], then, "photo", sigma), ("receipt of the day", way[n], day, "receipt", sigma)]
+        drawn += [("photo, clock 1 to 3 h off", way[n], (time[n] + clock, time[n] + clock), "photo", sigma)]
+        if away:
+            drawn += [("photo by a friend", around, then, "photo", sigma)]
+            drawn += [("receipt of somebody else", around, day, "receipt", sigma)]
+    with TemporaryDirectory() as folder:
+        import_past(Path(folder) / "log", [file])
+        build(Path(folder) / "log")
+        with Store(Path(folder) / "log") as store:
+            for n, (_, place, span, source, radius) in enumerate(drawn):
+                longitude, latitude = frame.to_lonlat(place[None])[0].tolist()
+                value = {
+                    "latitude": latitude,
+                    "longitude": longitude,
+                    "radius": float(radius),
+                    "name": f"#{n}",
+                    "source": source,
+                }
+                store.put_correction(Correction(0, "me", 0.0, VISITED, span[0] - 5.0, span[1] + 5.0, value))
+            found = diary(store, "me")
+    texts = [text for day in found.days for row in day.entries for _, text in row.evidence] + list(found.doubts)
+    return [
+        (kind, next((t for t in texts if f"#{n}" in re.split(r"[ ,:]", t)), "no data then"))
+        for n, (kind, *_) in enumerate(drawn)
+    ]
 
 
 def diary_entries(files):

@@ -162,9 +162,10 @@ def _network(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _untimed(estimate: Estimate) -> Iterator[Contradiction]:
-    """Places without a time, too many of which are not on the walk."""
+    """Places without a time, too many of which are not on the walk for the fixes to confirm it."""
     rejected = sum(place.weight < REPORTS.rejected for place in estimate.untimed)
-    if (share := rejected / max(len(estimate.untimed), 1)) > VERDICTS.doubtful:
+    confirming = sum(fix.weight > REPORTS.accepted for fix in estimate.fixes)
+    if (share := rejected / max(len(estimate.untimed) + confirming, 1)) > VERDICTS.doubtful:
         text = f"{rejected} of {count(len(estimate.untimed), 'place')} without a time are not on the walk"
         yield Contradiction(
             "visited", STEPS_AND_REST, share, "share", text, "whose places, of which day, on which plan?"

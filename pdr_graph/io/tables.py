@@ -236,12 +236,15 @@ def read_table(
     optional: tuple[str, ...] = (),
     words: tuple[str, ...] = (),
     recording: Recording | None = None,
+    unknown: bool = False,
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
     """Read columns of numbers ``(n,)`` and of texts by name from a table with a header.
 
     required: alternative sets of columns, of which the first complete one is read; words: columns of text. Empty cells
-    are allowed in optional columns (NaN) and in columns of text only. Times may be ISO 8601: they become seconds on the
-    clock of `recording`, without one Unix times. Raises InputError naming the line.
+    are allowed in optional columns (NaN) and in columns of text only; unknown: also in required ones of a row. Times
+    may be ISO 8601: they become seconds on the clock of `recording`, without one Unix times.
+
+    Raises InputError naming the line.
     """
     source = _one_file(path)
     table = delimited.table(str(path), source.text(source.single or ""))
@@ -267,8 +270,10 @@ def read_table(
             raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
     values = table.rows.floats([header.index(name) for name in plain], cut_off_allowed=False)
     numbers = dict(zip(plain, values.T, strict=True)) | times
+    cells = [rows.words(header.index(name)) for name in present if unknown]
+    blank = np.all([[not cell for cell in column] for column in cells], axis=0) if cells else np.zeros(len(rows), bool)
     for name in present:
-        for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
+        for row in np.flatnonzero(np.isnan(numbers[name]) & ~blank)[:1]:
             cell = table.rows.words(header.index(name))[row]
             raise InputError(path, f"line {table.rows.numbers[row]}, {name}", repr(cell[:40]), "a finite number")
     for name in {"x", "y"}.intersection(present):
@@ -385,12 +390,13 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
     Columns are ``beacon,x,y[,sigma][,floor]`` in the output frame, ``beacon,lat,lon[,sigma][,floor]``, or IPIN's
     ``bleID,Lat,Lon,floor``. ``beacon`` is the address as in the recording, or a name that ends in the minor number of
     an iBeacon, such as BLE3. Without a recording the names stay as in the list. unstated: sigma of places without a
-    stated one [m].
+    stated one [m]. A row without coordinates is a beacon whose place is unknown (NaN).
 
     Raises InputError naming the line.
     """
     required = [("x", "y"), ("lat", "lon")]
-    numbers, words = read_table(Path(path), required, optional=("sigma",), words=("beacon", "bleid", "floor"))
+    texts = ("beacon", "bleid", "floor")
+    numbers, words = read_table(Path(path), required, optional=("sigma",), words=texts, unknown=True)
     geodetic = "lat" in numbers
     if geodetic:
         check_geodetic(path, numbers)
@@ -483,7 +489,7 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
     elif not any(label):
         raise InputError(path, "line 1", "no place", "place (a name on the plan), x,y or lat,lon in each row")
     else:
-        found = [_named_area(path, row, name, floors) for row, name in enumerate(label)]
+        found = [named_area(path, row, name, floors) for row, name in enumerate(label)]
         position, unstated = np.array([place for place, _ in found]), np.array([sigma for _, sigma in found])
     sigma = numbers.get("sigma", np.full(count, np.nan))
     sigma = np.where(np.isnan(sigma), unstated, sigma)
@@ -505,7 +511,7 @@ def read_visited(path: Path, recording: Recording, floors: Sequence[FloorPlan] =
     return UntimedFixes(time, position, sigma, named), epsg
 
 
-def _named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
+def named_area(path: Path, row: int, name: str, floors: Sequence[FloorPlan]) -> tuple[Array, float]:
     """Position ``(2,)`` and sigma [m] of the area with a name, or of several that are parts of one."""
     wanted = name.strip().casefold()
     areas = [(floor, area) for floor in floors for area in floor.areas]

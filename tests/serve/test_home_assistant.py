@@ -15,7 +15,18 @@ from streamed_walks import bodies, outdoors, soon
 
 from pdr_graph.apps.serve import home_assistant as module
 from pdr_graph.apps.serve.access import OWNER
-from pdr_graph.apps.serve.home_assistant import PREFIX, STATUS, Alert, alert, announce, phone_of, rooms_of, state_of
+from pdr_graph.apps.serve.home_assistant import (
+    PREFIX,
+    STATUS,
+    Alert,
+    MotionSensors,
+    alert,
+    announce,
+    motion_of,
+    phone_of,
+    rooms_of,
+    state_of,
+)
 from pdr_graph.apps.serve.publishing import MOST_SUBSCRIBERS, Hub, nowhere, region
 from pdr_graph.apps.serve.pulling import Sources, broker_of
 from pdr_graph.apps.serve.sensor_messages import SENSOR_LOGGER
@@ -60,6 +71,37 @@ def test_all_routes_count_and_nothing_is_said_where_nothing_is_known():
     hallway = state_of(pose(2.0, 5.0, 0.1), HOME)
     assert (hallway["room"], hallway["confidence"], hallway["rooms"]) == (None, None, {})
     assert hallway["accuracy"] == pytest.approx(0.2)
+
+
+def test_motion_that_begins_is_evidence_of_a_room_and_no_more():
+    """A sensor that lies, as by somebody else, does not overrule a sure position; one that stays on says nothing."""
+    sensors, likely, unsure = (
+        MotionSensors({"hall": "Bath"}),
+        {"Kitchen": 0.9, "Bath": 0.1},
+        {"Kitchen": 0.6, "Bath": 0.4},
+    )
+    topic = "homeassistant/binary_sensor/hall/state"
+    assert sensors.weighed(unsure, 0.0) == unsure, "no state yet"
+    sensors.take(topic, b"on", 0.0)
+    sensors.take("homeassistant/binary_sensor/other/state", b"on", 0.0)
+    assert next(iter(sensors.weighed(unsure, 5.0))) == "Bath"
+    assert sensors.weighed(likely, 5.0)["Kitchen"] == pytest.approx(0.9 / (0.9 + 3 * 0.1))
+    assert sensors.weighed(unsure, 40.0) == pytest.approx(unsure), "somebody was there a minute ago"
+    sensors.take(topic, b"on", 41.0)
+    assert sensors.weighed(unsure, 42.0) == pytest.approx(unsure), "said again"
+    sensors.take(topic, b"off", 50.0)
+    assert sensors.weighed(unsure, 51.0)["Bath"] < 0.4
+    sensors.take(topic, b"unavailable", 52.0)
+    sensors.take(topic, b"on", -np.inf)  # retained: of any age
+    assert sensors.weighed(unsure, 53.0) == pytest.approx(unsure)
+    assert sensors.weighed({}, 53.0) == {}
+
+
+@pytest.mark.parametrize("pair", ["hall", "hall=Attic", "Hall Way=Bath", "=Bath"])
+def test_a_motion_sensor_needs_a_room_of_the_plan(pair):
+    with pytest.raises(InputError, match=r"--motion.*Kitchen"):
+        motion_of(broker_of("mqtt://h"), [pair], HOME)
+    assert motion_of(broker_of("mqtt://h"), ["hall=bath"], HOME).rooms == {"hall": "Bath"}
 
 
 def test_a_phone_keeps_its_topics_from_walk_to_walk_and_users_have_their_own():

@@ -40,25 +40,28 @@ RECORDED_WITH = ("plan", "fixes", "beacons", "ranges", "walker", "floor")  # opt
 def add(
     store: Store,
     /,
-    *recordings: Annotated[Path, Parameter(required=True)],
+    *recordings: Path,
     person: str | None = None,
     options: Annotated[Options, only(*RECORDED_WITH)] = Options(),
+    visited: Path | None = None,
     begins: str | None = None,
     phone: str | None = None,
     people: bool = False,
     copy: bool = False,
     quiet: Quiet = False,
 ) -> None:
-    """Add recordings to a lifelog; create it if it does not exist.
+    """Add recordings, photos and receipts to a lifelog; create it if it does not exist.
 
     A recording is added once, whatever its name. Options hold for all the RECORDINGs; a recording that is in the
     lifelog already keeps its present value of an option that is not given.
 
     pdr-graph lifelog add days.db walks/ --map maps/mall.geojson
+    pdr-graph lifelog add days.db --visited receipts.csv ~/photos
 
     Args:
-        recordings: Recordings: files, folders or zips; or folders full of them.
+        recordings: Recordings: files, folders or zips; or folders full of them. Photos with a place in their EXIF tags.
         person: The person who recorded; default: me.
+        visited: Receipts: CSV of place (of the diary or the plan) or lat,lon, and time or earliest,latest [,sigma].
         begins: Start of a recording without a clock, as ISO 8601; UTC without an offset.
         phone: Name of the person's phone or tag in the Bluetooth logs of others.
         people: Each RECORDING is a folder with a folder for each person, who has its name.
@@ -67,14 +70,25 @@ def add(
     from pdr_graph.apps.lifelog import ingest
     from pdr_graph.apps.lifelog.store import RecordingOptions
 
+    if not recordings and visited is None:
+        raise InputError("RECORDINGS", "", "nothing to add", "recordings, photos, or --visited receipts.csv")
     start = None if begins is None else ingest.time_of(begins)
     kept = RecordingOptions(**{name: getattr(options, name) for name in RECORDED_WITH}, begins=start)
-    if people and (person is not None or phone is not None):
-        raise InputError("--people", "", "--person or --phone too", "the names of the folders alone")
+    if people and (person is not None or phone is not None or visited is not None):
+        raise InputError("--people", "", "--person, --phone or --visited too", "the names of the folders alone")
     folders = ingest.folders_of_people(recordings) if people else {person: recordings}
     with _progress_bar() as advance:
         results = [
-            ingest.add(store, own, kept, person=who, phone=phone, copy=copy, progress=partial(advance, who or ""))
+            ingest.add(
+                store,
+                own,
+                kept,
+                person=who,
+                phone=phone,
+                copy=copy,
+                progress=partial(advance, who or ""),
+                visited=visited,
+            )
             for who, own in folders.items()
         ]
     result = sum(results[1:], results[0])
@@ -83,8 +97,12 @@ def add(
         [f"{result.existing} there already, {result.changed} of them with other options now"] if result.existing else []
     )
     counts += [f"{result.skipped} files skipped"] if result.skipped else []
+    places = result.places
+    counts += [f"{count(places.new, 'place')} of receipts and photos"] if places.new else []
+    counts += [f"{count(places.existing, 'place')} there already"] if places.existing else []
+    counts += [f"{count(places.unplaced, 'photo')} without place or time"] if places.unplaced else []
     echo(f"{', '.join(counts)} -> {store}")
-    _end(result.refused, none=not result.added + result.existing)
+    _end(result.refused, none=not result.added + result.existing + places.new + places.existing)
 
 
 @lifelog.command(name="import")

@@ -39,6 +39,7 @@ def serve(
     mqtt_topic: tuple[str, ...] = ("sensor-logger",),
     home_assistant: str | None = None,
     heard_as: tuple[str, ...] = (),
+    motion: tuple[str, ...] = (),
     study: tuple[str, ...] = (),
     alert: tuple[str, ...] = (),
 ) -> None:
@@ -66,6 +67,7 @@ def serve(
         home_assistant: Broker of Home Assistant, to which phones are announced: as --mqtt.
         heard_as: PHONE=DEVICE, a phone of --home-assistant and its Bluetooth device, as ESPresense or bermuda names it;
             repeatable.
+        motion: SENSOR=ROOM, a binary_sensor of Home Assistant and the room of --map that it sees; repeatable.
         study: Sensor Logger study whose uploads are reported; any: all; repeatable.
         alert: ROOM=URL, an address that gets a POST when a phone enters a named area of --map; repeatable.
     """
@@ -75,7 +77,7 @@ def serve(
         raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.apps.serve.access import LOCAL_HOSTS, load_tokens
     from pdr_graph.apps.serve.application import checked_tiles
-    from pdr_graph.apps.serve.home_assistant import Alert
+    from pdr_graph.apps.serve.home_assistant import Alert, motion_of
     from pdr_graph.apps.serve.pulling import PhyphoxPhone, Sources, broker_of
     from pdr_graph.apps.serve.receivers import receivers_of
     from pdr_graph.apps.serve.study import StudyReports
@@ -93,7 +95,8 @@ def serve(
     home = broker_of(home_assistant, (), "--home-assistant") if home_assistant else None
     receivers = receivers_of(home, heard_as, placed.name if placed else ()) if heard_as else None
     pulled = broker_of(mqtt, mqtt_topic) if mqtt else None
-    sources = Sources(phyphox, pulled, reports, home, receivers, tuple(Alert.of(text, building) for text in alert))
+    alerts = tuple(Alert.of(text, building) for text in alert)
+    sources = Sources(phyphox, pulled, reports, home, receivers, alerts, motion_of(home, motion, building))
     server = serving.Settings(out, options, store, workers, tokens, checked_tiles(tiles), sources=sources)
     app = serving.build(server, building)
     scheme = "https" if certificate else "http"

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from pdr_graph.apps.lifelog import cache, observation
 from pdr_graph.apps.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
-from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, Correction, forgotten_times
+from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, VISITED, Correction, forgotten_times
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
 from pdr_graph.apps.lifelog.store import WAYS_FILE, ZONE, Entry, Store, StoredDay
@@ -339,7 +339,9 @@ def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) ->
             for c in corrections
             if c.person == person
             and c.kind in ESTIMATE_KINDS
-            and any(entries[name].overlaps(*c.span) for name in recordings)
+            and any(
+                entries[name].overlaps(*c.span) and (entries[name].steps or c.kind != VISITED) for name in recordings
+            )
         )
         planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date)), stated))
     rest = None, str(log.folder), cache.RESULT_VERSION, ways_of(log)

@@ -1,7 +1,8 @@
 """Apply a person's corrections: to the observations that a day is estimated from, and to the entries of its timeline.
 
 A stated place becomes position fixes in place of the recorded ones, a stated activity a constraint; "not me" and
-deleted times are masked. Merging, splitting and naming change only the timeline.
+deleted times are masked. Merging, splitting and naming change only the timeline. The place of a receipt or photo is a
+measurement of the walk that could reach it, beside its own.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pdr_graph.apps.lifelog.facts import (
     NOT_ME,
     PLACE_NAME,
     SPLIT,
+    VISITED,
     Correction,
 )
 from pdr_graph.apps.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
@@ -28,7 +30,7 @@ from pdr_graph.apps.lifelog.sessions import is_located
 from pdr_graph.apps.lifelog.stays_and_legs import Track, cut
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.frames import enu
-from pdr_graph.types import Array, Fixes
+from pdr_graph.types import Array, Fixes, UntimedFixes
 
 NOT_MINE = "part of this recording is masked: not this person's"
 # Fixes of a stated place: often enough that the smoother sees no gap (`TRACK.longest`), and enough of them that it
@@ -39,6 +41,7 @@ CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions,
 # [s] at either end of a stated stay in which a walk with steps may go to the place and back, and [m/s] how fast: slower
 # than `FIXES.driven`; chosen by hand
 FREE_TIME, FREE_SPEED = 60.0, 20.0
+WALKED = 2.0  # [m/s] largest mean speed of a walk that goes to the place of a receipt; chosen by hand
 
 
 def apply_to_observations(
@@ -68,7 +71,55 @@ def apply_to_observations(
         else:
             continue
         found |= {name: replace(part, stated=(*part.stated, (start, end, kind))) for name, part in covered.items()}
+    for correction in (c for c in corrections if c.kind == VISITED):
+        reached = {name: _detour(part, correction) for name, part in found.items()}
+        reached = {name: off for name, off in reached.items() if off <= 0}
+        if reached:  # the place is visited once: by the walk that came nearest
+            nearest = min(reached, key=lambda name: (reached[name], name))
+            found[nearest] = _with_visited(found[nearest], correction)
     return found
+
+
+def _detour(part: Observation, visited: Correction) -> float:
+    """How much farther a place is than a walk with steps could go beside its positions in the time [m]; else infinite.
+
+    That is CONTRADICTION sigmas, and WALKED times the silence after or before a position.
+    """
+    steps, fixes = part.steps, part.fixes
+    if steps is None or not visited.touches(part.epoch + steps.start, part.epoch + steps.end):
+        return np.inf
+    if not part.frame.georeferenced:
+        return np.inf
+    longitude, latitude = visited.place[::-1]
+    place = part.frame.from_lonlat(np.array([[longitude, latitude]]))
+    if not len(fixes):
+        return 0.0 if part.plan and _on_plan(part.plan, place[0]) else np.inf
+    off = np.hypot(*(fixes.position - place).T)
+    time = np.sort(fixes.time)
+    silent = np.diff(time, prepend=min(steps.start, time[0]), append=max(steps.end, time[-1]))
+    order = np.argsort(np.argsort(fixes.time, kind="stable"))
+    longest = np.maximum(silent[:-1], silent[1:])[order]
+    spread = CONTRADICTION * np.hypot(fixes.sigma, visited.radius)
+    inside = (part.epoch + fixes.time >= visited.start - longest) & (part.epoch + fixes.time <= visited.end + longest)
+    return float(np.min((off - spread - WALKED * longest)[inside], initial=np.inf))
+
+
+def _on_plan(plan: str, place: Array) -> bool:
+    """True if a place [m] is within the bounding box of a plan."""
+    from pdr_graph.apps.lifelog.reconstruct import building_of  # imports all of estimation, which is slow
+
+    low, high = building_of(plan).floors[0].corners
+    return bool(np.all((place >= low) & (place <= high)))
+
+
+def _with_visited(part: Observation, visited: Correction) -> Observation:
+    """The observation with the place of a receipt or photo as a measurement of the walk."""
+    longitude, latitude = visited.place[::-1]
+    position = part.frame.from_lonlat(np.array([[longitude, latitude]]))
+    time = np.array([visited.span]) - part.epoch
+    label = f"{visited.text('source')} {visited.text('name')}"
+    place = UntimedFixes(time, position, np.array([visited.radius]), (label,))
+    return replace(part, measurements=(*part.measurements, place))
 
 
 def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: float) -> Observation:
@@ -120,7 +171,7 @@ def apply_to_entries(
     """
     found = list(entries)
     for correction in corrections:
-        if correction.kind == PLACE_NAME or not found:
+        if correction.kind in (PLACE_NAME, VISITED) or not found:
             continue
         start, end = _bounds(found, correction)
         is_cut = [any(e.start < time < e.end for e in found) for time in (start, end)]

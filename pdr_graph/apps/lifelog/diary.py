@@ -21,7 +21,7 @@ import numpy as np
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.corrections import apply_to_entries, place_names
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
-from pdr_graph.apps.lifelog.facts import Correction, Guess
+from pdr_graph.apps.lifelog.facts import VISITED, Correction, Guess
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at, zone_named
 from pdr_graph.apps.lifelog.places import NamedArea, Place, places_of, plan_name
 from pdr_graph.apps.lifelog.stays_and_legs import (
@@ -35,6 +35,7 @@ from pdr_graph.apps.lifelog.stays_and_legs import (
 )
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, TimelineEntry, timeline
+from pdr_graph.apps.lifelog.visited import beside
 from pdr_graph.errors import count
 from pdr_graph.storage import compress, decompress
 from pdr_graph.types import DAY_LENGTH, INSTANT, Array, Index, OneLineRepr
@@ -110,13 +111,14 @@ class DiaryDay(OneLineRepr):
 @dataclass(frozen=True)
 class Diary(OneLineRepr):
     """The diary of a person. days: those asked for that have data, in order; places: of all days, unless they are those
-    of an overview; visits: of an overview, in time order.
+    of an overview; visits: of an overview, in time order; doubts: receipts and photos of these days that do not fit.
     """
 
     person: str
     days: tuple[DiaryDay, ...]
     places: tuple[Place, ...]
     visits: tuple[TimelineEntry, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def _summary(self) -> list[str]:
         return [repr(self.person), count(len(self.days), "day"), count(len(self.places), "place")]
@@ -150,7 +152,9 @@ def diary(
     made = [_day(log, person, date, own, whole, outings) for date, own in wanted.items()]
     if tolerance:
         made = [replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)) for day in made]
-    return Diary(person, tuple(made), whole.places)
+    spans = [(day.start, day.end) for day in made]
+    doubts = [text for time, text in whole.doubts if any(a <= time < b for a, b in spans)]
+    return Diary(person, tuple(made), whole.places, doubts=tuple(doubts))
 
 
 def _rows_near(rows: Sequence[TimelineEntry], first: str, last: str) -> list[TimelineEntry]:
@@ -164,7 +168,7 @@ class UnpartedDiary:
     """A person's diary before midnights part it.
 
     digests: of the stored days; rows: as corrected; places: of these; track, clock: where the person was, and the local
-    time there.
+    time there; doubts: receipts and photos that do not fit, each with a time [s].
     """
 
     digests: tuple[DayDigest, ...]
@@ -172,6 +176,7 @@ class UnpartedDiary:
     places: tuple[Place, ...]
     track: Track
     clock: LocalClock
+    doubts: tuple[tuple[float, str], ...] = ()
 
     @cached_property
     def spans(self) -> Array:
@@ -186,11 +191,14 @@ class UnpartedDiary:
         track = Track.concatenate([digest.track for digest in digests])
         fine = without_overlaps([entry for digest in digests for entry in digest.entries])
         guesses = log.guesses(person)
-        rows, places = corrected_rows(fine, track, log.corrections(person), guesses)
+        corrections = log.corrections(person)
+        rows, places = corrected_rows(fine, track, corrections, guesses)
         seen = [(guess.start, guess.longitude, guess.latitude) for guess in guesses if np.isfinite(guess.latitude)]
         where = np.concatenate([np.column_stack([track.time, track.lonlat]), np.reshape(seen, (-1, 3))])
         where = where[np.argsort(where[:, 0], kind="stable")]
-        return cls(digests, tuple(rows), places, track, LocalClock(log.setting(ZONE), where[:, 0], where[:, 1:]))
+        clock = LocalClock(log.setting(ZONE), where[:, 0], where[:, 1:])
+        rows, doubts = beside(rows, track, [c for c in corrections if c.kind == VISITED], clock)
+        return cls(digests, tuple(rows), places, track, clock, doubts)
 
 
 def corrected_rows(

@@ -16,8 +16,15 @@ from pdr_graph.apps.lifelog.day import STANDING, VEHICLE, WALKING
 from pdr_graph.types import OneLineRepr
 
 AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
-CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN)
-ESTIMATE_KINDS = (AT, MODE, NOT_ME, FORGOTTEN)  # kinds that change the estimate; the others change only its timeline
+VISITED = "visited"  # by a receipt or a photo, which may be wrong
+CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN, VISITED)
+ESTIMATE_KINDS = (
+    AT,
+    MODE,
+    NOT_ME,
+    FORGOTTEN,
+    VISITED,
+)  # kinds that change the estimate; the others change only its timeline
 # [m/s] mean speed between two positions from which it was a flight, and [m] its shortest: a flight of an hour without
 # data has 80 m/s from gate to gate, a train without a stop 70 m/s
 SLOWEST_FLIGHT, SHORTEST_FLIGHT, AEROPLANE = 75.0, 100_000.0, "plane"
@@ -39,7 +46,7 @@ class Correction(OneLineRepr):
     number: in the store, 0 before it is there; made: Unix time of the statement [s]; kind: one of CORRECTION_KINDS.
     start, end: the time for which it holds (Unix times [s]), equal for a split, ALWAYS for a named place.
     value: ``latitude``, ``longitude`` [deg], ``radius`` [m] (the standard deviation per axis) and ``name`` of a place,
-    or the ``mode``; empty for kinds that need none.
+    of one by another source also this ``source``; or the ``mode``; empty for kinds that need none.
     """
 
     number: int

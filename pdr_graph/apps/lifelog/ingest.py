@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.cache import content_hash
 from pdr_graph.apps.lifelog.observation import check_usable, read_inputs
 from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
+from pdr_graph.apps.lifelog.visited import Added, add_places, photos_in
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
@@ -38,10 +39,11 @@ class AddResult:
     changed: int = 0
     skipped: int = 0
     refused: tuple[str, ...] = ()
+    places: Added = field(default_factory=Added)
 
     def __add__(self, other: AddResult) -> AddResult:
         """The result of both."""
-        return AddResult(*(own + another for own, another in zip(astuple(self), astuple(other), strict=True)))
+        return AddResult(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
 
 
 def folders_of_people(folders: Sequence[Path]) -> dict[str | None, Sequence[Path]]:
@@ -66,18 +68,20 @@ def add(
     phone: str | None = None,
     copy: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    visited: Path | None = None,
 ) -> AddResult:
-    """Add recordings, also those in folders, to a lifelog, which is created if it does not exist.
+    """Add recordings and photos, also those in folders, to a lifelog, which is created if it does not exist.
 
     options, person: of all these recordings (the person is DEFAULT_PERSON by default); recordings that are in the
     lifelog already keep their present value of an option that is None. phone: name of the person's phone or tag in the
     Bluetooth logs of others. copy: keep a copy, so that the original may be deleted. progress: called with the numbers
-    of recordings done and in total.
+    of recordings done and in total. visited: a table of receipts.
 
     Raises InputError if an option or the lifelog cannot be used; OSError of the disk.
     """
     options = _checked(person, options or RecordingOptions())
-    found, skipped, refused = find_recordings(recordings)
+    photos = photos_in(recordings)
+    found, skipped, refused = find_recordings([path for path in recordings if path not in photos], bool(photos))
     if options.begins is not None and len(found) > 1:
         raise InputError("--begins", "", f"{len(found)} recordings", "a single recording: add them one by one")
     is_new = not store.exists()
@@ -103,8 +107,10 @@ def add(
             known[entry.hash] = entry
             log.put(entry)
         progress(len(found), len(found))
-    result = AddResult(**counts, skipped=skipped, refused=tuple(refused))
-    if is_new and phone is None and not result.added:
+        places = add_places(log, person or DEFAULT_PERSON, visited, photos)
+    refused += places.refused
+    result = AddResult(**counts, skipped=max(skipped - len(photos), 0), refused=tuple(refused), places=places)
+    if is_new and phone is None and not result.added + places.new:
         store.unlink(missing_ok=True)  # all were refused: nothing is written
     return result
 
@@ -131,8 +137,11 @@ def _is_changed(before: Entry, now: Entry) -> bool:
     return (before.person, before.options) != (now.person, now.options)
 
 
-def find_recordings(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
-    """Find recordings in files and folders; returns them, the number of other files, and a line per refusal."""
+def find_recordings(paths: Sequence[Path], photos: bool = False) -> tuple[list[Path], int, list[str]]:
+    """Find recordings in files and folders; returns them, the number of other files, and a line per refusal.
+
+    photos: True if a folder may have photos alone.
+    """
     found, skipped, refused = dict[Path, None](), 0, list[str]()
     for path in paths:
         try:
@@ -142,7 +151,7 @@ def find_recordings(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
             continue
         found |= dict.fromkeys(within)
         skipped += other
-        if not within:
+        if not within and not photos:
             expected = "a recording, or a folder of recordings"
             refused.append(str(InputError(path, "", f"{other} files, no recording", expected)))
     return list(found), skipped, refused

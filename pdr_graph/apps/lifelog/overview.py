@@ -124,7 +124,8 @@ Record = dict[str, Any]
 
 DAY_COLUMNS = f"person date start end {SUM_COLUMNS}"
 ENTRY_COLUMNS = (
-    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess likely"
+    "kind start end duration observed distance floor place number latitude longitude sigma mode corrected guess likely "
+    "evidence"
 )
 PLACE_COLUMNS = "person number place latitude longitude sigma visits duration first last"
 VISIT_COLUMNS = "person place number start end duration observed arrived left latitude longitude sigma"
@@ -153,6 +154,7 @@ def entry_record(columns: str, entry: TimelineEntry, **values: Any) -> Record:
     """An entry of a day or a visit: local times, durations [s], distance [m], position [deg] and sigma [m]."""
     span = {"start": local_iso(entry.start, entry.offset), "end": local_iso(entry.end, entry.end_offset)}
     about = {"floor": " > ".join(entry.floor), "number": entry.place_number, "likely": dict(entry.likely)}
+    about |= {"evidence": evidence_text(entry)}
     return _record(columns, entry, **span, **about, **values)
 
 
@@ -325,6 +327,7 @@ def row_texts(
     words = [
         _place(entry),
         one_line(entry.guess),
+        evidence_text(entry),
         "corrected" if entry.corrected else "",
         f"and {', '.join(texts)}" if texts else "",
     ]
@@ -347,6 +350,12 @@ def likely_text(entry: TimelineEntry) -> str:
     texts = [f"{p:.0%}" if p < 0.995 else ">99%" for kind, p in entry.likely if kind == own]
     texts += [f"{KIND_NAMES.get(kind, kind)} {p:.0%}" for kind, p in entry.likely if kind != own and p >= 0.05]
     return ", ".join(texts)
+
+
+def evidence_text(entry: TimelineEntry) -> str:
+    """Receipts and photos of the time of an entry, with local times."""
+    inside = [(time, text) for time, text in entry.evidence if entry.start <= time <= entry.end]
+    return "; ".join(f"{clock_text(time, entry.offset)} {one_line(text)}" for time, text in sorted(inside))
 
 
 def entry_text(entry: TimelineEntry) -> str:

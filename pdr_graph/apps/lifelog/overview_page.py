@@ -94,6 +94,8 @@ def body(shown: Overview, tiles: TileServer, links: Links | None = None, below: 
     ]
     parts += [_slider(day) for day in days if day.known]
     together = fleet_tables(shown, short=False) if several and (shown.is_fleet or shown.dwells) else ()
+    doubts = [line for own in shown.diaries for line in own.doubts]
+    parts += [tag("p", escape(one_line(line)), class_="soft") for line in doubts]
     parts += [below, *(html_table("", table, links=links) for table in together)]
     for own in () if shown.is_fleet else shown.diaries:
         tables = shown_tables(shown, own, short=False)

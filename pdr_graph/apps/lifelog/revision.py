@@ -35,6 +35,7 @@ from pdr_graph.apps.lifelog.facts import (
     NOT_ME,
     PLACE_NAME,
     SPLIT,
+    VISITED,
     Correction,
     forgotten_times,
 )
@@ -179,6 +180,7 @@ class OpenDiary:
             MODE: f"was {correction.text('mode')}",
             NOT_ME: "not me",
             FORGOTTEN: "deleted",
+            VISITED: f"{correction.text('source')} {named}, {where}",
         }
         return f"{start} to {end if end[:10] != start[:10] else end[11:]}: {words[correction.kind]}"
 

@@ -12,7 +12,15 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, detailed, diary
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period
-from pdr_graph.apps.lifelog.overview import Overview, as_json, as_text, guess_notes, overview, tables
+from pdr_graph.apps.lifelog.overview import (
+    Overview,
+    as_json,
+    as_text,
+    evidence_text,
+    guess_notes,
+    overview,
+    tables,
+)
 from pdr_graph.apps.lifelog.places import Place, likely_home
 from pdr_graph.apps.lifelog.store import Store
 from pdr_graph.apps.lifelog.timeline import timeline_csv
@@ -154,7 +162,8 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     remarks = [*(f"note: {line}" for line in [*notes, *guess_notes(chosen)]), *(f"missing: {line}" for line in missing)]
     if folder is not None:
         remarks += _files(chosen, stored, folder, template, remarks)
-    return remarks
+    beside = [evidence_text(entry) for day in chosen.days if is_day for entry in day.entries if entry.evidence]
+    return [*remarks, *filter(None, beside), *(f"note: {line}" for own in chosen.diaries for line in own.doubts)]
 
 
 def _files(shown: Overview, stored: Day | None, folder: Path, template: str, remarks: Sequence[str]) -> list[str]:

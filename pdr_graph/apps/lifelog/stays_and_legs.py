@@ -28,7 +28,7 @@ from pdr_graph.apps.lifelog.facts import (
     Guess,
 )
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
-from pdr_graph.geometry import without
+from pdr_graph.geometry import horizontal_sigma, without
 from pdr_graph.priors import TRACK, TRAVEL
 from pdr_graph.types import Array, Mask
 
@@ -47,7 +47,7 @@ class Track:
 
     time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; sphere ``(n, 3)`` the same on a sphere [m]; along
     ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan; stepped ``(n,)`` True where steps were
-    measured.
+    measured; sigma ``(n,)`` per axis [m].
     """
 
     time: Array
@@ -56,6 +56,7 @@ class Track:
     along: Array
     plan: Mask
     stepped: Mask
+    sigma: Array
 
     @classmethod
     def of(cls, outings: Sequence[Outing]) -> Track:
@@ -66,6 +67,7 @@ class Track:
                 rows.time + outing.epoch,
                 outing.frame.to_lonlat(rows.position),
                 np.tile([bool(outing.plan), outing.steps > 0], (len(rows), 1)),
+                np.zeros(len(rows)) if rows.covariance is None else horizontal_sigma(rows.covariance),
             )
             for outing, rows in parts
             if len(rows)
@@ -76,17 +78,20 @@ class Track:
     def concatenate(cls, tracks: Sequence[Track]) -> Track:
         """One track of several."""
         marks = [np.column_stack([track.plan, track.stepped]) for track in tracks]
-        return cls._of_columns([(track.time, track.lonlat, own) for track, own in zip(tracks, marks, strict=True)])
+        return cls._of_columns(
+            [(track.time, track.lonlat, own, track.sigma) for track, own in zip(tracks, marks, strict=True)]
+        )
 
     @classmethod
-    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask]]) -> Track:
-        """The track of parts with columns time, lonlat, and plan and stepped ``(n, 2)``, in any order."""
-        nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2), bool)
-        time, lonlat, marks = map(np.concatenate, zip(nothing, *parts, strict=True))
+    def _of_columns(cls, parts: Sequence[tuple[Array, Array, Mask, Array]]) -> Track:
+        """The track of parts with columns time, lonlat, plan and stepped ``(n, 2)``, and sigma, in any order."""
+        nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2), bool), np.empty(0)
+        time, lonlat, marks, sigma = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
         sphere = on_sphere(lonlat[order])
         moved = arc(np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1))
-        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), *marks[order].T)
+        plan, stepped = marks[order].T
+        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan, stepped, sigma[order])
 
     def between(self, start: float, end: float) -> slice:
         """The rows from `start` to `end`, both included."""

@@ -66,6 +66,7 @@ class TimelineEntry(OneLineRepr):
     guess: what another program guessed, as "Google Timeline: HOME, 78 %"; it is all that is known if observed is 0.
     likely: kinds with the probability that each is what the person did at a moment of the entry, likeliest first; ()
     where it is not known.
+    evidence: receipts and photos of its time, each with a time [s] and a text.
     Of a visit: arrived, left: True if its start and end were observed, not inside a time without data.
     """
 
@@ -90,6 +91,7 @@ class TimelineEntry(OneLineRepr):
     corrected: bool = False
     guess: str = ""
     likely: tuple[tuple[str, float], ...] = ()
+    evidence: tuple[tuple[float, str], ...] = ()
     arrived: bool = False
     left: bool = False
 

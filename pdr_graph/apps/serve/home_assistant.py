@@ -7,8 +7,9 @@ its room, the room's probability, the floor and the accuracy, and on a plan with
 home-assistant.io, integrations mqtt ("Device discovery payload"), sensor.mqtt and device_tracker.mqtt.
 
 A room is a named area of the plan. Its probability is that of the position's distribution, all routes together, in the
-room, as a share of what lies on the plan: walls are no place to be. The states are retained, so that a dashboard that
-starts later has them, and Home Assistant's history has the room and its probability over time.
+room, as a share of what lies on the plan: walls are no place to be. Motion sensors change the odds of their rooms. The
+states are retained, so that a dashboard that starts later has them, and Home Assistant's history has the room and its
+probability over time.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import re
+import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -43,6 +45,10 @@ ONLINE, ABSENT = "online", "offline"
 FINISHED = "finished"  # state of a walk that is over
 LEAST_SHOWN = 0.05  # probability from which a room is among the attributes
 RETAINED_TIME = 2.0  # [s] for the broker to send what it has retained
+MOTION_TOPICS = "+/binary_sensor/+/state"  # of mqtt_statestream, retained
+# Odds of a room whose sensor sees no motion, or has seen it begin for RECENT [s]: it sees half of the time somebody who
+# is there, a tenth of the time somebody else; chosen by hand
+QUIET, ENTERED, RECENT = 0.6, 3.0, 10.0
 LONGEST_PAUSE = 60.0  # [s] without news after which the connection is still looked at
 # An alert: a phone is in a room from this probability on for so long [s], and out of it below the other
 ENTERED, LEFT, STAYS = 0.8, 0.2, 2.0
@@ -79,9 +85,47 @@ def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, fl
     return {name: part / share.total() for name, part in share.most_common()}
 
 
-def state_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class MotionSensors:
+    """Motion sensors in rooms: ``serve --motion SENSOR=ROOM``.
+
+    rooms: name of the room in which each entity ``binary_sensor.SENSOR`` is; since: when each saw motion begin [s], by
+    a monotonic clock, -inf if that is unknown, NaN where it sees none.
+    A sensor sees anybody who moves there, goes on for up to a minute after them, and sees nobody who sits still. So it
+    counts that motion begins, by ENTERED, and that there is none, by QUIET: odds of the room, whatever the position is.
+    """
+
+    rooms: Mapping[str, str] = field(default_factory=dict)
+    since: dict[str, float] = field(default_factory=dict)
+
+    def weighed(self, rooms: Mapping[str, float], now: float) -> dict[str, float]:
+        """The probabilities of rooms with the states of the sensors, the most probable first. now: [s]."""
+        odds = dict.fromkeys(rooms, 1.0)
+        for sensor, begin in self.since.items():
+            if (room := self.rooms[sensor]) in odds:
+                odds[room] *= QUIET if np.isnan(begin) else ENTERED if now - begin < RECENT else 1.0
+        share = {name: part * odds[name] for name, part in rooms.items()}
+        total = sum(share.values())
+        return dict(sorted(((name, part / total) for name, part in share.items()), key=lambda item: -item[1]))
+
+    def take(self, topic: str, payload: bytes, now: float) -> None:
+        """Keep the state of a sensor; one that is unavailable has none. now: [s], -inf for a state of any age."""
+        sensor, state = topic.split("/")[-2] if topic.count("/") >= 3 else "", payload.strip().lower()
+        if sensor in self.rooms and state == b"on":
+            if np.isnan(self.since.get(sensor, np.nan)):
+                self.since[sensor] = now
+        elif sensor in self.rooms:
+            self.since.pop(sensor, None)
+            if state == b"off":
+                self.since[sensor] = np.nan
+
+
+NO_SENSORS = MotionSensors()
+
+
+def state_of(pose: Mapping[str, Any], building: Building | None, motion: MotionSensors = NO_SENSORS) -> dict[str, Any]:
     """The state of a phone: null for what is unknown; `accuracy`: 68 % radius [m]; `confidence` [%] of the room."""
-    rooms = rooms_of(pose, building)
+    rooms = motion.weighed(rooms_of(pose, building), time.monotonic())
     named = {name: part for name, part in rooms.items() if name}
     room = next(iter(rooms), "")
     return {
@@ -139,11 +183,13 @@ def phone_of(user: str, name: str) -> str:
 class Announcer:
     """Publishes the phones of a hub. One that was recorded several times is one device: its newest walk counts.
 
-    known: the phones that have a walk, also those that the hub does not show.
+    known: the phones that have a walk, also those that the hub does not show; motion: sensors of rooms.
     """
 
-    def __init__(self, hub: Hub, building: Building | None, known: Callable[[], set[str]]):
-        self._hub, self._building, self._known = hub, building, known
+    def __init__(
+        self, hub: Hub, building: Building | None, known: Callable[[], set[str]], motion: MotionSensors = NO_SENSORS
+    ):
+        self._hub, self._building, self._known, self._motion = hub, building, known, motion
         self._announced = dict[str, bool]()  # phones: with a position on earth
         self._walks = dict[str, tuple[str, float]]()  # of each phone the walk that is shown, and the time of its pose
 
@@ -179,7 +225,9 @@ class Announcer:
             message = msgspec.json.encode(discovery_of(phone, one_line(pose["name"]), tracked))
             await client.publish(f"homeassistant/device/{PREFIX}_{phone}/config", message, retain=True)
             self._announced[phone] = tracked
-        await client.publish(f"{topic}/state", msgspec.json.encode(state_of(pose, self._building)), retain=True)
+        await client.publish(
+            f"{topic}/state", msgspec.json.encode(state_of(pose, self._building, self._motion)), retain=True
+        )
         if tracked and pose["sigma"] is not None:
             accuracy = round(RADIUS_68 * pose["sigma"], 1)
             position = {"latitude": pose["lat"], "longitude": pose["lon"], "gps_accuracy": accuracy}
@@ -216,10 +264,48 @@ async def _retained(client: Any) -> set[str]:
 
 
 async def announce(
-    broker: Broker, hub: Hub, building: Building | None, known: Callable[[], set[str]], say: Say
+    broker: Broker,
+    hub: Hub,
+    building: Building | None,
+    known: Callable[[], set[str]],
+    say: Say,
+    motion: MotionSensors = NO_SENSORS,
 ) -> None:
-    """Publish the phones of a hub to a broker, for ever; a lost connection is made again. known: see `Announcer`."""
-    await connected(broker, Announcer(hub, building, known).run, say, last_will=(STATUS, ABSENT))
+    """Publish the phones of a hub to a broker, for ever; a lost connection is made again. As of `Announcer`."""
+    await connected(broker, Announcer(hub, building, known, motion).run, say, last_will=(STATUS, ABSENT))
+
+
+async def watch(broker: Broker, motion: MotionSensors, say: Say) -> None:
+    """Keep the states of motion sensors up to date, for ever; without a connection none is known."""
+
+    async def work(client: Any) -> None:
+        motion.since.clear()
+        await client.subscribe(MOTION_TOPICS)
+        try:
+            async for message in client.messages:
+                now = -np.inf if message.retain else time.monotonic()
+                motion.take(str(message.topic), bytes(message.payload), now)
+        finally:
+            motion.since.clear()
+
+    await connected(broker, work, say)
+
+
+def motion_of(broker: Broker | None, pairs: Iterable[str], building: Building | None) -> MotionSensors:
+    """The motion sensors ``pairs`` SENSOR=ROOM. Raises InputError if something is missing or malformed."""
+    option, rooms = "--motion", dict[str, str]()
+    names = (
+        {} if building is None else {c.name.lower(): c.name for f in building.floors for c in f.cells.cells if c.name}
+    )
+    for pair in pairs:
+        if broker is None:
+            raise InputError(option, "", "no broker", "--home-assistant mqtt://HOST, to which the states are published")
+        sensor, _, room = pair.partition("=")
+        if not re.fullmatch(r"[a-z0-9_]+", sensor) or room.lower() not in names:
+            expected = f"SENSOR=ROOM, binary_sensor.SENSOR in a room of --map ({', '.join(names.values()) or 'none'})"
+            raise InputError(option, "", repr(pair), expected)
+        rooms[sensor] = names[room.lower()]
+    return MotionSensors(rooms)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from pdr_graph.types import Array
 from pdr_graph.web_request import TooLongError, request
 
 if TYPE_CHECKING:
-    from pdr_graph.apps.serve.home_assistant import Alert
+    from pdr_graph.apps.serve.home_assistant import Alert, MotionSensors
     from pdr_graph.apps.serve.receivers import Receivers
 
 POLL_INTERVAL = 1.0  # [s] between two polls
@@ -327,7 +327,8 @@ class Sources:
     """What the server connects to by itself.
 
     phyphox: addresses of phones; broker: of MQTT, None without; study: reports for studies, None without; home: the
-    broker of Home Assistant, None without; receivers: that hear phones, None without; alerts: addresses that are asked.
+    broker of Home Assistant, None without; receivers: that hear phones, None without; alerts: addresses that are asked;
+    motion: sensors in rooms.
     """
 
     phyphox: tuple[str, ...] = ()
@@ -336,6 +337,7 @@ class Sources:
     home: Broker | None = None
     receivers: Receivers | None = None
     alerts: tuple[Alert, ...] = ()
+    motion: MotionSensors | None = None
 
 
 @asynccontextmanager

@@ -27,7 +27,7 @@ from pdr_graph.apps.replay import navigator_of
 from pdr_graph.apps.serve.access import Access
 from pdr_graph.apps.serve.application import Server, application
 from pdr_graph.apps.serve.estimators import STOPPING, Estimators, end_all
-from pdr_graph.apps.serve.home_assistant import alert, announce, phone_of
+from pdr_graph.apps.serve.home_assistant import NO_SENSORS, alert, announce, phone_of, watch
 from pdr_graph.apps.serve.live_walk import NOT_RECORDED, finish
 from pdr_graph.apps.serve.publishing import Hub, plan_layers
 from pdr_graph.apps.serve.pulling import Sources, running
@@ -82,8 +82,9 @@ def build(settings: Settings, building: Building | None = None) -> Starlette:
         await estimators.start()
         try:
             home, receivers = settings.sources.home, settings.sources.receivers
-            more = [] if home is None else [announce(home, hub, building, known, say)]
-            alerts = settings.sources.alerts
+            motion, alerts = settings.sources.motion or NO_SENSORS, settings.sources.alerts
+            more = [] if home is None else [announce(home, hub, building, known, say, motion)]
+            more += [watch(home, motion, say)] if home is not None and motion.rooms else []
             more += [alert(alerts, hub, building, say)] if alerts else []
             more += [] if receivers is None else [listen(receivers, reception, say)]
             async with running(settings.sources, reception, say, more):

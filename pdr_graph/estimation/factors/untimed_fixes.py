@@ -38,6 +38,7 @@ ROUGHLY = 3.0  # times the sigma, in the rough stage
 TURNS, SCALES = np.radians(np.arange(-180.0, 180.0, 6.0)), (0.88, 1.0, 1.14)  # of the track, that vote
 FEWEST = 0.05  # votes of a place that is not on the walk, of 1
 EACH, MOST_STARTS = 3, 30  # starts of each turn and scale; of all
+MOST_FIXES = 60  # of a receiver, that vote
 MOST_CELLS = 300  # of the votes, along an axis
 OPEN, OFTEN = 4.0, 3  # [σ²] by which another time is worse at most; intervals between two that are reported
 INSIDE = 1e-6  # of an interval, its ends
@@ -132,8 +133,11 @@ class UntimedFixFactor(Itemized, Refined, Searching):
         return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number, loss=loss)]
 
     def starts(self, at: Evaluation, fixes: FixFactor, sigma_direction: float) -> Sequence[State]:
-        """Where the search starts, the best first: the walk ``at``, turned, scaled and moved."""
-        if not len(self.places):
+        """Where the search starts, the best first: the walk ``at``, turned, scaled and moved.
+
+        None where fixes determine the walk to the sigma of the places.
+        """
+        if not len(self.places) or self._determined(at, fixes):
             return ()
         walk, paths = as_complex(at.state.poses[:, :2]), np.empty((0, len(at.state.poses)), dtype=complex)
         states = list[State]()
@@ -147,11 +151,23 @@ class UntimedFixFactor(Itemized, Refined, Searching):
                 )
         return states
 
+    def _determined(self, at: Evaluation, fixes: FixFactor) -> bool:
+        """True if all of the walk is so near to fixes that it is known better than the places."""
+        known = np.flatnonzero(fixes.consistent)
+        if len(known) < 3:  # two may lie together
+            return False
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(at.state.poses[:, :2], axis=0).T))])
+        measured = np.sort(along[fixes.keyframe[known]])
+        ways = np.concatenate([[2 * measured[0]], np.diff(measured), [2 * (along[-1] - measured[-1])]])
+        error = np.hypot(np.median(fixes.fixes.sigma[known]), INITIAL.rough_track * ways.max() / 2)
+        return bool(error <= 2 * np.median(self.untimed.sigma))
+
     def _voted(
         self, at: Evaluation, fixes: FixFactor, sigma_direction: float
     ) -> Iterator[tuple[float, float, float, complex, float]]:
         """Log votes, turn [rad], scale and displacement [m] of possible walks, and how exact they are [m]."""
         walk, known = as_complex(at.state.poses[:, :2]), np.flatnonzero(fixes.consistent)
+        known = known[:: -(-len(known) // MOST_FIXES) or 1]
         places = as_complex(np.concatenate([self.places, fixes.fixes.position[known]]))
         passed = [*(walk[:-1][open_] for open_ in self._open()), *walk[fixes.keyframe[known], None]]
         length = float(np.sum(at.chain.pieces.length))
