@@ -75,8 +75,8 @@ def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
             turned = 0.0
         row, turned = row + len(chunk), turned + chunk.final_turn
     unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
-    stepless = sum(chunk.stepless for chunk in chunks)
-    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown, stepless=stepless)
+    times = {name: sum(getattr(chunk, name) for chunk in chunks) for name in ("stepless", "missing")}
+    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown, **times)
 
 
 def shifted(steps: Steps, by: float) -> Steps:
