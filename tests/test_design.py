@@ -74,10 +74,10 @@ GOALS: dict[str, tuple[int, int]] = {
     "modules run at a step live, with a plan": (28, 40),
     "numbers that steer": (440, 409),
     "numbers by judgement without a range": (0, 237),
-    "lines of scripts": (5_200, 7_300),
+    "lines of scripts": (5_200, 7_305),
     "lines of tests": (33_000, 42_500),
     "words of docs": (27_000, 29_500),
-    "words of results": (15_000, 17_100),
+    "words of results": (15_000, 17_125),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}
