@@ -75,8 +75,9 @@ def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
             turned = 0.0
         row, turned = row + len(chunk), turned + chunk.final_turn
     unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
-    times = {name: sum(getattr(chunk, name) for chunk in chunks) for name in ("stepless", "missing")}
-    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown, **times)
+    joined = Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown)
+    stepless, missing = sum(chunk.stepless for chunk in chunks), sum(chunk.missing for chunk in chunks)
+    return replace(joined, stepless=stepless, missing=missing)
 
 
 def shifted(steps: Steps, by: float) -> Steps:

@@ -397,8 +397,8 @@ class UnrecognisedMovement:
         stepped = walking[:whole].reshape(-1, size).any(axis=1)
         self.magnitude, self.walking = magnitude[whole:], walking[whole:]
         gained, missed = 0.0, list[float]()
-        for strength, steps in zip(spread.tolist(), stepped.tolist(), strict=True):
-            self.seconds, self.stepped = self.seconds + 1, self.stepped + steps
+        for strength, steps in np.column_stack([spread, stepped]).tolist():
+            self.seconds, self.stepped = self.seconds + 1, self.stepped + int(steps)
             self.usual += (strength - self.usual) / self.stepped if steps else 0.0
             moves = strength > STAND.quiet
             if moves and not steps and self.stepped and strength > MOVEMENT.like_steps * self.usual:
