@@ -512,6 +512,7 @@ class Steps(Rows):
     steps are independent.
     final_turn: heading change from the last step to ``end`` [rad].
     stepless: time in which the device moved as a carried one does, and no step was recognised [s].
+    missing: time in which it moved like the walker's steps without one [s]; sigmas of the next steps have it.
     unknown: quantities that the sensors do not determine, one line each.
     confidence: ``(n,)`` probability that each is a step, by the detector; 1 if it is not stated.
 
@@ -530,6 +531,7 @@ class Steps(Rows):
     final_turn: float = 0.0
     unknown: tuple[str, ...] = field(default=(), metadata=TABLE)
     stepless: float = 0.0
+    missing: float = 0.0
     confidence: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from tables import publish, table
 
 from pdr_graph import Fixes, Trajectory, WalkGraph, detect_steps, smooth
 from pdr_graph.apps.bench.matrix import ERRORS, known, places, stated
+from pdr_graph.estimation.results import missing_steps
 from pdr_graph.gait import walker
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_detection import walking_steps
@@ -39,6 +40,7 @@ LONG = 35.0  # [m]
 CHAINS = {"site1/B1": "5ddb8a0", "site1/F1": "5dd9ef", "site2/F1": "5dd36"}
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 CARRIES = {"leg": "trouser pocket", "bag": "bag", "handheld": "hand", "body": "body"}  # by RIDI's names
+WALKERS = {"NA": "sighted", "WC": "long cane", "GD": "guide dog"}
 PACES = ("slow", "normal", "fast", "jog", "run", "sprint")
 RUNS = {
     "walk": ("normal",) * 5,
@@ -55,6 +57,7 @@ ASIDE = re.compile("_side|hang_body_test")  # RIDI's walks with steps sideways o
 def steps(data):
     """The tables."""
     counts(data)
+    parity(data)
     quiet(data)
     paces = list(true_walks(data))
     carry_and_pace(data, paces)
@@ -74,6 +77,22 @@ def counts(data):
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
         rows.append([name, walk.steps, *(with_error(n, walk.steps) for n in found)])
     publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
+
+
+def parity(data):
+    """Errors of the steps by kind of walker, and of how many walks it is said that steps are missing."""
+    found = {}
+    for walk in gait_data.weallwalk(data):
+        steps = detect_steps(walk.recording)
+        error = 100 * abs(len(steps) / walk.steps - 1), len(missing_steps(steps))
+        found.setdefault(WALKERS[walk.data_set.split()[1]], []).append(error)
+    rows, sighted = [], np.percentile([error for error, _ in found["sighted"]], [50, 90, 100])
+    for kind, of in found.items():
+        errors = np.percentile([error for error, _ in of], [50, 90, 100])
+        cells = [f"{error:.1f} % ({error / usual:.1f})" for error, usual in zip(errors, sighted, strict=True)]
+        rows.append([kind, len(of), *cells, sum(said for _, said in of)])
+    header = ["walkers", "phones", "error: median (by the sighted)", "90 %", "largest", "said to be missing"]
+    publish("results/steps.md", "parity", table(header, rows))
 
 
 def with_error(found, true):
@@ -215,9 +234,6 @@ def confidence(data, walks):
         for manner in PACES:
             signal = simulate(Scenario.of(paced(manner, hold, seed=0))).signals["accelerometer"]
             stated.append((walking_steps(signal.time, signal.values).confidence, 1))
-    for frequency in (0.4, 0.5, 0.7, 0.9):
-        for angle in (0.2, 0.35, 0.5, 0.8):
-            stated.append((walking_steps(*gait_data.waved(frequency, angle)).confidence, 0))
     for speed in (8.0, 14.0, 30.0):
         for seed in range(4):
             rough = gait_data.quarter_car(speed, 256e-6, seed=seed)

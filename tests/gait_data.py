@@ -1,20 +1,24 @@
 """Errors of headings, simulated walks with known directions, and accelerations of phones whose holder does not walk."""
 
+import re
+import xml.etree.ElementTree as ElementTree
 from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import StateSpace, lsim
 
+from pdr_graph.apps.bench.data_sets import recording_of
 from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.lab.papers.calibration_walk import CountedWalk
 from pdr_graph.lab.simulation.scenario import Scenario
 from pdr_graph.lab.simulation.simulate import simulate
 from pdr_graph.online.interface import Samples, events_of
-from pdr_graph.types import Headings
+from pdr_graph.types import STANDARD_GRAVITY, Headings
 
 RATE = 50.0  # [Hz] of made samples
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
@@ -98,3 +102,15 @@ def waved(frequency, angle, lever=0.6, seconds=60.0, rate=RATE, seed=0):
     x, z = (np.gradient(np.gradient(v, 1 / rate), 1 / rate) for v in (lever * np.sin(at), -lever * np.cos(at)))
     along, across = (z + 9.81) * np.cos(at) - x * np.sin(at), x * np.cos(at) + (z + 9.81) * np.sin(at)
     return t, np.column_stack([np.zeros(len(t)), across, along]) + random.normal(0, 0.08, (len(t), 3))
+
+
+def weallwalk(data, pattern="*"):
+    """Walks of WeAllWalk with the heel strikes until their last sample."""
+    for path in sorted(data.glob(f"weallwalk/iPhoneSensors_{pattern}.csv")):
+        route, person, _, tool = re.fullmatch(r"iPhoneSensors_(T\d+)_(ID\d+)_(\w\w)_(\w\w)", path.stem).groups()
+        rows = np.loadtxt(path, delimiter=",", usecols=(0, 17, 18, 19, 30, 31, 32))
+        rows = rows[np.append(True, np.diff(rows[:, 0]) > 0)]
+        tree = ElementTree.parse(path.with_name(f"{route}_{person}_{tool}.xml"))
+        steps = sum(float(strike.text) <= rows[-1, 0] for strike in tree.iter("Time"))
+        recording = recording_of(path.stem, rows[:, 0], -STANDARD_GRAVITY * rows[:, 4:], rows[:, 1:4])
+        yield CountedWalk(f"weallwalk {tool}", person, recording, steps)

@@ -55,7 +55,7 @@ Signal(time, values)
 Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, updates, \
 rebuilds, judge)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=, \
-stepless=, confidence=)
+stepless=, missing=, confidence=)
 TABLE
 Trajectory(time, position, heading, floor=, covariance=, epsg=)
 Verdict(state, reasons=)

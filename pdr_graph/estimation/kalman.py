@@ -49,10 +49,9 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import OPEN_DIRECTIONS, lay_dead_reckoning
 from pdr_graph.estimation.results import (
     calibration_of,
-    movement_contradictions,
+    missing_steps,
     plan_contradictions,
     stated_probability,
-    time_on_steps,
     warnings,
 )
 from pdr_graph.gait.step_chunks import concatenate_steps
@@ -659,7 +658,7 @@ def _estimate(
         warnings=warned,
         contradictions=(
             *plan_contradictions(graph),
-            *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
+            *missing_steps(graph.steps),
         ),
     )
     return replace(estimate, probability=stated_probability(estimate, graph.floor))

@@ -17,7 +17,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import distance_to_box
-from pdr_graph.priors import REPORTS, VERDICTS
+from pdr_graph.priors import BOUT, MOVEMENT, REPORTS, VERDICTS
 from pdr_graph.types import (
     DOUBTFUL,
     DUPLICATE,
@@ -206,15 +206,27 @@ def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *
     return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - REPORTS.crossed_anyway * len(track))))
 
 
-def movement_contradictions(stepless: float, walked: float) -> tuple[Contradiction, ...]:
-    """Contradiction of steps with an accelerometer that moved for longer without steps than on steps.
+def movement_contradictions(stepless: float, missing: float, walked: float, number: int) -> tuple[Contradiction, ...]:
+    """Contradiction of steps with an accelerometer that moved for longer without steps than on steps, or like steps
+    where none was recognised.
 
-    stepless: time of movement without a step [s]; walked: time on steps [s].
+    stepless: time of movement without a step [s]; missing: that of movement like steps [s]; walked: time on steps [s];
+    number: of steps.
     """
-    if not stepless > walked:
+    check = "how the phone was carried; a ride? shuffling steps?"
+    if stepless > walked:
+        return (Contradiction("steps", "accelerometer", stepless, "s", MOVED.format(stepless), check),)
+    lost = missing * number / walked if number else 0.0
+    if lost < max(BOUT.fewest, MOVEMENT.missing * number):
         return ()
-    text, check = MOVED.format(stepless), "how the phone was carried; a ride? shuffling steps?"
-    return (Contradiction("steps", "accelerometer", stepless, "s", text, check),)
+    text = f"about {lost:.0f} steps may be missing: it moved like steps for {missing:.0f} s without one"
+    return (Contradiction("steps", "accelerometer", lost, "", text, check),)
+
+
+def missing_steps(steps: Steps) -> tuple[Contradiction, ...]:
+    """`movement_contradictions` of the steps of a walk."""
+    number = int((~steps.is_gap).sum())
+    return movement_contradictions(steps.stepless, steps.missing, time_on_steps(steps), number)
 
 
 def time_on_steps(steps: Steps) -> float:

@@ -55,8 +55,9 @@ def without_rides(steps: Steps, rides: Array, fixes: Fixes) -> Steps:
         for name in STEP_COLUMNS
     }
     order = np.argsort(columns["time"], kind="stable")
-    stepless = max(steps.stepless - float(np.diff(rides).sum()), 0.0)
-    return replace(steps, stepless=stepless, **{name: column[order] for name, column in columns.items()})
+    ridden_for = float(np.diff(rides).sum())
+    times = {name: max(getattr(steps, name) - ridden_for, 0.0) for name in ("stepless", "missing")}
+    return replace(steps, **times, **{name: column[order] for name, column in columns.items()})
 
 
 def stepping(steps: Steps, rides: Array) -> Array:

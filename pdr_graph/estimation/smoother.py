@@ -16,11 +16,10 @@ from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
     calibration_of,
     contradiction_warnings,
-    movement_contradictions,
+    missing_steps,
     place_warnings,
     plan_contradictions,
     stated_probability,
-    time_on_steps,
     warnings,
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
@@ -98,7 +97,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
             *plan_contradictions(graph, on_plan if best.graph.walled else None),
             *contradictions(optima, share),
             *(() if ways is None else ways.contradictions(best.at, best.solution)),
-            *movement_contradictions(graph.steps.stepless, time_on_steps(graph.steps)),
+            *missing_steps(graph.steps),
         ),
         routes=tuple(routes),
         assumed=tuple(claim.label for claim in best.assumed),

@@ -1,7 +1,7 @@
 """The rhythm of a walk or run: the duration of a step at each moment, 0.27 to 2 s, and how regular the steps are.
 
 Usual steps, up to 0.7 s, repeat |a| from stride to stride; those of a run are shorter and stronger. Slow steps are
-weak, soft and less regular: their filters are twice as long, and the sway of the body from foot to foot counts as well.
+weak, soft and less regular: their filters are twice as long.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from pdr_graph.types import Array, Index
 
 USUAL: Array = 0.36 * 1.1 ** np.arange(-3.0, 8.0)  # [s] durations of usual steps that are tried, 0.27 to 0.70 s
 RUNNING = USUAL < 0.35  # [s] steps of a run
-POSSIBLE_STRIDES = USUAL > 0.5  # [s] steps that may be the strides of one
 OCTAVE = 6  # number of durations of slow steps in a factor of two
 SLOW: Array = 0.78 * 2 ** (np.arange(9, dtype=float) / OCTAVE)  # [s] those of slow steps, up to 1.97 s
 DURATIONS: Array = np.concatenate([USUAL, SLOW])
@@ -42,8 +41,8 @@ def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) ->
 
     The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
     half and double the true duration. An unusual duration must fit better, and so must a bounce too small for a walk.
-    The stronger |a| varies, the shorter are usual steps: no body bobs by more than that of a runner. A long step may be
-    the stride of a run: then the ``sway (3, k)`` of the limb that carries the phone repeats itself after it [m/s²];
+    The stronger |a| varies, the shorter are usual steps: no body bobs more than a runner. The ``sway (3, k)``
+    of the body, or of the limb that carries the phone, repeats itself after a stride and not after a step [m/s²];
     between: its samples [s].
     """
     lags = np.concatenate([USUAL, 2 * USUAL])
@@ -52,18 +51,18 @@ def _usual_rhythm(level: Array, sampling: float, sway: Array, between: float) ->
     longer = np.log(USUAL / STEP.usual)[:, None] + np.maximum(above, 0) / 2
     score = twice + once / 2 - 0.3 * (longer / CANDIDATE.usual_spread) ** 2 / 2  # a prior worth 0.3 at one spread
     bobbing = np.maximum(2 * longer, 0) * (above > 0)
-    lags = np.concatenate([USUAL[RUNNING], 2 * USUAL[RUNNING], USUAL[POSSIBLE_STRIDES]])
     swayed = np.repeat(_correlation(sway, lags, between, CANDIDATE.sway_noise), round(between / sampling), 1)
-    after_step, after_stride, limb = np.split(swayed[:, : len(level)], [len(USUAL[RUNNING]), 2 * len(USUAL[RUNNING])])
-    score[RUNNING] += CANDIDATE.sway_weight * np.maximum(after_stride - after_step, 0) / 2
+    after_step, after_stride = np.split(swayed[:, : len(level)], 2)
+    swaying = CANDIDATE.sway_weight * (after_stride - after_step) / 2
+    score += swaying
     flying = _bounce(level, USUAL[RUNNING][:, None], sampling) / CANDIDATE.usual_bounce
     score[RUNNING] += np.log(np.minimum(flying, 1.0))
-    score[POSSIBLE_STRIDES] -= CANDIDATE.sway_weight * np.maximum(limb, 0)
     which, at = np.argmax(score - bobbing, axis=0), np.arange(len(level))
     regularity = np.maximum(once[which, at], twice[which, at])
     bounce = _bounce(level, np.maximum(USUAL[which], STEP.usual), sampling)
     too_small = (1 - regularity) * np.log(np.minimum(bounce / CANDIDATE.usual_bounce, 1.0))
-    return score[which, at] + CANDIDATE.bounce_weight * too_small, which, regularity, once[which, at]
+    score = score[which, at] + CANDIDATE.bounce_weight * too_small
+    return score, which, regularity + np.maximum(swaying[which, at], 0), once[which, at]
 
 
 def _slow_rhythm(level: Array, sway: Array, sampling: float) -> tuple[Array, Index, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -75,8 +76,9 @@ def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
             turned = 0.0
         row, turned = row + len(chunk), turned + chunk.final_turn
     unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
-    stepless = sum(chunk.stepless for chunk in chunks)
-    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown, stepless=stepless)
+    stepless, missing = sum(chunk.stepless for chunk in chunks), sum(chunk.missing for chunk in chunks)
+    times: dict[str, Any] = {"final_turn": turned, "stepless": stepless, "missing": missing}
+    return Steps(chunks[0].start, chunks[-1].end, **columns, **times, unknown=unknown)
 
 
 def shifted(steps: Steps, by: float) -> Steps:

@@ -2,7 +2,9 @@
 
 A stride resembles the last stride. Where |a| repeats itself from stride to stride, the period of the repetition is the
 duration of a step, and |a| at that frequency rises and falls once per step. This holds even if a loose phone is thrown
-about several times within a step, or if one leg hardly moves the arm that holds the phone. Motion that does not repeat
+about several times within a step, or if one leg hardly moves the arm that holds the phone. The sway from foot to foot,
+which comes back after a stride and not after a step, counts as well. The walk itself teaches the walker's rhythm and
+amplitude, by which single steps at doors are steps and weak shuffles are not. Motion that does not repeat
 itself, tilts the phone to and fro, or lifts it higher than a walking body bobs is not a step: shaking, gestures,
 vehicles, standing.
 
@@ -19,7 +21,7 @@ from math import log
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
-from pdr_graph.gait.rhythm import CORRELATED, DURATIONS, SLOW, USUAL, lengths_of, rhythm_of
+from pdr_graph.gait.rhythm import CORRELATED, DURATIONS, USUAL, lengths_of, rhythm_of
 from pdr_graph.priors import BOUT, CANDIDATE, CONFIDENCE, IRREGULARITY, MOVEMENT, STAND, STEP
 from pdr_graph.types import Array, Index, Mask
 
@@ -83,15 +85,14 @@ class Candidates:
     """Candidate landings ``(n,)``.
 
     time: since the first sample [s]; step: duration of a step at that time [s]; amplitude: peak to peak [m/s²];
-    regularity: correlation with the step or the stride before; jar: of the landings around it, by the amplitude;
-    bodily: True if a walking body can move so.
+    regularity: correlation with the step or the stride before, and of the sway with the stride before; bodily: True if
+    a walking body can move so.
     """
 
     time: Array
     step: Array
     amplitude: Array
     regularity: Array
-    jar: Array
     bodily: Mask
 
     def __getitem__(self, which: Mask) -> Candidates:
@@ -103,7 +104,7 @@ SHORTEST = 2.5  # [s] of samples in which steps are sought
 COARSEST = 0.14  # [s] longest interval between their samples: four in a usual step
 NEEDED_BEFORE, NEEDED_AFTER = 9.0, 4.5  # [s] of samples around a landing, and its look-ahead, on which it may depend
 TOO_LATE = 6.0  # [s] after a landing, when it is too late to report its step
-NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(5)), bodily=np.empty(0, dtype=bool))
+NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
 
 
 def candidates(acceleration: Array, period: float, look_ahead: float) -> Candidates:
@@ -151,9 +152,8 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
     jar = jar[peaks]
     bodily &= jar > CANDIDATE.least_jar  # who waves or swings an arm moves smoothly
-    jar = jar / amplitude[peaks]
-    bodily &= jar > np.where(step < SLOW[0], CANDIDATE.jar_share, CANDIDATE.slow_jar_share)
-    return Candidates(time, step, amplitude[peaks], regularity[peaks], jar, bodily)
+    bodily &= jar > CANDIDATE.jar_share * amplitude[peaks]
+    return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
 
 
 def _jar(magnitude: Array, period: float) -> Array:
@@ -161,11 +161,12 @@ def _jar(magnitude: Array, period: float) -> Array:
 
     Infinite if the samples have no such frequencies.
     """
-    if period > CANDIDATE.smoothing / 2:
+    if period > CANDIDATE.smoothing:
         return np.full(len(magnitude), np.inf)
-    finest, smooth = (gaussian_filter1d(magnitude, k * CANDIDATE.smoothing / period) for k in (0.3, 1.0))
-    above = finest - smooth
-    return np.sqrt(uniform_filter1d(above * above, max(1, round(CORRELATED / period))))
+    above = gaussian_filter1d(magnitude, 0.3 * CANDIDATE.smoothing / period)
+    for _ in range(2):  # once lets a sixteenth of the bounce itself through, which an arm that swings has too
+        above -= gaussian_filter1d(above, CANDIDATE.smoothing / period)
+    return np.sqrt(np.maximum(uniform_filter1d(above * above, max(1, round(CORRELATED / period))), 0))
 
 
 def decimation(period: float) -> int:
@@ -207,50 +208,69 @@ def _kernels(sampling: float, usual: float, slow: float) -> list[Array]:
 class Bout:
     """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
 
-    walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes, durations of a step,
-    regularities and jars of the candidates before the bout starts. landed: time of the last step [s]; duration: of that
-    step [s]; irregularity: mean change of the duration from step to step [log].
+    The walker's rhythm and amplitude are learned on the way. For some seconds after steps that were regular, a single
+    step in the same rhythm continues the walk, as at doors; and a candidate much weaker than the walker's steps must
+    be regular, as shuffles and rides are not.
+
+    walking: True within a bout; last: time of the last candidate [s]; waiting: times, amplitudes, durations of a step
+    and regularities of the candidates before the bout starts. landed: time of the last step [s]; duration: of that
+    step [s]; irregularity: mean change of the duration from step to step [log]. amplitude, rhythm:
+    mean logarithms of the amplitude [m/s²] and of the duration [s] of the last regular steps; learned: number of these;
+    regular: time of the last of them [s].
     """
 
     walking: bool = False
     last: float = -np.inf
-    waiting: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    waiting: list[tuple[float, float, float, float]] = field(default_factory=list)
     landed: float = -np.inf
     duration: float = 0.0
     irregularity: float = field(default_factory=lambda: IRREGULARITY.usual)
+    amplitude: float = 0.0
+    rhythm: float = 0.0
+    learned: int = 0
+    regular: float = -np.inf
 
     def steps(self, following: Candidates) -> Array:
         """The steps ``(m, 5)`` among the next candidates: time [s], amplitude [m/s²], rhythm [s], confidence and
         irregularity.
         """
-        certain = list[tuple[float, float, float, float, float]]()
+        certain = list[tuple[float, float, float, float]]()
         columns = (values.tolist() for values in vars(following).values())
-        for time, step, amplitude, regularity, jar, bodily in zip(*columns, strict=True):
+        for time, step, amplitude, regularity, bodily in zip(*columns, strict=True):
             if not bodily:
                 self.walking, self.waiting, self.last = False, [], -np.inf
                 continue
-            if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
+            weak = log(amplitude) < self.amplitude + log(BOUT.weak_share)
+            needed = BOUT.weak_regularity if weak else BOUT.go_on
+            if regularity < needed or time - self.last < BOUT.closest_share * step:
                 continue
             if time - self.last > STEP.pause * max(step, STEP.usual):
                 self.walking, self.waiting = False, []
             self.last = time
-            self.waiting = [w for w in self.waiting if w[0] > time - TOO_LATE] + [
-                (time, amplitude, step, regularity, jar)
-            ]
-            regular = regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start)
-            if step >= SLOW[0]:
-                last = [each for *_, each, _ in self.waiting[-BOUT.fewest :]]
-                regular = sum(last) > BOUT.slow_start * len(last)
-            if not self.walking and regular and len(self.waiting) >= BOUT.fewest:
+            self.waiting = [w for w in self.waiting if w[0] > time - TOO_LATE] + [(time, amplitude, step, regularity)]
+            recently = time - self.regular < BOUT.remembered
+            if not self.walking and recently and abs(log(step) - self.rhythm) < CANDIDATE.usual_spread:
+                self.walking = True
+            last = [regular for *_, regular in self.waiting[-BOUT.fewest :]]
+            if not self.walking and len(last) == BOUT.fewest and sum(last) > BOUT.start * len(last):
                 usual = float(np.median([a for _, a, *_ in self.waiting]))
                 self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
                 self.walking = True
             if self.walking:
+                for landing in self.waiting:
+                    self._learn(*landing)
                 certain += self.waiting
                 self.waiting = []
-        time, amplitude, rhythm, *evidence = np.array(certain).reshape(-1, 5).T
+        time, amplitude, rhythm, regularity = np.array(certain).reshape(-1, 4).T
         irregularity = np.array([self._irregularity(*landing) for landing in zip(time, rhythm, strict=True)])
-        return np.stack([time, amplitude, rhythm, confidence_of(rhythm, *evidence), irregularity], axis=1)
+        return np.stack([time, amplitude, rhythm, confidence_of(regularity), irregularity], axis=1)
+
+    def _learn(self, time: float, amplitude: float, step: float, regularity: float) -> None:
+        """Learn the walker's amplitude [m/s²] and duration of a step [s] from a regular step."""
+        if regularity > BOUT.start:
+            self.regular, self.learned = time, min(self.learned + 1, BOUT.memory)
+            self.amplitude += (log(amplitude) - self.amplitude) / self.learned
+            self.rhythm += (log(step) - self.rhythm) / self.learned
 
     def _irregularity(self, time: float, rhythm: float) -> float:
         """The irregularity up to a step that lands at ``time`` [s]: exponentially weighted."""
@@ -263,15 +283,10 @@ class Bout:
         return self.irregularity
 
 
-def confidence_of(rhythm: Array, regularity: Array, jar: Array) -> Array:
-    """Probability ``(n,)`` that what is accepted with such a rhythm [s], regularity and jar is a step.
-
-    A logistic regression: landings jar by a usual share of the amplitude, and hardly ever repeat themselves badly.
-    """
-    usual = np.where(rhythm < SLOW[0], CONFIDENCE.jar, CONFIDENCE.slow_jar)
-    off = np.where(np.isfinite(jar), np.log(np.maximum(jar, 1e-3) / usual), 0.0)
+def confidence_of(regularity: Array) -> Array:
+    """Probability ``(n,)`` that what is accepted with such a regularity is a step: a logistic regression."""
     irregular = np.maximum(CONFIDENCE.regular - regularity, 0)
-    return 1 / (1 + np.exp(CONFIDENCE.off * off**2 + CONFIDENCE.irregular * irregular - CONFIDENCE.usual))
+    return 1 / (1 + np.exp(CONFIDENCE.irregular * irregular - CONFIDENCE.usual))
 
 
 @dataclass
@@ -350,20 +365,27 @@ PARTS = 10  # of a second, whose means are compared: vehicles and taps shake a d
 
 @dataclass
 class UnrecognisedMovement:
-    """Adds up the time of long movements without a step. A step ends a movement, and so do `STAND.seconds` of rest.
+    """Finds movement without a step: long ones of any kind, and seconds that move like the walker's steps.
+
+    A step ends a long movement, and so do `STAND.seconds` of rest.
 
     period: between samples [s]; lasting: time for which the present movement without a step has lasted [s]; rest: time
-    since it was last seen [s]; magnitude, walking: ``(m,)`` the samples that do not fill a second yet.
+    since it was last seen [s]; magnitude, walking: ``(m,)`` the samples that do not fill a second yet. usual: mean
+    spread of |a| within the seconds of steps [m/s²]; stepped: number of these; seconds: number of all seconds so far.
     """
 
     period: float
     lasting: float = 0.0
     rest: float = 0.0
+    usual: float = 0.0
+    stepped: int = 0
+    seconds: int = 0
     magnitude: Array = field(default_factory=lambda: np.empty(0))
     walking: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
 
-    def update(self, acceleration: Array, walking: Mask) -> float:
-        """Add samples ``(n, 3)`` [m/s²]; returns the time that long movements without a step gained [s].
+    def update(self, acceleration: Array, walking: Mask) -> tuple[float, Array]:
+        """Add samples ``(n, 3)`` [m/s²]; returns the time that long movements without a step gained [s], and the ends
+        ``(k,)`` of seconds that moved like steps without one, since the first sample [s].
 
         walking: ``(n,)`` True during a step.
         """
@@ -374,11 +396,16 @@ class UnrecognisedMovement:
         spread = magnitude[:whole].reshape(-1, PARTS, size // PARTS).mean(axis=2).std(axis=1)
         stepped = walking[:whole].reshape(-1, size).any(axis=1)
         self.magnitude, self.walking = magnitude[whole:], walking[whole:]
-        gained = 0.0
-        for moves, steps in np.column_stack([spread > STAND.quiet, stepped]).tolist():
+        gained, missed = 0.0, list[float]()
+        for strength, steps in np.column_stack([spread, stepped]).tolist():
+            self.seconds, self.stepped = self.seconds + 1, self.stepped + int(steps)
+            self.usual += (strength - self.usual) / self.stepped if steps else 0.0
+            moves = strength > STAND.quiet
+            if moves and not steps and self.stepped and strength > MOVEMENT.like_steps * self.usual:
+                missed.append(self.seconds * second)
             before, self.rest = self.lasting, 0.0 if moves else self.rest + second
             goes_on = not steps and self.rest < STAND.seconds and (moves or before > 0)
             self.lasting = before + second if goes_on else 0.0
             if self.lasting >= MOVEMENT.longest:
                 gained += self.lasting - (before if before >= MOVEMENT.longest else 0.0)
-        return gained
+        return gained, np.array(missed)

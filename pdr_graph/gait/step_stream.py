@@ -13,7 +13,7 @@ import numpy as np
 from pdr_graph.gait.heading import Direction, HeadingStream
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_detection import Landings, StepDetector, UnrecognisedMovement, decimation
-from pdr_graph.gait.steps import GaitSignals, steps_of
+from pdr_graph.gait.steps import GaitSignals, steps_of, with_missing
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK, AttitudeStream
 from pdr_graph.inertial.sensor_stream import SENSOR_VALIDATION, Health, SensorStream
@@ -270,7 +270,8 @@ class SegmentStream:
         part = slice(*(self._sample_after(moment) for moment in (first.start, first.end)))
         landings = self.landed[self.reported : self.reported + count, 1:].T
         signals = self._signals(part, Landings(first.time, first.duration, *landings))
-        first = replace(first, stepless=self.movement.update(signals.attitude.acceleration, signals.walking))
+        stepless, missed = self.movement.update(signals.attitude.acceleration, signals.walking)
+        first = with_missing(replace(first, stepless=stepless), self.origin + missed)
         if self.listener is not None:
             self.listener(signals)
 

@@ -39,8 +39,9 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
     parts = list[Steps]()
     for gait in gait_signals(recording):
         movement = UnrecognisedMovement(gait.attitude.period)
-        stepless = movement.update(gait.attitude.acceleration, gait.walking)
-        parts.append(replace(steps_of(gait, walker), stepless=stepless))
+        stepless, missed = movement.update(gait.attitude.acceleration, gait.walking)
+        missed += gait.attitude.time[0]
+        parts.append(with_missing(replace(steps_of(gait, walker), stepless=stepless), missed))
     steps = join(parts)
     return walker.profile.corrected(steps) if walker.profile else steps
 
@@ -87,6 +88,18 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
         confidence=landings.confidence,
         unknown=(*attitude.unknown, *([NO_GYROSCOPE] if unmeasured[attitude.time > start].any() else [])),
     )
+
+
+def with_missing(steps: Steps, missed: Array) -> Steps:
+    """The steps with the time of missing ones: the next step's sigma has how far the walker may have gone in it.
+
+    missed: ``(k,)`` ends of seconds that moved like steps without one [s].
+    """
+    if not len(steps):
+        return replace(steps, missing=float(len(missed)))
+    row = np.minimum(np.searchsorted(steps.time, missed), len(steps) - 1)
+    lost = np.bincount(row, minlength=len(steps)) / steps.duration * steps.length
+    return replace(steps, missing=float(len(missed)), sigma_length=np.hypot(steps.sigma_length, lost))
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:

@@ -188,6 +188,7 @@ class Navigator:
         self._waiting, self._again = deque[Event](), 0  # events to use, and how many of them are used once more
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
         self._on_steps, self._stepless = 0.0, 0.0  # [s] on certain steps, and of movement without one
+        self._missing = 0.0  # [s] of that like steps
         self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
         common_frame = frame or (self.building.floors[0].frame if self.building else None)
         if radio_map is not None:
@@ -483,7 +484,7 @@ class Navigator:
             contradictions=(
                 *contradictions_of(smoother, self.building, rows, reports),
                 *contradiction_of_fixes(self._away_by),
-                *movement_contradictions(self._stepless, self._on_steps),
+                *movement_contradictions(self._stepless, self._missing, self._on_steps, self._certain),
                 *self._rides.contradictions,
                 *self._filter.contradictions(),
                 *self._mirror_images(),
@@ -579,6 +580,7 @@ class Navigator:
         self._certain += int((~steps.is_gap).sum())
         self._on_steps += time_on_steps(steps)
         self._stepless += steps.stepless
+        self._missing += steps.missing
         self._floors.add_steps(steps)
         anew, goings = self._floors.advance(self._tail), self._floors.goings
         if anew and len(goings):

@@ -1,5 +1,7 @@
 """What moves without steps is said: in the verdict of a recording, and live."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
@@ -66,3 +68,22 @@ def test_a_walk_is_no_movement_without_steps_and_a_short_one_beside_it_no_doubt(
     nav, named = live(recording)
     assert named
     assert not any("no steps were recognised" in line for line in nav.status.issues)
+
+
+def test_steps_that_are_lost_within_a_walk_are_said_and_widen_the_way():
+    """Twelve seconds as strong as the steps around them, but too smooth for landings: in a recording and live."""
+    walked, smoothly = walking(1.9, 3.0, seconds=60.0)[1], 3 * np.cos(2 * np.pi * 1.9 * np.arange(600) / RATE)
+    lost = [0.0, 0.0, 9.81] + smoothly[:, None] * [0, 0, 1] + np.random.default_rng(0).normal(0, 0.05, (600, 3))
+    recording, whole = (
+        recorded(np.arange(len(a)) / RATE, a) for a in (np.concatenate([walked[:2000], lost, walked[2000:]]), walked)
+    )
+    steps, without = detect_steps(recording), detect_steps(whole)
+    assert without.missing == 0
+    assert verdict(smooth(WalkGraph(without))).ok
+    assert steps.missing == pytest.approx(12, abs=3)
+    said = str(verdict(smooth(WalkGraph(steps))))
+    assert said.startswith("doubtful")
+    assert 16 <= int(re.search(r"about (\d+) steps may be missing", said)[1]) <= 29
+    assert np.hypot.reduce(steps.sigma_length) > 0.5 * steps.missing
+    nav, _ = live(recording)
+    assert "steps may be missing" in str(verdict(nav.finish()))
