@@ -46,7 +46,8 @@ LIBRARIES = {
     "cli": {"cyclopts"},
     "bench": {"matplotlib"},
     "serve": {"starlette", "uvicorn", "h11", "aiomqtt"},
-    "lifelog": {"lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"} | {"garmin_fit_sdk", "PIL"},
+    "lifelog": {"lxml", "joblib", "tzfpy", "dask", "geopandas", "pandas", "pyarrow", "sqlite3"}
+    | {"garmin_fit_sdk", "PIL"},
     "report": {"matplotlib", "isal", "rerun"},
     "online": {"sqlite3"},
     "papers": {"vqf"},
@@ -74,10 +75,10 @@ GOALS: dict[str, tuple[int, int]] = {
     "modules run at a step live, with a plan": (28, 40),
     "numbers that steer": (440, 410),
     "numbers by judgement without a range": (0, 237),
-    "lines of scripts": (5_200, 8_150),
+    "lines of scripts": (5_200, 8_210),
     "lines of tests": (33_000, 43_420),
     "words of docs": (27_000, 30_540),
-    "words of results": (15_000, 18_770),
+    "words of results": (15_000, 18_920),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}
