@@ -29,7 +29,6 @@ import lifelog
 import live
 import magnetic
 import paths
-import radio
 import recordings
 import routes
 import settings
@@ -123,7 +122,6 @@ TABLES = {  # in the order of docs/results/index.md
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "magnetic": Made(lambda: magnetic.magnetic(DATA)),
-    "radio": Made(lambda: radio.radio(DATA)),
     "signs": Made(lambda: signs.signs(DATA)),
     "lifelog": Made(lifelog.lifelog),
     "settings": Made(lambda words=(), *_: settings.settings(DATA, words), some=True, quick=quick_settings),
