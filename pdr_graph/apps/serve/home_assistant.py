@@ -48,7 +48,7 @@ RETAINED_TIME = 2.0  # [s] for the broker to send what it has retained
 MOTION_TOPICS = "+/binary_sensor/+/state"  # of mqtt_statestream, retained
 # Odds of a room whose sensor sees no motion, or has seen it begin for RECENT [s]: it sees half of the time somebody who
 # is there, a tenth of the time somebody else; chosen by hand
-QUIET, ENTERED, RECENT = 0.6, 3.0, 10.0
+QUIET, MOTION, RECENT = 0.6, 3.0, 10.0
 LONGEST_PAUSE = 60.0  # [s] without news after which the connection is still looked at
 # An alert: a phone is in a room from this probability on for so long [s], and out of it below the other
 ENTERED, LEFT, STAYS = 0.8, 0.2, 2.0
@@ -92,7 +92,7 @@ class MotionSensors:
     rooms: name of the room in which each entity ``binary_sensor.SENSOR`` is; since: when each saw motion begin [s], by
     a monotonic clock, -inf if that is unknown, NaN where it sees none.
     A sensor sees anybody who moves there, goes on for up to a minute after them, and sees nobody who sits still. So it
-    counts that motion begins, by ENTERED, and that there is none, by QUIET: odds of the room, whatever the position is.
+    counts that motion begins, by MOTION, and that there is none, by QUIET: odds of the room, whatever the position is.
     """
 
     rooms: Mapping[str, str] = field(default_factory=dict)
@@ -103,7 +103,7 @@ class MotionSensors:
         odds = dict.fromkeys(rooms, 1.0)
         for sensor, begin in self.since.items():
             if (room := self.rooms[sensor]) in odds:
-                odds[room] *= QUIET if np.isnan(begin) else ENTERED if now - begin < RECENT else 1.0
+                odds[room] *= QUIET if np.isnan(begin) else MOTION if now - begin < RECENT else 1.0
         share = {name: part * odds[name] for name, part in rooms.items()}
         total = sum(share.values())
         return dict(sorted(((name, part / total) for name, part in share.items()), key=lambda item: -item[1]))
