@@ -44,11 +44,8 @@ WALL_LOSS, DOOR, HOLD = 4.0, 0.9, 30.0  # [dB], [m], [s] of a motion sensor
 SURE, STILL = 0.9, 0.3  # probability of a room; [m/s] below which somebody stands
 SETTLED, SEEDS, VISITS, STANDS = 20.0, range(3), 5, (8.0, 20.0)  # [s] before the pose counts; walks; rooms of a tour
 HOLDS = ("hand", "trouser pocket")
-SURVEYOR, MARKED, SURVEYED = (
-    100,
-    0.7,
-    1.5,
-)  # seed of a walk; sigma per axis of a mark on a plan, and of a place by it [m]
+# Seed of a walk; sigma per axis of a mark on a plan, and of a place by it [m]
+SURVEYOR, MARKED, SURVEYED = 100, 0.7, 1.5
 
 
 def middle(name):

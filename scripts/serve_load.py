@@ -129,8 +129,8 @@ class Delays:
         return np.array([ends.get(key, np.inf) - begin for key, begin in self.posted.items()])
 
 
-async def listen(port, delays):
-    """Note each pose of the stream of events."""
+async def poses(port):
+    """The poses of the stream of events."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 24)
     writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
     name = b""
@@ -138,8 +138,13 @@ async def listen(port, delays):
         if line.startswith(b"event: "):
             name = line[7:].strip()
         elif line.startswith(b"data: ") and name == b"pose":
-            pose = json.loads(line[6:])
-            delays.pose(pose["id"], pose["message"])
+            yield json.loads(line[6:])
+
+
+async def listen(port, delays):
+    """Note each pose of the stream of events."""
+    async for pose in poses(port):
+        delays.pose(pose["id"], pose["message"])
 
 
 async def post(reader, writer, path, body):
@@ -271,15 +276,8 @@ class Day:
 
 async def watched(port, days):
     """Note how many messages are part of each pose."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 24)
-    writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    name = b""
-    async for line in reader:
-        if line.startswith(b"event: "):
-            name = line[7:].strip()
-        elif line.startswith(b"data: ") and name == b"pose":
-            pose = json.loads(line[6:])
-            days[pose["id"]].used = pose["message"]
+    async for pose in poses(port):
+        days[pose["id"]].used = pose["message"]
 
 
 async def row_of(port, day):

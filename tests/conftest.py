@@ -23,6 +23,12 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if not item.get_closest_marker("thorough")]
 
 
+@pytest.fixture
+def scripts_on_path(monkeypatch):
+    """The modules in scripts/ can be imported."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+
+
 @pytest.fixture(scope="session")
 def arcade_walk(tmp_path_factory):
     """A walk of 27 s through the arcade, as Sensor Logger writes it, with plan, fixes and truth; only to be read."""

@@ -107,9 +107,8 @@ SETTINGS = {
 
 
 @pytest.fixture
-def scripts(monkeypatch):
+def scripts(scripts_on_path):
     """The modules that read and write tables."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
     import accuracy_page
     import tables
 

@@ -16,8 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
-def aisles(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+def aisles(scripts_on_path):
     import aisles
 
     return aisles

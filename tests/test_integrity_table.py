@@ -12,9 +12,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
-def script(monkeypatch):
+def script(scripts_on_path):
     """The modules of the script."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     import conditions
     import integrity
 

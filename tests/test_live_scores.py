@@ -14,9 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
-def script(monkeypatch):
+def script(scripts_on_path):
     """The script."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     import live
 
     return live

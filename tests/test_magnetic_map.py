@@ -10,8 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
-def magnetic(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+def magnetic(scripts_on_path):
     import magnetic
 
     return magnetic

@@ -28,8 +28,8 @@ from pdr_graph.apps.lifelog.facts import (
 from pdr_graph.apps.lifelog.observation import DELETED, Observation, is_usable, steps_without, without_times
 from pdr_graph.apps.lifelog.sessions import is_located
 from pdr_graph.apps.lifelog.stays_and_legs import Track, cut
-from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry
-from pdr_graph.frames import enu
+from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, distance_text
+from pdr_graph.frames import Frame, enu
 from pdr_graph.types import Array, Fixes, UntimedFixes
 
 NOT_MINE = "part of this recording is masked: not this person's"
@@ -90,8 +90,7 @@ def _detour(part: Observation, visited: Correction) -> float:
         return np.inf
     if not part.frame.georeferenced:
         return np.inf
-    longitude, latitude = visited.place[::-1]
-    place = part.frame.from_lonlat(np.array([[longitude, latitude]]))
+    place = _placed(part.frame, visited)
     if not len(fixes):
         return 0.0 if part.plan and _on_plan(part.plan, place[0]) else np.inf
     off = np.hypot(*(fixes.position - place).T)
@@ -104,6 +103,11 @@ def _detour(part: Observation, visited: Correction) -> float:
     return float(np.min((off - spread - WALKED * longest)[inside], initial=np.inf))
 
 
+def _placed(frame: Frame, stated: Correction) -> Array:
+    """The place ``(1, 2)`` of a correction [m]."""
+    return frame.from_lonlat(np.array([stated.place[::-1]]))
+
+
 def _on_plan(plan: str, place: Array) -> bool:
     """True if a place [m] is within the bounding box of a plan."""
     from pdr_graph.apps.lifelog.reconstruct import building_of  # imports all of estimation, which is slow
@@ -114,23 +118,21 @@ def _on_plan(plan: str, place: Array) -> bool:
 
 def _with_visited(part: Observation, visited: Correction) -> Observation:
     """The observation with the place of a receipt or photo as a measurement of the walk."""
-    longitude, latitude = visited.place[::-1]
-    position = part.frame.from_lonlat(np.array([[longitude, latitude]]))
     time = np.array([visited.span]) - part.epoch
     label = f"{visited.text('source')} {visited.text('name')}"
-    place = UntimedFixes(time, position, np.array([visited.radius]), (label,))
+    place = UntimedFixes(time, _placed(part.frame, visited), np.array([visited.radius]), (label,))
     return replace(part, measurements=(*part.measurements, place))
 
 
 def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: float) -> Observation:
     """The observation with fixes at the stated place at times (Unix times [s]), instead of the recorded ones."""
-    frame, (latitude, longitude) = part.frame, correction.place
+    frame = part.frame
     if not frame.georeferenced and not part.plan and not is_located(part):
-        frame = enu(latitude, longitude)
+        frame = enu(*correction.place)
     if not frame.georeferenced:
         note = "a place by latitude and longitude that was stated could not be used: the plan has no latitude"
         return replace(part, notes=(*part.notes, note))
-    place = frame.from_lonlat(np.array([[longitude, latitude]]))
+    place = _placed(frame, correction)
     seconds = part.epoch + part.fixes.time
     replaced = (seconds >= correction.start) & (seconds <= correction.end)
     stated = Fixes(time - part.epoch, np.repeat(place, len(time), axis=0), np.full(len(time), sigma))
@@ -140,8 +142,7 @@ def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: f
     # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
     spread = np.hypot(correction.radius, max(20.0, float(np.median(recorded.sigma)))) if len(recorded) else 0.0
     if away > CONTRADICTION * spread:
-        far = f"{away / 1000:.1f} km" if away >= 1000 else f"{away:.0f} m"
-        against = f"{len(recorded)} recorded positions: their median is {far} away"
+        against = f"{len(recorded)} recorded positions: their median is {distance_text(away)} away"
         notes = (*notes, f"corrected by the person, against {against}")
     fixes = Fixes.concatenate([part.fixes[~replaced], stated])
     part = replace(part, frame=frame, fixes=fixes, notes=notes)

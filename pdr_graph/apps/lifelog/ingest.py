@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.cache import content_hash
 from pdr_graph.apps.lifelog.observation import check_usable, read_inputs
 from pdr_graph.apps.lifelog.store import Entry, RecordingOptions, Store
-from pdr_graph.apps.lifelog.visited import Added, add_places, photos_in
+from pdr_graph.apps.lifelog.visited import Added, Summed, add_places, photos_in
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
@@ -27,7 +27,7 @@ TIME_FORM = "a time such as 2024-05-01T09:30:00+02:00"
 
 
 @dataclass(frozen=True)
-class AddResult:
+class AddResult(Summed):
     """Result of adding recordings: counts, and a line for each refusal.
 
     added: new recordings; existing: recordings that were in the lifelog already; changed: those of them that have other
@@ -40,10 +40,6 @@ class AddResult:
     skipped: int = 0
     refused: tuple[str, ...] = ()
     places: Added = field(default_factory=Added)
-
-    def __add__(self, other: AddResult) -> AddResult:
-        """The result of both."""
-        return AddResult(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
 
 
 def folders_of_people(folders: Sequence[Path]) -> dict[str | None, Sequence[Path]]:

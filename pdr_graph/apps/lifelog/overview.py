@@ -45,6 +45,7 @@ from pdr_graph.apps.lifelog.timeline import (
     STAY,
     TimelineEntry,
     csv_table,
+    distance_text,
     duration_text,
     local_iso,
 )
@@ -388,13 +389,6 @@ def clock_text(time: float, offset: float, seconds: bool = False) -> str:
     """Local time of day of a Unix time [s] at an offset from UTC [s]: ``07:42``, or ``07:42:15``."""
     moment = datetime.fromtimestamp(round(time + offset), UTC)
     return f"{moment:%H:%M:%S}" if seconds else f"{moment:%H:%M}"
-
-
-def distance_text(metres: float) -> str:
-    """A distance as a text: ``640 m``, ``6.2 km``, ``1,250 km``."""
-    if metres < 999.5:
-        return f"{metres:.0f} m"
-    return f"{metres / 1000:.1f} km" if metres < 99_950 else f"{metres / 1000:,.0f} km"
 
 
 def period_title(period: Period) -> str:

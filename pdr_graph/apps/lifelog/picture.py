@@ -22,9 +22,9 @@ from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, PRIVATE, STANDIN
 from pdr_graph.apps.lifelog.diary import DiaryDay
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, YEAR
 from pdr_graph.apps.lifelog.maps import Dot, DrawnPart, MercatorFrame, Panel, TileServer, floor_of, panels, short_name
-from pdr_graph.apps.lifelog.overview import Overview, distance_text, entry_text, fitted
+from pdr_graph.apps.lifelog.overview import Overview, entry_text, fitted
 from pdr_graph.apps.lifelog.places import EVERY_DAY, WEEKDAYS, Place, is_place
-from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, duration_text
+from pdr_graph.apps.lifelog.timeline import PASSING, STAY, TimelineEntry, distance_text, duration_text
 from pdr_graph.apps.report.page import BAND, OUTDOORS, RADIO, plan_drawing, region, thinned
 from pdr_graph.errors import count, one_line
 from pdr_graph.floor.plan import FloorPlan

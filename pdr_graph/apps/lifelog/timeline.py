@@ -254,6 +254,13 @@ def csv_table(records: Iterable[Mapping[str, Any]], names: Sequence[str], digits
     return "\n".join([",".join(names), *rows]) + "\n"
 
 
+def distance_text(metres: float) -> str:
+    """A distance as a text: ``640 m``, ``6.2 km``, ``1,250 km``."""
+    if metres < 999.5:
+        return f"{metres:.0f} m"
+    return f"{metres / 1000:.1f} km" if metres < 99_950 else f"{metres / 1000:,.0f} km"
+
+
 def duration_text(seconds: float) -> str:
     """A duration as text: "45 s", "12 min", "2 h 05 min"."""
     if seconds < 99.5:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from pdr_graph.apps.lifelog.facts import VISITED, Correction
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at, zone_named
 from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
-from pdr_graph.apps.lifelog.timeline import TimelineEntry
+from pdr_graph.apps.lifelog.timeline import TimelineEntry, distance_text
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
@@ -51,7 +51,16 @@ SEARCHED = 3 * DAY_LENGTH  # [s] around a time, in which a place that does not f
 
 
 @dataclass(frozen=True)
-class Added:
+class Summed:
+    """A result that adds up, field by field."""
+
+    def __add__(self, other: Self) -> Self:
+        """The result of both."""
+        return type(self)(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
+
+
+@dataclass(frozen=True)
+class Added(Summed):
     """Result of adding places: new ones, those that were there already, photos without a place or time, and a line for
     each file that was refused.
     """
@@ -60,10 +69,6 @@ class Added:
     existing: int = 0
     unplaced: int = 0
     refused: tuple[str, ...] = ()
-
-    def __add__(self, other: Added) -> Added:
-        """The result of both."""
-        return Added(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
 
 
 def photos_in(paths: Iterable[Path]) -> list[Path]:
@@ -320,8 +325,7 @@ def _passes(
 
 def _why(rows: Sequence[TimelineEntry], track: Track, place: Correction, off: float, local: LocalClock) -> str:
     """How far a place is from the way of its time, and when the person was there instead."""
-    far = f"{off / 1000:.1f} km" if off >= 1000 else f"{off:.0f} m"
-    text = f"{far} from the way" if math.isfinite(off) else "no position then"
+    text = f"{distance_text(off)} from the way" if math.isfinite(off) else "no position then"
     for hours in OTHER_ZONES if place.text("source") == PHOTO else ():
         if _passes(rows, track, place, place.start + 3600 * hours, place.end + 3600 * hours)[2].any():
             return f"{text}; there {abs(hours)} h {'later' if hours > 0 else 'earlier'}: a clock of another time zone?"

@@ -85,6 +85,12 @@ def rooms_of(pose: Mapping[str, Any], building: Building | None) -> dict[str, fl
     return {name: part / share.total() for name, part in share.most_common()}
 
 
+def room_names(building: Building | None) -> list[str]:
+    """The names of the rooms of a plan, floor by floor, each once; none without a plan."""
+    floors = () if building is None else building.floors
+    return list(dict.fromkeys(cell.name for floor in floors for cell in floor.cells.cells if cell.name))
+
+
 @dataclass(frozen=True)
 class MotionSensors:
     """Motion sensors in rooms: ``serve --motion SENSOR=ROOM``.
@@ -294,9 +300,7 @@ async def watch(broker: Broker, motion: MotionSensors, say: Say) -> None:
 def motion_of(broker: Broker | None, pairs: Iterable[str], building: Building | None) -> MotionSensors:
     """The motion sensors ``pairs`` SENSOR=ROOM. Raises InputError if something is missing or malformed."""
     option, rooms = "--motion", dict[str, str]()
-    names = (
-        {} if building is None else {c.name.lower(): c.name for f in building.floors for c in f.cells.cells if c.name}
-    )
+    names = {name.lower(): name for name in room_names(building)}
     for pair in pairs:
         if broker is None:
             raise InputError(option, "", "no broker", "--home-assistant mqtt://HOST, to which the states are published")
@@ -319,8 +323,7 @@ class Alert:
     def of(cls, text: str, building: Building | None) -> Alert:
         """The alert of ``ROOM=URL``. Raises InputError if the plan has no such room, or the address is none."""
         room, _, address = text.partition("=")
-        known = building.floors if building else ()
-        rooms = sorted({cell.name for floor in known for cell in floor.cells.cells if cell.name})
+        rooms = sorted(room_names(building))
         if room not in rooms:
             found = repr(room) if rooms else "no plan with named areas"
             raise InputError("--alert", "", found, f"ROOM=URL, one of {', '.join(map(one_line, rooms))}: --map")
