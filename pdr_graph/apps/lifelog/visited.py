@@ -166,13 +166,12 @@ def _named(log: Store, person: str, path: Path, row: int, name: str) -> tuple[fl
         latitude, longitude, sigma = named[name.casefold()]
         return latitude, longitude, sigma
     plans = dict.fromkeys(e.options.plan for e in log.entries() if e.person == person and e.options.plan is not None)
-    floors = [(floor, plan) for plan in plans for floor in Building.load(plan).floors]
-    position, sigma = named_area(path, row, name, [floor for floor, _ in floors])
-    frame = floors[0][0].frame
-    if not frame.georeferenced:
-        raise InputError(
-            path, f"data row {row + 1}, place", repr(name), "a plan with latitudes, or lat,lon in each row"
-        )
+    floors = [floor for plan in plans for floor in Building.load(plan).floors]
+    if not floors or not floors[0].frame.georeferenced:
+        expected = "a name of the diary, or of a plan with latitudes that a recording has; or lat,lon in each row"
+        raise InputError(path, f"data row {row + 1}, place", repr(name), expected)
+    position, sigma = named_area(path, row, name, floors)
+    frame = floors[0].frame
     longitude, latitude = frame.to_lonlat(position[None])[0].tolist()
     return latitude, longitude, sigma
 

@@ -325,8 +325,8 @@ class Alert:
         room, _, address = text.partition("=")
         rooms = sorted(room_names(building))
         if room not in rooms:
-            found = repr(room) if rooms else "no plan with named areas"
-            raise InputError("--alert", "", found, f"ROOM=URL, one of {', '.join(map(one_line, rooms))}: --map")
+            expected = f"ROOM=URL, ROOM one of {', '.join(map(one_line, rooms))}" if rooms else "--map with named areas"
+            raise InputError("--alert", "", repr(room) if rooms else "no plan with named areas", expected)
         try:
             parts = urlsplit(address)
             host = parts.hostname if parts.scheme in ("http", "https") and parts.port != 0 else None
