@@ -32,6 +32,8 @@ def exported(recorder, folder, felt):
         return bags.by_foxglove(folder / "walk 1.mcap", felt)
     name, write_files = recorders.EXPORTS[recorder]
     path, content = folder / name.replace("walk", "walk 1"), write_files(felt)
+    if recorder == "ridi":  # a workbook is a zip
+        return recorders.in_zip(path.with_suffix(".xlsx"), content)
     if isinstance(content, dict) and recorder in PHONES:
         return recorders.in_zip(path.with_suffix(".zip"), content, top="walk 1/")
     if isinstance(content, dict):

@@ -13,6 +13,7 @@ LIMITS = {"timeout", "timeout_seconds"}
 # File and call: what limits it
 LIMITED = {
     "estimation/live/live_ambiguity.py: self._future.result()": "this process computes; LONGEST_SILENCE replaces it",
+    "apps/cli/lifelog.py: SILENT.get()": "no wait: a variable of this context",
     "apps/cli/terminal.py: SILENT.get()": "no wait: a variable of this context",
     "errors.py: SILENT.get()": "no wait: a variable of this context",
     "floor/formats/pdf_page.py: item.get_matrix().get()": "no wait: a matrix of pypdfium2",

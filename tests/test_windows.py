@@ -125,7 +125,8 @@ from pdr_graph import Fixes, Journal, Navigator, Samples
 def walk(journal, begin, end):
     for second in range(begin, end):
         t = second + np.arange(50) / 50
-        a = np.column_stack([0 * t, 0 * t, 9.81 + 3 * np.sin(2 * np.pi * 1.8 * t)])
+        phase = 2 * np.pi * 1.8 * t
+        a = np.column_stack([0 * t, 0 * t, 9.81 + 3 * np.sin(phase) + 0.5 * np.sin(6 * phase)])  # landings jar
         journal.push(Samples("accelerometer", t, a))
         journal.push(Samples("gyroscope", t, 0.01 * np.ones((50, 3))))
         journal.push(Fixes(t[:1], np.array([[1.3 * second, 0.0]]), np.array([3.0]), ("gps",)))

@@ -114,7 +114,7 @@ def test_steps_are_found_in_every_hold(hold):
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("manner", ["jog", thorough("run"), thorough("sprint")])
 def test_steps_of_runs_are_found_in_every_hold(manner, hold):
-    """2.4 to 3.2 steps a second, with flight: within 3 % over three runners, neither strides nor half steps."""
+    """2.4 to 3.2 steps a second, with flight: within 4 % over three runners, neither strides nor half steps."""
     found, true = 0, 0
     for seed in range(3):
         route = [[0, 0], {"stand": 4}, {"to": [[120, 0], [120, 120]], "manner": manner}, {"stand": 4}]
@@ -123,7 +123,7 @@ def test_steps_of_runs_are_found_in_every_hold(manner, hold):
         assert unit_of("", "accelerometer", accelerometer, []) == ("accelerometer", 1.0), "though an arm pulls at it"
         found += len(walking_steps(accelerometer.time, accelerometer.values))
         true += len(walk.body.landings)
-    assert found == pytest.approx(true, rel=0.03)
+    assert found == pytest.approx(true, rel=0.04)
 
 
 @settings(max_examples=20, deadline=None)

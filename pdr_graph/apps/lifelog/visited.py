@@ -27,7 +27,6 @@ from pdr_graph.apps.lifelog.stays_and_legs import Track
 from pdr_graph.apps.lifelog.store import ZONE, Store
 from pdr_graph.apps.lifelog.timeline import TimelineEntry, distance_text
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.geometry import as_complex
 from pdr_graph.io.tables import check_geodetic, check_rows, named_area, read_table
@@ -161,6 +160,8 @@ def _span(text: str, zone: Any) -> tuple[float, float]:
 
 def _named(log: Store, person: str, path: Path, row: int, name: str) -> tuple[float, float, float]:
     """Latitude, longitude [deg] and sigma [m] of a place that the person has named, or of an area of a plan."""
+    from pdr_graph.floor.plan_files import Building  # loads SciPy, which most diaries do not need
+
     named = {known.casefold(): (*place, radius / 2) for *place, radius, known in place_names(log.corrections(person))}
     if name.casefold() in named:
         latitude, longitude, sigma = named[name.casefold()]
