@@ -104,12 +104,14 @@ class StepPriors(Table):
 class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
-    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(1, 2))
-    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 2))
+    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", still=(0.5, 1))
+    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", still=(1, 1))
     smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock; others are multiples", still=(1, 1))
     look_ahead: float = number(2.0, "s", "part of the window after a landing", still=(1, 2))
-    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", still=(0.5, 1))
-    weakest: float = number(0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less")
+    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", still=(1, 1))
+    weakest: float = number(
+        0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less", still=(0.5, 2)
+    )
     weakest_share: float = number(0.23, "share", "least amplitude among the steps around: feet shuffle", still=(1, 1))
     highest_bounce: float = number(
         0.14,
@@ -119,20 +121,20 @@ class CandidatePriors(Table):
     )
     usual_bounce: float = number(0.014, "m", "vertical motion below which a usual step is doubted", BOUNCES)
     run_bounce: float = number(
-        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988", still=(1, 2)
+        0.06, "m", "vertical motion of a run, above which a usual step is too long", "Cavagna 1988", still=(0.5, 2)
     )
     slow_kernel: float = number(0.5, "steps", "width of the Gaussian at the frequency of slow steps: these vary more")
     slow_bounce: float = number(0.025, "m", "vertical motion of slow walkers, peak to peak", BOUNCES)
     bounce_spread: float = number(0.2, "log", "spread of that motion", BOUNCES)
     bounce_weight: float = number(0.4, "correlation", "cost of a vertical motion off by a factor of e")
-    rhythm_weight: float = number(0.8, "correlation", "weight of |a| repeating itself, in slow steps")
+    rhythm_weight: float = number(0.8, "correlation", "weight of |a| repeating itself, in slow steps", still=(0.5, 1))
     sway_weight: float = number(
         0.8, "correlation", "weight of the sway of a body, and of that of a limb", SWAYS, still=(0.5, 2)
     )
     sway_noise: float = number(0.2, "m/s²", "sway of who stands, types or rides: 0.02 to 0.1", SWAYS, still=(0.5, 2))
     slow_penalty: float = number(0.15, "correlation", "by which slow steps must fit better than usual ones")
     least_jar: float = number(0.045, "m/s²", "by which landings jar, root mean square: less is a smooth motion", JARS)
-    jar_share: float = number(0.03, "share", "the same, of the amplitude", JARS)
+    jar_share: float = number(0.03, "share", "the same, of the amplitude", JARS, still=(0.5, 1))
     steadiest_tilt: float = number(
         0.96, "share", "least length of that mean; else the phone tilts to and fro", still=(0.5, 1)
     )
@@ -143,12 +145,14 @@ class BoutPriors(Table):
     """When candidate landings become steps."""
 
     closest_share: float = number(0.55, "steps", "least interval between two landings", still=(0.5, 1))
-    start: float = number(0.68, "correlation", "least mean regularity of the first steps, to start", GAITS)
+    start: float = number(
+        0.68, "correlation", "least mean regularity of the first steps, to start", GAITS, still=(0.5, 1)
+    )
     go_on: float = number(0.1, "correlation", "least regularity to go on")
     memory: int = number(20, "steps", "regular ones from which the walker's rhythm and amplitude are learned", GAITS)
     remembered: float = number(10.0, "s", "after regular steps in which one in their rhythm continues the walk", GAITS)
     weak_share: float = number(0.3, "share", "of the walker's amplitude, below which a step must be regular", GAITS)
-    weak_regularity: float = number(0.5, "correlation", "so regular", GAITS)
+    weak_regularity: float = number(0.5, "correlation", "so regular", GAITS, still=(0.5, 2))
     push_off: float = number(
         0.6, "share", "a first landing weaker than this, of the following ones, is none", still=(1, 1)
     )
@@ -159,9 +163,9 @@ class BoutPriors(Table):
 class ConfidencePriors(Table):
     """The probability that what was accepted as a step is one: a logistic regression."""
 
-    usual: float = number(4.1, "log odds", "of a regular step", LABELLED)
-    regular: float = number(1.0, "correlation", "below which steps are irregular", LABELLED)
-    irregular: float = number(12.7, "log odds", "for a regularity of 0 instead of 1", LABELLED)
+    usual: float = number(4.1, "log odds", "of a regular step", LABELLED, still=(0.5, 2))
+    regular: float = number(1.0, "correlation", "below which steps are irregular", LABELLED, still=(0.5, 2))
+    irregular: float = number(12.7, "log odds", "for a regularity of 0 instead of 1", LABELLED, still=(0.5, 2))
     sure: float = number(0.9, "probability", "from which a step is as long as the model says", still=(0.5, 2))
 
 
@@ -170,10 +174,10 @@ class StridePriors(Table):
     """Lengths of steps."""
 
     sigma: float = number(
-        0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS, still=(1, 2)
+        0.45, "share", "sigma of a step's length and of its sway to the side, usual gait", LEGS, still=(1, 1)
     )
     turn_shortens: float = number(
-        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(0.5, 1)
+        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", still=(1, 1)
     )
     k0: float = number(0.49, "m", "constant part of a step", "fit: 38 walks, scripts/reproduce steps", still=(1, 1))
     k1: float = number(0.13, "√(m/s) → m", "part that grows with the bounce", "fit: as ``k0``", still=(1, 1))
@@ -187,7 +191,7 @@ class StridePriors(Table):
         "m/s²",
         "hardly and surely of a run",
         "simulated runs; walkers who hurry have up to 10 at such a rhythm",
-        still=(0.5, 1),
+        still=(1, 1),
     )
 
 
@@ -196,7 +200,7 @@ class IrregularityPriors(Table):
     """How irregular a gait is, by the durations of its steps, and how much more irregular steps err."""
 
     usual: float = number(
-        0.03, "log", "mean change of the duration from step to step: strolls in malls", LEGS, still=(0.5, 1)
+        0.03, "log", "mean change of the duration from step to step: strolls in malls", LEGS, still=(0.5, 2)
     )
     steps: float = number(8.0, "steps", "over which that mean is taken, with exponential weights", LEGS, still=(0.5, 2))
     largest: float = number(
@@ -476,8 +480,8 @@ class WallPriors(Table):
     margin: float = number(
         0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", still=(1, 1)
     )
-    sigma: float = number(1.0, "m", "sigma of that margin", still=(1, 1))
-    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 1))
+    sigma: float = number(1.0, "m", "sigma of that margin", still=(0.5, 2))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", still=(0.5, 2))
 
 
 @dataclass(frozen=True)
@@ -592,7 +596,7 @@ class FixPriors(Table):
         5.0,
         "σ",
         "beyond which a fix is an outlier, cannot be reached from another, and is rejected by the filter",
-        still=(0.5, 1),
+        still=(1, 1),
     )
     stretched: float = number(
         1.5, "ratio", "by which a walk may be longer than its strides say, or shorter", still=(1, 1)
@@ -682,7 +686,7 @@ class BeaconPriors(Table):
         still=(1, 1),
     )
     within_sigma: float = number(
-        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1", still=(0.5, 1)
+        3.5, "dB", "of a mean level about the usual one of its beacon", "ten museum logs: 3.1 to 4.1", still=(0.5, 2)
     )
     height: float = number(1.5, "m", "of a beacon above the phone", still=(1, 1))
     power_sigma: float = number(
@@ -690,7 +694,7 @@ class BeaconPriors(Table):
         "dB",
         "of a beacon's power; 6 to 10 alike",
         "ten museum logs: residuals at surveyed places, by beacon and log",
-        still=(0.5, 2),
+        still=(1, 2),
     )
     weakest: float = number(
         -94.0, "dBm", "mean level of which half is received", "ten museum logs: -95 to -93; slope 3 dB", still=(0.5, 2)
@@ -704,10 +708,10 @@ class BeaconPriors(Table):
     )
     stretch: float = number(2.0, "m", "of the walk over which levels are averaged", still=(1, 1))
     path_loss: tuple[float, float, float] = number(
-        (-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", still=(0.5, 2)
+        (-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", still=(1, 1)
     )
     path_loss_sigma: tuple[float, float, float] = number(
-        (8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", still=(1, 1)
+        (8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", still=(1, 2)
     )
     nearest: float = number(2.0, "m", "least sigma of a rough fix")
     range: float = number(
@@ -784,7 +788,10 @@ class SearchPriors(Table):
     strained: float = number(3.0, "nats", "above the usual at which further paths are searched")
     unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed")
     same_path: float = number(
-        4.0, "m", "mean distance of solutions on one path, largest of particles in one mode: half an aisle's spacing"
+        4.0,
+        "m",
+        "mean distance of solutions on one path, largest of particles in one mode: half an aisle's spacing",
+        still=(0.5, 2),
     )
 
 
@@ -810,7 +817,7 @@ class PricePriors(Table):
     wrong_origin: float = number(
         3.0, "nats", "a list is displaced as a whole: as a receiver that is several times worse throughout"
     )
-    wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma")
+    wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma", still=(1, 2))
     another_walker: float = number(
         0.4, "nats", "a profile is of another walker, or was learnt from wrong positions: 2 in 5", PROFILES
     )
