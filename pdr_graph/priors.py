@@ -85,6 +85,7 @@ RUNS = "2.4 to 4.5 m/s at 2.6 to 3.1 steps/s: Cavagna et al. 1988, 2005; no reco
 GAITS = "chosen by hand on the 40 phones of weallwalk, all seven persons, and on an hour of rides and waving"
 LOST = "59 recorded walks, whole and with 8 to 15 % of their steps taken away"
 LEGS = "fit: 594 straight legs of 91 mall walks, 86 of 6 s of RIDI and IPIN 2021; log score of walks, floors left out"
+POWED = "Torres-Sospedra et al. 2015: e, best of their representations; 2 to 4 alike on one mall floor"
 SWAYS = "strides: slow walkers sway by 0.5 to 0.9 m/s², others by 0.3"
 
 
@@ -959,6 +960,7 @@ class ScanPriors(Table):
 
     window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels")
     faintest: float = number(-100.0, "dBm", "level that counts as not received")
+    exponent: float = number(2.7, "power", "of the dB above that: a scan is its strongest transmitters", POWED)
     fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places")
     neighbours: int = number(8, "fingerprints", "averaged for a position")
     agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown")
@@ -971,7 +973,7 @@ class ScanPriors(Table):
     )
     finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds")
     apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out")
-    shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out")
+    shared: float = number(2.0, "factor", "of σ: a map's error at a place does not average out; 1.5 was too sure")
     scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds")
     along: float = number(30.0, "m", "in which closures to the same other walk have the same error")
     later: float = number(60.0, "s", "after which a return to a place is a revisit")

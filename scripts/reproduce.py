@@ -29,6 +29,7 @@ import lifelog
 import live
 import magnetic
 import paths
+import radio
 import recordings
 import routes
 import settings
@@ -122,6 +123,7 @@ TABLES = {  # in the order of docs/results/index.md
     "steps": Made(lambda: gait.steps(DATA), quick=True),
     "compass": Made(lambda: gait.compass(DATA), quick=True),
     "magnetic": Made(lambda: magnetic.magnetic(DATA)),
+    "radio": Made(lambda: radio.radio(DATA)),
     "signs": Made(lambda: signs.signs(DATA)),
     "lifelog": Made(lifelog.lifelog),
     "settings": Made(lambda words=(), *_: settings.settings(DATA, words), some=True, quick=quick_settings),

@@ -358,6 +358,8 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     code, printed, errors = run("radio-map", first, result, "--out", radio_map)
     assert (code, errors) == (0, [])
     assert "scans of" in printed
+    more = run("radio-map", "add", radio_map, first, result, "--out", tmp_path / "more.npz")
+    assert "2 recordings" in more.output
     second = (tmp_path / "walk2", tmp_path / "second", "--no-recorded-fixes", "--radio-map", radio_map)
     for plan in (("--map", ARCADE), ()):  # or in the map's own frame
         _, _, summary = smoothed(*second, *plan)

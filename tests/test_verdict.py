@@ -321,7 +321,7 @@ def test_a_walk_that_is_not_ok_teaches_no_radio_map(arcade_walk, tmp_path):
     assert summary["verdict"]["state"] != "ok"
     assert not (tmp_path / "bad" / "walker.toml").exists()
     with pytest.raises(InputError, match="verdict: found"):
-        learn_radio_map([(arcade_walk, tmp_path / "bad")], tmp_path / "map.npz")
+        learn_radio_map([arcade_walk, tmp_path / "bad"], tmp_path / "map.npz")
 
 
 def test_the_navigator_says_so_while_the_walk_goes_on(arcade_walk):

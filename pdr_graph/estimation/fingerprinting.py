@@ -39,8 +39,9 @@ LONGEST_SPAN = 600.0  # [s] of the walk whose levels are stored: the scans are a
 class Scans:
     """Received levels in windows of `SCANS.window` seconds, one a second.
 
-    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `SCANS.faintest`, 0 if not
-    received.
+    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` dB above `SCANS.faintest` to the power of
+    `SCANS.exponent`, 0 if not received. Strong levels are then most of a scan: they change most from place to place
+    (powed levels, Torres-Sospedra et al. 2015).
     """
 
     time: Array
@@ -86,7 +87,7 @@ def scans_in(parts: Sequence[Sightings]) -> Scans:
     scans = Scans(
         begin + np.arange(windows) + SCANS.window / 2,
         tuple(transmitters.tolist()),
-        total / count.clip(1),
+        (total / count.clip(1)) ** SCANS.exponent,
     )
     return scans[(count > 0).sum(axis=1) >= SCANS.fewest]
 
@@ -124,7 +125,9 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> tuple[Arr
 
 
 MOST_CHECKED = 1000  # scans for that, evenly chosen
-ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
+MAP_VERSION = 2  # of the file: levels with an exponent, and recordings
+ARRAYS = ("transmitter", "level", "position", "floor", "recording", "time", "frame", "range", "variance")
+PLACE, MOST_AT_PLACE = 2.0, 20  # [m] squares, in which the newest are kept: as a dozen walks leave there
 UNREADABLE_MAP = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 UNREADABLE_MAP += (MemoryError,)  # numpy allocates what the header of an array states
 LARGEST_MAP = 500_000_000  # [bytes] unpacked: 60 000 fingerprints of 2000 transmitters
@@ -136,6 +139,8 @@ class RadioMap:
 
     transmitter: m identities; level: ``(n, m)`` see `Scans`.
     position: ``(n, 2)`` of the walks [m]; floor: n labels; frame: as of `Frame.describe`.
+    recording: ``(n,)`` number of the one that it is from, in the order in which they were added; time: ``(n,)`` in it
+    [s].
     range: ``(2,)`` distances: below the first, σ is constant; beyond the second there is no fix.
     variance: ``(2,)`` σ² per axis of a single fix = variance[0] + variance[1] · distance² [m²].
     """
@@ -144,6 +149,8 @@ class RadioMap:
     level: Array
     position: Array
     floor: tuple[str, ...]
+    recording: Index
+    time: Array
     frame: dict[str, Any]
     range: Array
     variance: Array
@@ -154,23 +161,33 @@ class RadioMap:
         return len(self.level)
 
     @classmethod
-    def learn(cls, walks: Sequence[tuple[Trajectory, Recording]], frame: dict[str, Any] | None = None) -> RadioMap:
-        """Learn a map from smoothed walks in one frame (as of `Frame.describe`; default: a local one).
+    def learn(
+        cls,
+        walks: Sequence[tuple[Trajectory, Recording]],
+        frame: dict[str, Any] | None = None,
+        known: RadioMap | None = None,
+    ) -> RadioMap:
+        """Learn a map from smoothed walks in one frame (as of `Frame.describe`; default: that of ``known``, or a local
+        one).
 
-        Raises ValueError if they have too few scans to estimate the errors of the map.
+        known: a map to which they are added. Of each place the newest fingerprints are kept, so that a map does not
+        grow with its walks, and forgets what was moved or switched off.
+
+        Raises ValueError if they have too few scans to estimate the errors of the map, or are not in its frame.
         """
-        placed = [_placed(track, scans_of(recording)) for track, recording in walks]
-        transmitters = sorted({name for scans, _, _ in placed for name in scans.transmitter})
-        level = np.concatenate([np.empty((0, len(transmitters))), *(scans.of(transmitters) for scans, _, _ in placed)])
-        position = np.concatenate([np.empty((0, 2)), *(at for _, at, _ in placed)])
-        floor = tuple(label for _, _, labels in placed for label in labels)
-        walk = np.repeat(np.arange(len(placed)), [len(scans) for scans, _, _ in placed])
-        time = np.concatenate([np.empty(0), *(scans.time for scans, _, _ in placed)])
-        if len(level) < FEWEST_SCANS:
-            raise ValueError(f"found {len(level)} scans along the walks, expected at least {FEWEST_SCANS}")
-        limits, variance = _calibrated(level, position, floor, walk, time)
-        described = Frame().describe() if frame is None else frame
-        return cls(tuple(transmitters), level, position, floor, described, limits, variance)
+        if known is not None and frame is not None and known.frame != frame:
+            raise ValueError(f"found the frame {frame}, expected that of the map, {known.frame}")
+        parts = [] if known is None else [_Placed.of_map(known)]
+        first = 0 if known is None else 1 + int(known.recording.max())
+        parts += [_Placed.along(track, scans_of(heard), n) for n, (track, heard) in enumerate(walks, first)]
+        if (found := sum(len(part.scans) for part in parts)) < FEWEST_SCANS:
+            raise ValueError(f"found {found} scans along the walks, expected at least {FEWEST_SCANS}")
+        placed = _Placed.joined(parts).newest()
+        scans, floor = placed.scans, tuple(placed.floor.tolist())
+        described = frame or (Frame().describe() if known is None else known.frame)
+        limits, variance = _calibrated(placed)
+        where = placed.position, floor, placed.recording, scans.time
+        return cls(scans.transmitter, scans.level, *where, described, limits, variance)
 
     def fixes(self, recording: Recording) -> Fixes:
         """Fixes of a later walk, at most one per `SCANS.window` seconds: of overlapping scans, the most similar to a
@@ -202,6 +219,7 @@ class RadioMap:
         """Write the map as a numpy archive."""
         arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS if name != "frame"}
         arrays |= {"level": self.level.astype(np.float32), "frame": np.array(json.dumps(self.frame))}
+        arrays["version"] = np.array(MAP_VERSION)
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)
         write_file(path, archive.getvalue())
@@ -217,6 +235,9 @@ class RadioMap:
                 if damaged := archive.testzip():
                     raise zipfile.BadZipFile(f"a damaged {damaged}")
             with np.load(path, allow_pickle=False) as arrays:
+                if (version := int(arrays["version"]) if "version" in arrays else 1) != MAP_VERSION:
+                    found, expected = f"{version}", f"{MAP_VERSION}: make it again by pdr-graph radio-map"
+                    raise InputError(path, "version", found, expected)
                 stored = {name: arrays[name] for name in ARRAYS}
             frame = json.loads(str(stored["frame"]))
         except UNREADABLE_MAP as error:
@@ -227,27 +248,69 @@ class RadioMap:
             stored["level"].astype(float),
             stored["position"],
             tuple(stored["floor"].tolist()),
+            stored["recording"],
+            stored["time"],
             frame,
             stored["range"],
             stored["variance"],
         )
 
 
-def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
-    """The scans at which the walk is certain enough, with its position ``(n, 2)`` and floor there."""
-    within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
-    if track.covariance is not None:
-        largest = np.linalg.eigvalsh(track.covariance[:, :2, :2])[:, -1]
-        within &= np.interp(scans.time, track.time, largest) <= SCANS.least_sure**2
-    scans = scans[within]
-    rows = nearest(track.time, scans.time)
-    return scans, interpolate(scans.time, track.time, track.position), [track.floor[row] for row in rows]
+@dataclass(frozen=True)
+class _Placed:
+    """Scans with their places: position ``(n, 2)`` [m], floor ``(n,)`` labels, recording ``(n,)`` its number."""
+
+    scans: Scans
+    position: Array
+    floor: Array
+    recording: Index
+
+    @classmethod
+    def along(cls, track: Trajectory, scans: Scans, number: int) -> _Placed:
+        """The scans at which a walk is certain enough; number: of the recording."""
+        within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
+        if track.covariance is not None:
+            largest = np.linalg.eigvalsh(track.covariance[:, :2, :2])[:, -1]
+            within &= np.interp(scans.time, track.time, largest) <= SCANS.least_sure**2
+        scans = scans[within]
+        floor = np.array([track.floor[row] for row in nearest(track.time, scans.time)], dtype=str)
+        position = interpolate(scans.time, track.time, track.position)
+        return cls(scans, position, floor, np.full(len(scans), number))
+
+    @classmethod
+    def of_map(cls, known: RadioMap) -> _Placed:
+        """The fingerprints of a map."""
+        scans = Scans(known.time, known.transmitter, known.level)
+        return cls(scans, known.position, np.array(known.floor, dtype=str), known.recording)
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Placed]) -> _Placed:
+        """All parts, with the transmitters that any of them received."""
+        names = tuple(sorted({name for part in parts for name in part.scans.transmitter}))
+        time = np.concatenate([part.scans.time for part in parts])
+        scans = Scans(time, names, np.concatenate([part.scans.of(names) for part in parts]))
+        others = ("position", "floor", "recording")
+        return cls(scans, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
+
+    def newest(self) -> _Placed:
+        """The last MOST_AT_PLACE of each place, and the transmitters that these received."""
+        square = np.column_stack([np.floor(self.position / PLACE), np.unique(self.floor, return_inverse=True)[1]])
+        place = np.unique(square, axis=0, return_inverse=True)[1].ravel()
+        order = np.argsort(place, kind="stable")
+        later = np.searchsorted(place[order], place[order], side="right") - np.arange(len(order))
+        kept = np.sort(order[later <= MOST_AT_PLACE])
+        level = self.scans.level[kept]
+        heard = np.flatnonzero(level.any(axis=0))
+        names = tuple(self.scans.transmitter[n] for n in heard.tolist())
+        scans = Scans(self.scans.time[kept], names, level[:, heard])
+        return _Placed(scans, self.position[kept], self.floor[kept], self.recording[kept])
 
 
-def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index, time: Array) -> tuple[Array, Array]:
+def _calibrated(placed: _Placed) -> tuple[Array, Array]:
     """`RadioMap.range` and `RadioMap.variance` by cross-validation: each walk with a map of the others or, if these
     were elsewhere, of everything except the neighbourhood in time.
     """
+    level, position, walk, time = placed.scans.level, placed.position, placed.recording, placed.scans.time
     some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
     same = walk[some, None] == walk
     distance, apart = unlikeness(level[some], level), np.hypot(*(position[some, None] - position).transpose(2, 0, 1))
@@ -258,7 +321,7 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
             break
     else:
         near = without.min(axis=1) < 1  # a walk that visits no place twice: all scans with something in common
-    place, _, closest = matched(without, position, floor)
+    place, _, closest = matched(without, position, placed.floor.tolist())
     limits = np.quantile(closest[near], SCANS.accepted) if near.any() else np.zeros(2)
     accepted = closest <= limits[1]
     at, error = closest[accepted].clip(limits[0]), (place - position[some])[accepted]
@@ -283,14 +346,15 @@ def _check(path: str | Path, arrays: dict[str, Array], frame: Any) -> None:
     """Raise InputError if the arrays of a file do not fit together."""
     n, m = len(arrays["position"]) if arrays["position"].ndim else 0, arrays["transmitter"].size
     shapes = {"level": (n, m), "position": (n, 2), "floor": (n,), "transmitter": (m,), "range": (2,), "variance": (2,)}
+    shapes |= {"recording": (n,), "time": (n,)}
     for name, shape in shapes.items():
         if arrays[name].shape != shape:
             raise InputError(path, name, f"an array of shape {arrays[name].shape}", f"one of {shape}")
     for name in shapes:
         text = name in ("transmitter", "floor")
-        good: Mask = np.array(arrays[name].dtype.kind == ("U" if text else "f"))
+        good: Mask = np.array(arrays[name].dtype.kind == ("U" if text else "i" if name == "recording" else "f"))
         if good and not text:
-            good = np.isfinite(arrays[name]) & ((arrays[name] >= 0) | (name == "position"))
+            good = np.isfinite(arrays[name]) & ((arrays[name] >= 0) | (name in ("position", "time")))
         if not good.all():
             raise InputError(path, name, "other values", "texts" if text else "finite numbers")
     if not n or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):

@@ -77,7 +77,8 @@ pdr-graph simulate arcade              a simulated walk with its truth -> arcade
 app.register_install_completion_command(add_to_startup=False, group="Options")
 app["--help"].group = app["--version"].group = "Options"
 maps = App("map", help="Draw, check and convert floor plans.")
-for group in (maps, lifelog_commands, bench):
+radio_maps = App("radio-map")
+for group in (maps, radio_maps, lifelog_commands, bench):
     app.command(group)
 app.command(serve)
 
@@ -259,13 +260,12 @@ def calibrate(
     echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
 
 
-@app.command
-def radio_map(
-    *walks: Annotated[Path, Parameter(required=True)],
-    out: Path,
-    quiet: Quiet = False,
-) -> None:
-    """Make a radio map of Wi-Fi and BLE from smoothed walks.
+Walks = Annotated[Path, Parameter(required=True)]
+
+
+@radio_maps.default
+def radio_map(*walks: Walks, out: Path, quiet: Quiet = False) -> None:
+    """Make a radio map of Wi-Fi and BLE from smoothed walks, or add walks to one (radio-map add).
 
     For smooth --radio-map. All walks must have been smoothed with the same plan.
 
@@ -273,16 +273,36 @@ def radio_map(
 
     Args:
         walks: Recordings, each followed by the output folder of its smooth.
-        out: File of the radio map.
+        out: File of the radio map. Keep it private: where the walks were, and every transmitter's identity.
     """
-    if len(walks) % 2:
-        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
-    learnt = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
-    echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
+    _echo_map(learn_radio_map(walks, out), out)
 
 
-def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
-    """Write a radio map of recordings to ``out``; walks: each recording with the output folder of ``pdr-graph smooth``.
+@radio_maps.command(name="add")
+def add_to_radio_map(radio_map: Path, /, *walks: Walks, out: Path | None = None, quiet: Quiet = False) -> None:
+    """Add walks to a radio map. Of each place it keeps the newest scans.
+
+    pdr-graph radio-map add mall.npz wednesday.txt wednesday
+
+    Args:
+        radio_map: File that radio-map wrote.
+        walks: Recordings, each followed by the output folder of its smooth.
+        out: File of the new map; by default the same.
+    """
+    from pdr_graph.estimation.fingerprinting import RadioMap
+
+    _echo_map(learn_radio_map(walks, out or radio_map, RadioMap.load(radio_map)), out or radio_map)
+
+
+def _echo_map(learnt: RadioMap, out: Path) -> None:
+    recordings = count(len(set(learnt.recording.tolist())), "recording")
+    echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters, {recordings} -> {out}")
+
+
+def learn_radio_map(walks: Sequence[Path], out: Path, known: RadioMap | None = None) -> RadioMap:
+    """Write a radio map of recordings to ``out``.
+
+    walks: each recording, followed by the output folder of ``pdr-graph smooth``; known: a map to which they are added.
 
     Raises InputError if an input cannot be used, or if the walks are not all in one frame.
     """
@@ -290,18 +310,21 @@ def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
     from pdr_graph.io.loading import load
     from pdr_graph.io.tables import read_trajectory
 
+    if len(walks) % 2:
+        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
     learnt, frames = [], []
-    for recording, folder in walks:
+    for recording, folder in zip(walks[::2], walks[1::2], strict=True):
         walk, track = load(recording), read_trajectory(folder / "trajectory.csv")
         track = replace(track, time=track.time - walk.clock_origin)
         if track.time[-1] < 0 or track.time[0] > max(s.time[-1] for s in walk.signals.values()):
             raise InputError(folder, "trajectory.csv", "times of another walk", f"those of {walk.source}")
         learnt.append((track, walk))
         frames.append(_frame_of(folder / "summary.json"))
-        if frames[-1] != frames[0]:
-            raise InputError(folder, "frame", f"{frames[-1]}", f"that of {walks[0][1]}, {frames[0]}: one plan for all")
+        if frames[-1] != (frame := frames[0] if known is None else known.frame):
+            of = walks[1] if known is None else "the map"
+            raise InputError(folder, "frame", f"{frames[-1]}", f"that of {of}, {frame}: one plan for all")
     try:
-        radio_map = RadioMap.learn(learnt, frames[0])
+        radio_map = RadioMap.learn(learnt, frames[0], known)
     except ValueError as error:
         raise InputError(out, "", str(error).removeprefix("found "), "more walks or longer ones") from None
     radio_map.save(out)

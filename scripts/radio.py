@@ -1,0 +1,67 @@
+"""What a radio map tells of walks that are told nothing else: one real floor, by maps of its other recordings."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from magnetic import Floor, score
+from scipy.spatial import KDTree
+from tables import publish, table
+
+from pdr_graph import smooth
+from pdr_graph.estimation.fingerprinting import RadioMap
+from pdr_graph.estimation.verdict import verdict
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import OK
+
+FOLDS = 8  # maps; each has seven eighths of the recordings, or of the walks
+FAR = 10.0  # [m] median of a recording that is in another part of the floor
+GAPS = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)  # [m] from a place to the nearest of the map
+
+
+def left_out(floor, fold):
+    """Each recording with its track by all waypoints, and the map of the other folds."""
+    for own in range(FOLDS):
+        pairs = list(zip(floor.walks, floor.tracks, fold.tolist(), strict=True))
+        radio_map = RadioMap.learn([(track, walk.evidence.walk) for walk, track, of in pairs if of != own])
+        yield from ((walk, track, radio_map) for walk, track, of in pairs if of == own)
+
+
+def fix_errors(walk, track, radio_map):
+    """Of each fix its distance from the map and its error [m]."""
+    fixes = radio_map.fixes(walk.evidence.walk)
+    place = interpolate(fixes.time, track.time, track.position)
+    return np.column_stack([KDTree(radio_map.position).query(place)[0], np.hypot(*(fixes.position - place).T)])
+
+
+def judged(walk, radio_map):
+    """Errors and regions of a recording, and whether its estimate is ok."""
+    estimate = smooth(replace(walk.evidence, fixes=radio_map.fixes(walk.evidence.walk)).graph())
+    return score(estimate.trajectory, walk.truth), verdict(estimate).state == OK
+
+
+def radio(data):
+    """The tables."""
+    floor, rows, of_fixes = Floor(data), [], []
+    folds = {
+        "recordings": np.random.default_rng(0).permutation(len(floor.walks)) % FOLDS,
+        "whole walks": floor.number % FOLDS,
+    }
+    for name, fold in folds.items():
+        parts = list(left_out(floor, fold))
+        gap, error = np.concatenate([fix_errors(*part) for part in parts]).T
+        for low, high in pairwise(GAPS):
+            own = error[(gap >= low) & (gap < high)]
+            middle = " / ".join(f"{value:.1f}" for value in np.percentile(own, [50, 90]))
+            of_fixes.append([name, f"{low:g} to {high:g}", len(own), middle])
+        scores, sure = zip(*(judged(walk, radio_map) for walk, _, radio_map in parts), strict=True)
+        off, inside = np.concatenate(scores).T
+        far = [bool(np.median(own[:, 0]) > FAR) for own in scores]
+        middle = " / ".join(f"{value:.2f}" for value in np.percentile(off, [50, 75, 95]))
+        cells = [f"{off.mean():.2f}", f"{100 * inside.mean():.0f} %"]
+        both = sum(a and b for a, b in zip(sure, far, strict=True))
+        rows.append([name, len(scores), middle, *cells, sum(far), sum(sure), both])
+    header = ["left out", "recordings", "CE50 / 75 / 95 [m]", "mean [m]", "in 90 % region", "10 m off", "ok", "both"]
+    publish("results/radio.md", "radio", table(header, rows))
+    header = ["left out", "from the map [m]", "fixes", "error, median / 90 % [m]"]
+    publish("results/radio.md", "radio fixes", table(header, of_fixes))
