@@ -132,13 +132,18 @@ def test_derivatives_and_gtsams_error_are_those_of_ours():
 
 
 def test_optional_parts_are_not_needed():
+    """Without reports of its own a kind has whitened residuals, at the times of its keyframes."""
     steps, fixes, _, lines = drawn(5, 40)
-    tracks = []
+    walks = []
     for kind in (EXAMPLE.AnchorlineFactor, AnchorlineFactor):
         del KINDS[Anchorline]
         pdr.register(Anchorline, kind)
-        tracks.append(pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines])).trajectory)
-    assert tracks[0].position == pytest.approx(tracks[1].position, abs=1e-9)
+        walks.append(pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines])))
+    assert walks[0].trajectory.position == pytest.approx(walks[1].trajectory.position, abs=1e-9)
+    usual, own = (walk.reports["anchor_lines"] for walk in walks)
+    assert [report.residual * SIGMA for report in usual] == pytest.approx([report.residual for report in own])
+    assert [report.time for report in usual] == pytest.approx([report.time for report in own], abs=1.0)
+    assert {report.weight for report in usual} == {1.0}
 
 
 def test_it_weighs_particles():

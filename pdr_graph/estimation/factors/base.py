@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Fixes, Index, Mask
+from pdr_graph.types import KEYFRAME, Array, Fixes, Index, Mask, declared
 
 if TYPE_CHECKING:
     import gtsam
@@ -400,6 +400,19 @@ class Stage(Enum):
     FINAL = "final"
 
 
+@dataclass(frozen=True)
+class ResidualReport:
+    """A factor of a kind that makes no reports.
+
+    time: of its keyframe [s]; residual: whitened, the norm of several rows [σ]; weight: share of its information that
+    is used.
+    """
+
+    time: float
+    residual: float
+    weight: float
+
+
 class Measurement(ABC):
     """A measurement kind: all its instances on one walk. Subclasses are frozen.
 
@@ -438,8 +451,18 @@ class Measurement(ABC):
         ...
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[Any, ...]:
-        """Reports, each a dataclass: residual, weight and reason of each instance, or of the instances ``which``."""
-        return ()
+        """Reports, each a dataclass: residual, weight and reason of each instance, or of the instances ``which``.
+
+        By default a `ResidualReport` of each instance, of a kind with a keyframe in each row.
+        """
+        blocks = at.blocks_of(self.name) if declared(type(self), KEYFRAME) else []
+        if not blocks:
+            return ()
+        keyframe = next(rows for symbol, rows in blocks[0].variables if symbol == POSE)
+        columns = at.chain.time[keyframe], blocks[0].deviation, blocks[0].weight
+        return tuple(
+            map(ResidualReport, *(values[slice(None) if which is None else which].tolist() for values in columns))
+        )
 
 
 def initial_state(
