@@ -4,12 +4,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from magnetic import Floor, score
+from magnetic import Floor, score, walks_of
 from scipy.spatial import KDTree
 from tables import publish, table
 
 from pdr_graph import smooth
-from pdr_graph.estimation.fingerprinting import RadioMap
+from pdr_graph.estimation.fingerprinting import RadioMap, matched, scans_of, unlikeness
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import OK
@@ -40,8 +40,34 @@ def judged(walk, radio_map):
     return score(estimate.trajectory, walk.truth), verdict(estimate).state == OK
 
 
+ALIKE = (0.0, 0.3, 0.4, 0.5, 1.0)  # distances of scans
+
+
+def floors(data):
+    """The floor of each scan by those of other walks of its mall, by the distance of the most similar one."""
+    found = [(name.split()[0].split("/"), scans_of(read().evidence.walk)) for name, read in walks_of("malls", data)]
+    rows, right, alike = [], [], []
+    for mall in sorted({site for (site, _), _ in found}):
+        own = [(label, scans) for (site, label), scans in found if site == mall and len(scans)]
+        names = sorted({name for _, scans in own for name in scans.transmitter})
+        level = [scans.of(names) for _, scans in own]
+        for n, (label, _) in enumerate(own):
+            others = [m for m in range(len(own)) if m != n]
+            labels = [own[m][0] for m in others for _ in level[m]]
+            distance = unlikeness(level[n], np.concatenate([level[m] for m in others]))
+            _, of_scan, closest = matched(distance, np.zeros((len(labels), 2)), labels)
+            right += [floor == label for floor in of_scan if floor]
+            alike += [d for d, floor in zip(closest.tolist(), of_scan, strict=True) if floor]
+    right, alike = np.array(right), np.array(alike)
+    for low, high in pairwise(ALIKE):
+        own = right[(alike >= low) & (alike < high)]
+        rows.append([f"{low:g} to {high:g}", len(own), f"{100 * own.mean():.1f} %"])
+    publish("results/radio.md", "radio floors", table(["most similar scan", "scans", "right floor"], rows))
+
+
 def radio(data):
     """The tables."""
+    floors(data)
     floor, rows, of_fixes = Floor(data), [], []
     folds = {
         "recordings": np.random.default_rng(0).permutation(len(floor.walks)) % FOLDS,

@@ -314,6 +314,7 @@ def _calibrated(placed: _Placed) -> tuple[Array, Array]:
     some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
     same = walk[some, None] == walk
     distance, apart = unlikeness(level[some], level), np.hypot(*(position[some, None] - position).transpose(2, 0, 1))
+    apart[placed.floor[some, None] != placed.floor] = np.inf
     for left_out in (same, same & (np.abs(time[some, None] - time) < SCANS.apart)):
         without = np.where(left_out, 1.0, distance)
         near = np.where(left_out, np.inf, apart).min(axis=1) < SCANS.near
