@@ -177,12 +177,12 @@ class RadioMap:
         """
         if known is not None and frame is not None and known.frame != frame:
             raise ValueError(f"found the frame {frame}, expected that of the map, {known.frame}")
-        parts = [] if known is None else [_Placed.of_map(known)]
+        parts = [] if known is None else [_Fingerprints.of_map(known)]
         first = 0 if known is None else 1 + int(known.recording.max())
-        parts += [_Placed.along(track, scans_of(heard), n) for n, (track, heard) in enumerate(walks, first)]
+        parts += [_Fingerprints.along(track, scans_of(heard), n) for n, (track, heard) in enumerate(walks, first)]
         if (found := sum(len(part.scans) for part in parts)) < FEWEST_SCANS:
             raise ValueError(f"found {found} scans along the walks, expected at least {FEWEST_SCANS}")
-        placed = _Placed.joined(parts).newest()
+        placed = _Fingerprints.joined(parts).newest()
         scans, floor = placed.scans, tuple(placed.floor.tolist())
         described = frame or (Frame().describe() if known is None else known.frame)
         limits, variance = _calibrated(placed)
@@ -257,7 +257,7 @@ class RadioMap:
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _Fingerprints:
     """Scans with their places: position ``(n, 2)`` [m], floor ``(n,)`` labels, recording ``(n,)`` its number."""
 
     scans: Scans
@@ -266,7 +266,7 @@ class _Placed:
     recording: Index
 
     @classmethod
-    def along(cls, track: Trajectory, scans: Scans, number: int) -> _Placed:
+    def along(cls, track: Trajectory, scans: Scans, number: int) -> _Fingerprints:
         """The scans at which a walk is certain enough; number: of the recording."""
         within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
         if track.covariance is not None:
@@ -278,13 +278,13 @@ class _Placed:
         return cls(scans, position, floor, np.full(len(scans), number))
 
     @classmethod
-    def of_map(cls, known: RadioMap) -> _Placed:
+    def of_map(cls, known: RadioMap) -> _Fingerprints:
         """The fingerprints of a map."""
         scans = Scans(known.time, known.transmitter, known.level)
         return cls(scans, known.position, np.array(known.floor, dtype=str), known.recording)
 
     @classmethod
-    def joined(cls, parts: Sequence[_Placed]) -> _Placed:
+    def joined(cls, parts: Sequence[_Fingerprints]) -> _Fingerprints:
         """All parts, with the transmitters that any of them received."""
         names = tuple(sorted({name for part in parts for name in part.scans.transmitter}))
         time = np.concatenate([part.scans.time for part in parts])
@@ -292,7 +292,7 @@ class _Placed:
         others = ("position", "floor", "recording")
         return cls(scans, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
 
-    def newest(self) -> _Placed:
+    def newest(self) -> _Fingerprints:
         """The last MOST_AT_PLACE of each place, and the transmitters that these received."""
         square = np.column_stack([np.floor(self.position / PLACE), np.unique(self.floor, return_inverse=True)[1]])
         place = np.unique(square, axis=0, return_inverse=True)[1].ravel()
@@ -303,10 +303,10 @@ class _Placed:
         heard = np.flatnonzero(level.any(axis=0))
         names = tuple(self.scans.transmitter[n] for n in heard.tolist())
         scans = Scans(self.scans.time[kept], names, level[:, heard])
-        return _Placed(scans, self.position[kept], self.floor[kept], self.recording[kept])
+        return _Fingerprints(scans, self.position[kept], self.floor[kept], self.recording[kept])
 
 
-def _calibrated(placed: _Placed) -> tuple[Array, Array]:
+def _calibrated(placed: _Fingerprints) -> tuple[Array, Array]:
     """`RadioMap.range` and `RadioMap.variance` by cross-validation: each walk with a map of the others or, if these
     were elsewhere, of everything except the neighbourhood in time.
     """
