@@ -311,7 +311,7 @@ def learn_radio_map(walks: Sequence[Path], out: Path, known: RadioMap | None = N
     from pdr_graph.io.tables import read_trajectory
 
     if len(walks) % 2:
-        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
+        raise InputError(walks[-1], "", count(len(walks), "path"), "each recording followed by its output folder")
     learnt, frames = [], []
     for recording, folder in zip(walks[::2], walks[1::2], strict=True):
         walk, track = load(recording), read_trajectory(folder / "trajectory.csv")
