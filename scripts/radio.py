@@ -4,11 +4,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from magnetic import Floor, score, walks_of
+from magnetic import Floor, score
 from scipy.spatial import KDTree
 from tables import publish, table
 
 from pdr_graph import smooth
+from pdr_graph.apps.bench.data_sets import walks_of
 from pdr_graph.estimation.fingerprinting import RadioMap, matched, scans_of, unlikeness
 from pdr_graph.estimation.verdict import verdict
 from pdr_graph.geometry import interpolate
@@ -16,31 +17,30 @@ from pdr_graph.types import OK
 
 FOLDS = 8  # maps; each has seven eighths of the recordings, or of the walks
 FAR = 10.0  # [m] median of a recording that is in another part of the floor
+ALIKE = (0.0, 0.3, 0.4, 0.5, 1.0)  # distances of scans
 GAPS = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)  # [m] from a place to the nearest of the map
 
 
 def left_out(floor, fold):
-    """Each recording with its track by all waypoints, and the map of the other folds."""
+    """Each recording with its track by all waypoints, the map of the other folds, and the fixes by this."""
     for own in range(FOLDS):
         pairs = list(zip(floor.walks, floor.tracks, fold.tolist(), strict=True))
         radio_map = RadioMap.learn([(track, walk.evidence.walk) for walk, track, of in pairs if of != own])
-        yield from ((walk, track, radio_map) for walk, track, of in pairs if of == own)
+        for walk, track, of in pairs:
+            if of == own:
+                yield walk, track, radio_map, radio_map.fixes(walk.evidence.walk)
 
 
-def fix_errors(walk, track, radio_map):
+def fix_errors(track, radio_map, fixes):
     """Of each fix its distance from the map and its error [m]."""
-    fixes = radio_map.fixes(walk.evidence.walk)
     place = interpolate(fixes.time, track.time, track.position)
     return np.column_stack([KDTree(radio_map.position).query(place)[0], np.hypot(*(fixes.position - place).T)])
 
 
-def judged(walk, radio_map):
+def judged(walk, fixes):
     """Errors and regions of a recording, and whether its estimate is ok."""
-    estimate = smooth(replace(walk.evidence, fixes=radio_map.fixes(walk.evidence.walk)).graph())
+    estimate = smooth(replace(walk.evidence, fixes=fixes).graph())
     return score(estimate.trajectory, walk.truth), verdict(estimate).state == OK
-
-
-ALIKE = (0.0, 0.3, 0.4, 0.5, 1.0)  # distances of scans
 
 
 def floors(data):
@@ -75,12 +75,12 @@ def radio(data):
     }
     for name, fold in folds.items():
         parts = list(left_out(floor, fold))
-        gap, error = np.concatenate([fix_errors(*part) for part in parts]).T
+        gap, error = np.concatenate([fix_errors(*part[1:]) for part in parts]).T
         for low, high in pairwise(GAPS):
             own = error[(gap >= low) & (gap < high)]
             middle = " / ".join(f"{value:.1f}" for value in np.percentile(own, [50, 90]))
             of_fixes.append([name, f"{low:g} to {high:g}", len(own), middle])
-        scores, sure = zip(*(judged(walk, radio_map) for walk, _, radio_map in parts), strict=True)
+        scores, sure = zip(*(judged(walk, fixes) for walk, _, _, fixes in parts), strict=True)
         off, inside = np.concatenate(scores).T
         far = [bool(np.median(own[:, 0]) > FAR) for own in scores]
         middle = " / ".join(f"{value:.2f}" for value in np.percentile(off, [50, 75, 95]))

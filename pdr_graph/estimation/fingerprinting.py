@@ -175,8 +175,9 @@ class RadioMap:
 
         Raises ValueError if they have too few scans to estimate the errors of the map, or are not in its frame.
         """
-        if known is not None and frame is not None and known.frame != frame:
-            raise ValueError(f"found the frame {frame}, expected that of the map, {known.frame}")
+        described = frame or (Frame().describe() if known is None else known.frame)
+        if known is not None and known.frame != described:
+            raise ValueError(f"found the frame {described}, expected that of the map, {known.frame}")
         parts = [] if known is None else [_Fingerprints.of_map(known)]
         first = 0 if known is None else 1 + int(known.recording.max())
         parts += [_Fingerprints.along(track, scans_of(heard), n) for n, (track, heard) in enumerate(walks, first)]
@@ -184,7 +185,6 @@ class RadioMap:
             raise ValueError(f"found {found} scans along the walks, expected at least {FEWEST_SCANS}")
         placed = _Fingerprints.joined(parts).newest()
         scans, floor = placed.scans, tuple(placed.floor.tolist())
-        described = frame or (Frame().describe() if known is None else known.frame)
         limits, variance = _calibrated(placed)
         where = placed.position, floor, placed.recording, scans.time
         return cls(scans.transmitter, scans.level, *where, described, limits, variance)

@@ -459,10 +459,9 @@ class Measurement(ABC):
         if not blocks:
             return ()
         keyframe = next(rows for symbol, rows in blocks[0].variables if symbol == POSE)
-        columns = at.chain.time[keyframe], blocks[0].deviation, blocks[0].weight
-        return tuple(
-            map(ResidualReport, *(values[slice(None) if which is None else which].tolist() for values in columns))
-        )
+        columns = np.stack([at.chain.time[keyframe], blocks[0].deviation, blocks[0].weight], axis=1)
+        shown = columns if which is None else columns[which]
+        return tuple(ResidualReport(*row) for row in shown.tolist())
 
 
 def initial_state(
