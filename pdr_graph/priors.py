@@ -1035,12 +1035,13 @@ class TrackPriors(Table):
     fastest: float = number(40.0, "m/s", "on the ground")
     rails: float = number(100.0, "m/s", "of a train: 350 km/h", "timetables")
     jump: float = number(20.0, "fixes", "on either side to accept a faster jump, such as a flight")
-    usual_intervals: float = number(5.0, "intervals", "a gap is longer than this many usual ones")
+    usual_intervals: float = number(
+        5.0, "intervals", "a gap is longer than this many usual ones: the median of as many on either side"
+    )
     longest: float = number(60.0, "s", "and than this: in a minute nobody walks round the block")
     silence: float = number(64_800.0, "s", "18 h: longer is always a gap; a visit bridges a night and a long morning")
     speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis")
     keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity")
-    free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place")
 
 
 # Live

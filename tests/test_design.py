@@ -65,20 +65,20 @@ LIBRARIES = {
 # How large the house is to be, and is: `test_the_house_reaches_its_goals` fails where a figure grew
 GOALS: dict[str, tuple[int, int]] = {
     "modules": (195, 222),
-    "lines of code": (31_000, 37_905),
-    "lines": (50_000, 61_582),
+    "lines of code": (31_000, 37_957),
+    "lines": (50_000, 61_668),
     "modules that smooth reaches": (30, 29),
     "lines that smooth reaches": (8_800, 9_642),
     "modules that Navigator reaches": (55, 63),
     "lines that Navigator reaches": (17_000, 20_886),
     "modules run from files with a plan to the result": (50, 59),
     "modules run at a step live, with a plan": (28, 40),
-    "numbers that steer": (440, 410),
-    "numbers by judgement without a range": (0, 237),
+    "numbers that steer": (440, 409),
+    "numbers by judgement without a range": (0, 230),
     "lines of scripts": (5_200, 8_236),
-    "lines of tests": (33_000, 43_528),
-    "words of docs": (27_000, 30_574),
-    "words of results": (15_000, 19_915),
+    "lines of tests": (33_000, 43_573),
+    "words of docs": (27_000, 30_593),
+    "words of results": (15_000, 19_913),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}

@@ -36,7 +36,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.ndimage import maximum_filter1d, percentile_filter
+from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
 from scipy.special import i0e
 
 from pdr_graph.estimation.factors.base import geman_mcclure_weight
@@ -74,19 +74,17 @@ class GpsKnots:
 class Motion:
     """Motion model from knot to knot ``(n - 1,)``: speed per axis s [m/s], tau: correlation time τ [s].
 
-    changed: True where the transport mode changes, so that the velocity is independent of the velocity before; free:
-    True at the ends of a stated stay, where the receiver's offset is too.
+    changed: True where the transport mode changes, so that the velocity is independent of the velocity before.
     """
 
     speed: Array
     tau: Array
     changed: Mask
-    free: Mask
 
     def of(self, which: Index) -> Motion:
         """The motion for subdivided intervals; which: ``(m,)`` original interval of each part, in order."""
         first = np.diff(which, prepend=-1) > 0
-        return Motion(self.speed[which], self.tau[which], self.changed[which] & first, self.free[which])
+        return Motion(self.speed[which], self.tau[which], self.changed[which] & first)
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     pp = variance * tau**2 * far + first * leads**2
     pv, vv = variance * leads**2 / tau + first * leads * kept, variance * (1 - kept**2) + first * kept**2
     noise = np.array([[pp, pv], [pv, vv]]).transpose(2, 0, 1)
-    still = np.exp(-span / RECEIVERS.standing) * ~motion.free
+    still = np.exp(-span / RECEIVERS.standing)
     F, inverse = np.zeros((2, len(span), 3, 3))
     F[:, P, P], F[:, G, G] = 1.0, still
     F[:, P, V], F[:, V, V] = np.where(changed, 0.0, leads), np.where(changed, 0.0, kept)
@@ -400,32 +398,17 @@ class Way:
     """A smoothed track with covariance: a row per used fix and some in gaps, ``n`` of them.
 
     kind: ``(n - 1,)`` transport mode from row to row: STANDS, WALKS, RIDES, LOST; used: ``(m,)`` indices of the fixes
-    used, in order of time, and weight: ``(m,)`` of each, 0–1; jumps: ``(n - 1,)`` True at the ends of a stated stay.
+    used, in order of time, and weight: ``(m,)`` of each, 0–1.
     """
 
     trajectory: Trajectory
     kind: Index
     used: Index
     weight: Array
-    jumps: Mask
-
-    @property
-    def lengths(self) -> Array:
-        """Distance from row to row ``(n - 1,)`` [m]: what a stated stay moves the track by was not covered."""
-        gone = np.diff(length_along(self.trajectory.position))
-        usual = np.array([0.0, TRAVEL.walk, TRAVEL.ride, 0.0])[self.kind] * np.diff(self.trajectory.time)
-        return np.where(self.jumps, np.minimum(gone, usual), gone)
 
 
-Stated = Sequence[tuple[float, float, int]]  # start and end [s] of a transport mode that is known
-
-
-def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
-    """The smoothed track of fixes: at least one, in a metric frame.
-
-    stated: transport modes that are known, in place of those by the positions; where a stay begins or ends, the track
-    may jump.
-    """
+def way_through(fixes: Fixes, mode: int | None = None) -> Way:
+    """The smoothed track of fixes: at least one, in a metric frame. mode: the transport mode throughout, if known."""
     used = plausible(fixes)
     fixes = fixes[used]
     knots, lost = scaled(_knots(fixes)), _lost(fixes)
@@ -435,15 +418,13 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
     first = smooth_track(knots, _motion(knots, kind), (8.0, 2.0, 1.0))
 
     # Second pass: the motion model of each transport mode, with rows in gaps
-    kind, knots = _classified(knots, first.position, lost, stated)
-    kind, jumps = _with_stated(knots, kind, stated)
+    kind, knots = _classified(knots, first.position, lost)
+    kind = kind if mode is None else np.where(kind == LOST, LOST, mode)
     rows, of = _with_rows_in_gaps(knots, kind)
-    motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
-    way = smooth_track(rows, motion.of(of), (1.0, 1.0), weight)
+    weight = np.interp(rows.time, knots.time, first.weight)
+    way = smooth_track(rows, _motion(knots, kind).of(of), (1.0, 1.0), weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
-    return Way(
-        _trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])], jumps[of] > 0
-    )
+    return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[np.isfinite(rows.position[:, 0])])
 
 
 def plausible(fixes: Fixes) -> Index:
@@ -537,10 +518,16 @@ def scaled(knots: GpsKnots) -> GpsKnots:
 
 
 def without_data(time: Array) -> Mask:
-    """True ``(n - 1,)`` between two times of fixes ``(n,)`` [s] with a gap."""
+    """True ``(n - 1,)`` between two times of fixes ``(n,)`` [s] with a gap.
+
+    A phone asks less often while it lies still: what is usual is that of the intervals around each.
+    """
     span = np.diff(time)
-    usual = TRACK.usual_intervals * float(np.median(span)) if len(span) else 0.0
-    return span > min(max(TRACK.longest, usual), TRACK.silence)
+    if not len(span):
+        return np.zeros(0, dtype=bool)
+    window = 2 * round(TRACK.usual_intervals) + 1
+    usual = TRACK.usual_intervals * median_filter(span, window, mode="constant", cval=np.median(span))
+    return span > np.clip(usual, TRACK.longest, TRACK.silence)
 
 
 def _lost(fixes: Fixes) -> Mask:
@@ -561,15 +548,9 @@ def _stretches(lost: Mask) -> Index:
     return np.column_stack([np.flatnonzero(edge < 0), np.flatnonzero(edge > 0)])
 
 
-def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tuple[Index, GpsKnots]:
-    """The transport mode from fix to fix ``(n - 1,)``, and the knots with sigmas widened by the receiver's wander.
-
-    Stays that are stated do not count: their fixes do not wander.
-    """
-    stays = [(start, end) for start, end, mode in stated if mode == STANDS]
-    middle = (knots.time[1:] + knots.time[:-1]) / 2
-    apart = lost | np.any([(middle > start) & (middle < end) for start, end in stays], axis=0) if stays else lost
-    begins, ends = knots.time[_stretches(lost if apart.all() else apart)].T
+def _classified(knots: GpsKnots, way: Array, lost: Mask) -> tuple[Index, GpsKnots]:
+    """The transport mode from fix to fix ``(n - 1,)``, and the knots with sigmas widened by the receiver's wander."""
+    begins, ends = knots.time[_stretches(lost)].T
     if not len(begins):
         return np.full(len(lost), LOST), knots
     straight = straightness(knots, way, begins, ends)
@@ -577,7 +558,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
     kind = np.where(lost, LOST, moves(knots, way, begins, ends, straight))
-    for begin, end in _stretches((kind != STANDS) | apart):
+    for begin, end in _stretches((kind != STANDS) | lost):
         for first, last in _walks_between_places(knots, int(begin), int(end)):
             kind[first:last] = WALKS
     return kind, knots
@@ -627,37 +608,12 @@ def _walks_between_places(knots: GpsKnots, begin: int, end: int) -> Iterator[tup
             yield begin + first, begin + last
 
 
-def _with_stated(knots: GpsKnots, kind: Index, stated: Stated) -> tuple[Index, Array]:
-    """The modes ``(n - 1,)`` with stated modes in their place, except in gaps.
-
-    Also speeds ``(n - 1,)`` per axis [m/s] by which the track reaches or leaves the middle of a stated stay, else 0.
-    """
-    time, kind, jumps = knots.time, kind.copy(), np.zeros(len(kind))
-    for start, end, mode in stated:
-        middle = (time[1:] + time[:-1]) / 2
-        kind[(middle >= start) & (middle <= end) & (kind != LOST)] = mode
-        inside = (time > start - INSTANT) & (time < end + INSTANT)
-        if mode != STANDS or not inside.any():
-            continue
-        away = np.hypot(*(knots.position - np.median(knots.position[inside], axis=0)).T)
-        for bound in (start, end):
-            at = np.flatnonzero((time[:-1] < bound + INSTANT) & (time[1:] > bound - INSTANT))
-            far = np.maximum(away[at], away[at + 1])
-            jumps[at] = np.maximum(jumps[at], far / np.diff(time)[at] / np.sqrt(2))
-    return kind, jumps
-
-
-def _motion(knots: GpsKnots, kind: Index, jumps: Array | float = 0.0) -> Motion:
-    """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required.
-
-    jumps: speeds ``(n - 1,)`` required at the ends of stated stays [m/s], 0 elsewhere. TRACK.free times as much is
-    allowed, so that positions before and after the stay do not pull at it.
-    """
+def _motion(knots: GpsKnots, kind: Index) -> Motion:
+    """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required."""
     takes = np.hypot(*np.diff(knots.position, axis=0).T) / np.diff(knots.time) / np.sqrt(2)
     speed = np.where(kind == LOST, np.maximum(np.array(TRACK.speed)[LOST], takes), np.array(TRACK.speed)[kind])
-    speed, free = np.maximum(speed, TRACK.free * jumps), jumps + np.zeros(len(kind)) > 0
-    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST) | free[:-1])[: len(kind)] | free
-    return Motion(speed, np.where(free, np.array(TRACK.keeps)[LOST], np.array(TRACK.keeps)[kind]), changed, free)
+    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST))[: len(kind)]
+    return Motion(speed, np.array(TRACK.keeps)[kind], changed)
 
 
 def _with_rows_in_gaps(knots: GpsKnots, kind: Index) -> tuple[GpsKnots, Index]:
@@ -730,7 +686,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     every, fixes = fixes.time, fixes[on_way(fixes.time, fixes.position, fixes.sigma)]
     if len(fixes) < 2:
         return np.empty((0, 2))
-    way = way_through(fixes, [(fixes.time[0], fixes.time[-1], RIDES)])
+    way = way_through(fixes, RIDES)
     time, place = way.trajectory.time, way.trajectory.position
     along = length_along(place)
 
@@ -790,6 +746,9 @@ def largest_sums(values: Array, least: float) -> list[tuple[int, int]]:
     begin = int(np.argmin(total[:end]))
     after = [(a + end, b + end) for a, b in largest_sums(values[end:], least)]
     return [*largest_sums(values[:begin], least), (begin, end), *after]
+
+
+Stated = Sequence[tuple[float, float, int]]  # start and end [s] of a transport mode that is known
 
 
 def with_stated_rides(rides: Array, steps: Steps, stated: Stated) -> Array:

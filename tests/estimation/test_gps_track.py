@@ -29,7 +29,7 @@ def test_the_smoother_is_the_gaussian_process_of_its_kernel():
     slow, white = random.uniform(2, 20, 60), random.uniform(1, 5, 60)
     n = len(time) - 1
     way = smooth_track(
-        GpsKnots(time, z, slow, white), Motion(np.full(n, 0.9), np.full(n, 40.0), *np.zeros((2, n), dtype=bool)), ()
+        GpsKnots(time, z, slow, white), Motion(np.full(n, 0.9), np.full(n, 40.0), np.zeros(n, dtype=bool)), ()
     )
     everywhere = 1e6  # [m²] where it begins
     of_way = kernel(time, 0.9, 40.0) + everywhere

@@ -18,6 +18,7 @@ import pytest
 from pdr_graph import InputError
 from pdr_graph.apps.lifelog import cache
 from pdr_graph.apps.lifelog.build import BuildResult, DayChain, PlannedDay, build, reconstruct_days
+from pdr_graph.apps.lifelog.diary import digest_file
 from pdr_graph.apps.lifelog.ingest import add
 from pdr_graph.apps.lifelog.store import ZONE, RecordingOptions, Store
 
@@ -273,8 +274,9 @@ def test_temporary_files_and_old_observations_are_removed(tmp_path):
     built(log)
     with Store(log) as store:
         names = {entry.observation for entry in store.entries()}
+        digests = {digest_file(store.folder, *own).name for own in store.days()}
     left = {path.name for path in (tmp_path / "log.d").rglob("*")}
-    assert left == {"days", "observations", "recordings", *names}
+    assert left == {"days", "observations", "recordings", "digests", *names, *digests}
 
 
 def test_another_version_rebuilds_everything(tmp_path, monkeypatch):

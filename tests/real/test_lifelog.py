@@ -1,6 +1,8 @@
 """Days and lifelogs of recordings by others, of GPS alone and beside steps."""
 
+import shutil
 import sqlite3
+from collections import defaultdict
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -11,6 +13,7 @@ import pytest
 from cleaned_track import cleaned_length, raw_length
 
 from pdr_graph import Walker, detect_steps
+from pdr_graph.apps.lifelog import revision
 from pdr_graph.apps.lifelog.build import build
 from pdr_graph.apps.lifelog.day import GAP, VEHICLE, WALKING
 from pdr_graph.apps.lifelog.diary import diary
@@ -22,6 +25,7 @@ from pdr_graph.apps.lifelog.reconstruct import estimate_walk
 from pdr_graph.apps.lifelog.sessions import Session, sessions_of, turn_by_field
 from pdr_graph.apps.lifelog.stays import follow_positions
 from pdr_graph.apps.lifelog.store import RecordingOptions, Store
+from pdr_graph.apps.lifelog.timeline import STAY
 from pdr_graph.apps.report.evaluation import circular_error, pair
 from pdr_graph.estimation.gps_track import detect_rides
 from pdr_graph.geometry import wrap_angle
@@ -267,3 +271,39 @@ def test_hours_at_one_point_are_stays_however_coarse(data, tmp_path):
 def test_a_silence_of_half_an_hour_parts_two_places(data, tmp_path):
     rows = imported(data / "found" / "visits-lost-after-a-silence" / "gap34.json", tmp_path)
     assert rows == [("stay", 240), ("walking", 34), ("stay", 200)]
+
+
+STATED = {
+    "not me": lambda store, _, *span: revision.state_not_me(store, *span),
+    "forget": lambda store, _, *span: revision.forget(store, *span),
+    "walk": lambda store, _, *span: revision.state_mode(store, *span, "walk"),
+    "place": lambda store, row, *span: row.kind == STAY and revision.state_place(store, span[0], "37.5,-122.2"),
+}
+
+
+@pytest.mark.parametrize("state", STATED)
+def test_a_correction_of_a_coarse_day_changes_no_metre_or_minute_outside_its_row(data, tmp_path, state):
+    """An iPhone's day with silences, each fifth row in turn; deleting deletes what told the end of a silence."""
+    import_past(tmp_path / "log", [data / "mobilitynet" / "ucb-sdb-ios-3" / "2019-11-19.rec"])
+    build(tmp_path / "log")
+
+    def rows(store):
+        with Store(store) as log:
+            return [row for day in diary(log, "me", outings=False).days for row in day.entries]
+
+    def beside(store, row):
+        """Time and distance of each kind outside the row."""
+        sums = defaultdict(float)
+        for own in rows(store):
+            for start, end in ((-np.inf, row.start - 10), (row.end + 10, np.inf)):
+                share = max(min(own.end, end) - max(own.start, start), 0.0) / own.duration
+                sums[own.kind, "s"] += share * own.duration
+                sums[own.kind, "m"] += share * own.distance
+        return {name: value for name, value in sums.items() if value}
+
+    for n, row in enumerate(rows(tmp_path / "log")[1::5]):
+        shutil.copytree(tmp_path / "log.d", tmp_path / f"{n}.d")
+        shutil.copy(tmp_path / "log", tmp_path / f"{n}")
+        STATED[state](tmp_path / f"{n}", row, *(f"{datetime.fromtimestamp(t, UTC)}" for t in (row.start, row.end)))
+        off = 300.0 if state == "forget" else 10.0
+        assert beside(tmp_path / f"{n}", row) == pytest.approx(beside(tmp_path / "log", row), abs=off)

@@ -19,7 +19,8 @@ from pathlib import Path
 
 from pdr_graph.apps.lifelog import cache, observation
 from pdr_graph.apps.lifelog.day import Day, DayRows, Rows, profile_of, profile_row, rows_of
-from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, VISITED, Correction, forgotten_times
+from pdr_graph.apps.lifelog.diary import digest_file, digest_of
+from pdr_graph.apps.lifelog.facts import ESTIMATE_KINDS, FORGOTTEN, Correction, forgotten_times
 from pdr_graph.apps.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.apps.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
 from pdr_graph.apps.lifelog.store import WAYS_FILE, ZONE, Entry, Store, StoredDay
@@ -225,6 +226,8 @@ def build(
         # Files that nothing refers to, and temporary files of processes that were killed
         cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
         cache.remove_all_but(log.folder / cache.DAYS, set())
+        digests = {digest_file(log.folder, *own).name for own in log.days()}
+        cache.remove_all_but(log.folder / cache.DIGESTS, digests)
         cache.remove_partial_copies(log.folder / cache.COPIES)
         failures = tuple(f"{person}, {date}: {reason}" for person, date, reason in log.failures())
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)
@@ -339,9 +342,8 @@ def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) ->
             for c in corrections
             if c.person == person
             and c.kind in ESTIMATE_KINDS
-            and any(
-                entries[name].overlaps(*c.span) and (entries[name].steps or c.kind != VISITED) for name in recordings
-            )
+            and any(entries[name].overlaps(*c.span) for name in recordings)
+            and (c.kind == FORGOTTEN or any(entries[name].steps for name in recordings))
         )
         planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date)), stated))
     rest = None, str(log.folder), cache.RESULT_VERSION, ways_of(log)
@@ -413,6 +415,7 @@ def store_day(log: Store, day: DayResult) -> bool:
     if rows is not None:
         log.put_day(rows)
         Path(day.file).unlink()
+        digest_of(log, day.person, day.date, log.day_hash(day.person, day.date))  # what `show` needs first
     elif day.failure or day.file:
         log.put_failure(day.person, day.date, day.failure or f"{day.file}: damaged on its way")
     return rows is not None

@@ -1,18 +1,33 @@
-"""Apply a person's corrections: to the observations that a day is estimated from, and to the entries of its timeline.
+"""Apply a person's corrections: to the observations that a day is estimated from, to its outings and its timeline.
 
-A stated place becomes position fixes in place of the recorded ones, a stated activity a constraint; "not me" and
-deleted times are masked. Merging, splitting and naming change only the timeline. The place of a receipt or photo is a
-measurement of the walk that could reach it, beside its own.
+Of a walk with steps a stated place becomes position fixes in place of the recorded ones, a stated activity a
+constraint; "not me" and deleted times are masked. Positions alone are estimated as they were recorded, and a correction
+replaces the part of the result that it is about, so that nothing beside it changes. Merging, splitting and naming
+change only the timeline. The place of a receipt or photo is a measurement of the walk that could reach it, beside its
+own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from pdr_graph.apps.lifelog.day import GAP, STANDING
+from pdr_graph.apps.lifelog.day import (
+    GAP,
+    PRIVATE,
+    STANDING,
+    VEHICLE,
+    WALKING,
+    Day,
+    Outing,
+    Segment,
+    Stay,
+    Timed,
+    path_shares,
+    sampled,
+)
 from pdr_graph.apps.lifelog.facts import (
     AT,
     FORGOTTEN,
@@ -30,7 +45,8 @@ from pdr_graph.apps.lifelog.sessions import is_located
 from pdr_graph.apps.lifelog.stays_and_legs import Track, cut
 from pdr_graph.apps.lifelog.timeline import STAY, TimelineEntry, distance_text
 from pdr_graph.frames import Frame, enu
-from pdr_graph.types import Array, Fixes, UntimedFixes
+from pdr_graph.geometry import horizontal_sigma, length_along
+from pdr_graph.types import INSTANT, Array, Fixes, UntimedFixes
 
 NOT_MINE = "part of this recording is masked: not this person's"
 # Fixes of a stated place: often enough that the smoother sees no gap (`TRACK.longest`), and enough of them that it
@@ -47,12 +63,17 @@ WALKED = 2.0  # [m/s] largest mean speed of a walk that goes to the place of a r
 def apply_to_observations(
     observations: Mapping[str, Observation], corrections: Sequence[Correction]
 ) -> dict[str, Observation]:
-    """The observations of a day, by content hash, as corrected; those of which nothing remains are left out."""
-    found, masked = dict(observations), [c.span for c in corrections if c.kind in (FORGOTTEN, NOT_ME)]
-    for kind, note in ((FORGOTTEN, DELETED), (NOT_ME, NOT_MINE)):
-        spans = [c.span for c in corrections if c.kind == kind]
-        cut = {name: without_times(part, spans, note) for name, part in found.items()} if spans else found
-        found = {name: part for name, part in cut.items() if part is not None and is_usable(part)}
+    """The observations of a day, by content hash, as corrected; those of which nothing remains are left out.
+
+    Those of positions alone, without a walk at their time, lose only what was deleted (`corrected`).
+    """
+    spans = [c.span for c in corrections if c.kind == FORGOTTEN]
+    found = _without(observations, spans, DELETED)
+    walks = [part for part in found.values() if part.steps is not None]
+    alone = {name: part for name, part in found.items() if not any(_overlap(part, walk) for walk in walks)}
+    found = {name: part for name, part in found.items() if name not in alone}
+    masked = [*spans, *(c.span for c in corrections if c.kind == NOT_ME)]
+    found = _without(found, masked[len(spans) :], NOT_MINE)
     for correction in corrections:
         start, end = correction.span
         covered = {n: part for n, part in found.items() if correction.touches(part.epoch, part.epoch + part.duration)}
@@ -77,7 +98,104 @@ def apply_to_observations(
         if reached:  # the place is visited once: by the walk that came nearest
             nearest = min(reached, key=lambda name: (reached[name], name))
             found[nearest] = _with_visited(found[nearest], correction)
-    return found
+    return {name: (found | alone)[name] for name in observations if name in found or name in alone}
+
+
+def _without(
+    observations: Mapping[str, Observation], spans: Sequence[tuple[float, float]], note: str
+) -> dict[str, Observation]:
+    """What remains of observations without some times [s]."""
+    cut = {name: without_times(part, spans, note) if spans else part for name, part in observations.items()}
+    return {name: part for name, part in cut.items() if part is not None and (not spans or is_usable(part))}
+
+
+def _overlap(one: Observation, other: Observation) -> bool:
+    """True if two observations have a time in common."""
+    return one.epoch <= other.epoch + other.duration and other.epoch <= one.epoch + one.duration
+
+
+def corrected(day: Day | None, corrections: Iterable[Correction]) -> tuple[Outing, ...]:
+    """The outings of a stored day as corrected; none of no day. Those with steps were estimated so."""
+    outings = day.outings if day else ()
+    for correction in corrections:
+        if correction.kind in (NOT_ME, FORGOTTEN, AT, MODE):
+            outings = tuple(part for o in outings for part in ([o] if o.steps else _with_stated(o, correction)))
+    return outings
+
+
+def _with_stated(outing: Outing, correction: Correction) -> Iterator[Outing]:
+    """An outing of positions with what a correction states in place of what was estimated; nothing if nothing is left.
+
+    Beside a time that is masked the person is at the nearest position that remains.
+    """
+    track, (start, end) = outing.trajectory, np.subtract(correction.span, outing.epoch).tolist()
+    a, b = max(start, outing.segments[0].start), min(end, outing.segments[-1].end)
+    if a >= b:
+        yield outing
+        return
+    # Without the way through a gap that leads to what is masked
+    gaps = [s for s in outing.segments if s.kind == GAP and s.start < b and s.end > a]
+    first, last = min([a, *(s.start + INSTANT for s in gaps)]), max([b, *(s.end - INSTANT for s in gaps)])
+    before, after = track.time[track.time < first], track.time[track.time > last]
+    if is_masked := correction.kind in (NOT_ME, FORGOTTEN):
+        if not len(before) + len(after):
+            return
+        kind, notes = (GAP, (*outing.notes, NOT_MINE)) if correction.kind == NOT_ME else (PRIVATE, (DELETED,))
+        source = np.concatenate([before, before[-1:], after[:1], after])
+        time = np.concatenate([before, [a][: len(before)], [b][: len(after)], after])
+    else:
+        kind, notes = MODE_ACTIVITIES.get(correction.text("mode"), STANDING), outing.notes
+        time = source = np.unique(np.concatenate([track.time, [a, b]]))
+    made, here, stays = replace(sampled(track, source), time=time), (time >= a) & (time <= b), list[Stay]()
+    if kind == STANDING:
+        place, covariance = np.median(made.position[here], axis=0), np.zeros((int(here.sum()), 3, 3))
+        covariance = covariance if made.covariance is None else made.covariance[here]
+        if correction.kind == AT and outing.frame.georeferenced:
+            place = _placed(outing.frame, correction)[0]
+            notes = (*notes, *_objection(correction, place, made.position[here], horizontal_sigma(covariance))[1])
+            covariance[:, :2, :2] = correction.radius**2 * np.eye(2)
+        stays = [Stay(a, b, False, place, covariance[0, :2, :2], np.nan, made.floor[int(np.argmax(here))])]
+        made = replace(made, position=np.where(here[:, None], place, made.position))
+
+    def outside(items: Sequence[Timed], start: float, end: float) -> Iterator[Timed]:
+        """What of segments or stays is in a time [s], with the whole distance."""
+        for item in items:
+            first, last = max(item.start, start), min(item.end, end)
+            if last - first > INSTANT:
+                yield replace(item, start=first, end=last)
+
+    def rest(start: float, end: float) -> Iterator[Segment]:
+        """What of the segments is in a time [s]."""
+        for whole in outing.segments:
+            for s in outside([whole], start, end):
+                share = path_shares(track, [whole.start, s.start, s.end, whole.end])[1]
+                yield replace(s, distance=whole.distance * float(share))
+
+    way = length_along(made.position)[here]
+    distance = float(way[-1] - way[0]) if kind in (WALKING, VEHICLE) else 0.0
+    stated = [Segment(kind, a, b, distance)] if not is_masked or (len(before) and len(after)) else []
+    yield replace(
+        outing,
+        trajectory=made,
+        segments=(*rest(-np.inf, a), *stated, *rest(b, np.inf)),
+        stays=(*outside(outing.stays, -np.inf, a), *stays, *outside(outing.stays, b, np.inf)),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _objection(stated: Correction, place: Array, recorded: Array, sigma: Array) -> tuple[float, tuple[str, ...]]:
+    """How far recorded positions ``(n, 2)`` are from a stated place [m], and a note if they contradict it.
+
+    sigma: ``(n,)`` of the positions per axis [m].
+    """
+    if not len(recorded):
+        return 0.0, ()
+    away = float(np.hypot(*(np.median(recorded, axis=0) - place)))
+    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
+    if away <= CONTRADICTION * np.hypot(stated.radius, max(20.0, float(np.median(sigma)))):
+        return away, ()
+    against = f"{len(recorded)} recorded positions: their median is {distance_text(away)} away"
+    return away, (f"corrected by the person, against {against}",)
 
 
 def _detour(part: Observation, visited: Correction) -> float:
@@ -137,13 +255,8 @@ def _with_fixes(part: Observation, correction: Correction, time: Array, sigma: f
     replaced = (seconds >= correction.start) & (seconds <= correction.end)
     stated = Fixes(time - part.epoch, np.repeat(place, len(time), axis=0), np.full(len(time), sigma))
     recorded = part.fixes[replaced]
-    away = float(np.hypot(*(np.median(recorded.position, axis=0) - place[0]))) if len(recorded) else 0.0
-    notes = part.notes
-    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
-    spread = np.hypot(correction.radius, max(20.0, float(np.median(recorded.sigma)))) if len(recorded) else 0.0
-    if away > CONTRADICTION * spread:
-        against = f"{len(recorded)} recorded positions: their median is {distance_text(away)} away"
-        notes = (*notes, f"corrected by the person, against {against}")
+    away, notes = _objection(correction, place[0], recorded.position, recorded.sigma)
+    notes = (*part.notes, *notes)
     fixes = Fixes.concatenate([part.fixes[~replaced], stated])
     part = replace(part, frame=frame, fixes=fixes, notes=notes)
     if away <= correction.radius:
@@ -175,7 +288,6 @@ def apply_to_entries(
         if correction.kind in (PLACE_NAME, VISITED) or not found:
             continue
         start, end = _bounds(found, correction)
-        is_cut = [any(e.start < time < e.end for e in found) for time in (start, end)]
         found = [piece for entry in found for piece in cut(entry, sorted({start, end}), track)]
         if correction.kind == SPLIT:
             found = [replace(e, corrected=True) if start in (e.start, e.end) else e for e in found]
@@ -183,28 +295,8 @@ def apply_to_entries(
         inside = [e for e in found if e.start >= start and e.end <= end]
         if inside:
             first = found.index(inside[0])
-            found[first : first + len(inside)] = [_stated(inside, correction)]
-            if correction.kind in (NOT_ME, FORGOTTEN):
-                _absorb_rests(found, first, is_cut)
+            found[first : first + len(inside)] = [_stated(inside, correction, track)]
     return tuple(found)
-
-
-def _absorb_rests(entries: list[TimelineEntry], blank: int, is_cut: Sequence[bool]) -> None:
-    """Add what remains of an entry beside a blank one, shorter than SLIVER, to the entry beyond.
-
-    A rebuilt day has slightly other ends for want of the masked data; times that persons state are moved to ends of
-    entries. is_cut: True where the blank entry began, or ended, within an entry.
-    """
-    for side, inside in ((1, is_cut[1]), (-1, is_cut[0])):
-        rest, beyond = blank + side, blank + 2 * side
-        if not inside or not 0 <= beyond < len(entries) or entries[rest].duration >= SLIVER:
-            continue
-        own, other = entries[rest], entries[beyond]
-        if other.is_known:
-            parts = ((own, *other.parts) if side > 0 else (*other.parts, own)) if other.parts else ()
-            start, end = min(other.start, own.start), max(other.end, own.end)
-            entries[beyond] = replace(other, start=start, end=end, parts=parts)
-            del entries[rest]
 
 
 def place_names(corrections: Iterable[Correction]) -> list[tuple[float, float, float, str]]:
@@ -224,8 +316,8 @@ def _bounds(entries: Sequence[TimelineEntry], correction: Correction) -> tuple[f
     return (start, end) if start < end else correction.span
 
 
-def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> TimelineEntry:
-    """The one entry that a correction makes of consecutive entries."""
+def _stated(inside: Sequence[TimelineEntry], correction: Correction, track: Track) -> TimelineEntry:
+    """The one entry that a correction makes of consecutive entries; silences count with the straight line."""
     start, end = inside[0].start, max(e.end for e in inside)
     blank = TimelineEntry(GAP, start, end, offset=inside[0].offset)
     if correction.kind in (NOT_ME, FORGOTTEN):
@@ -234,17 +326,18 @@ def _stated(inside: Sequence[TimelineEntry], correction: Correction) -> Timeline
     blank = replace(blank, corrected=True, observed=observed)
     if correction.kind == MERGE:
         return _merged_stay(blank, inside)
-    if correction.kind == AT:  # the estimate of the place where that agrees, else the place as it was stated
+    if correction.kind == AT:  # with what the person faced there if the estimate agrees
         (latitude, longitude), stay = correction.place, _merged_stay(blank, inside)
-        if distance(latitude, longitude, stay.latitude, stay.longitude) <= CONTRADICTION * correction.radius:
-            return replace(stay, place=correction.text("name") or stay.place)
+        agrees = distance(latitude, longitude, stay.latitude, stay.longitude) <= CONTRADICTION * correction.radius
+        stay = stay if agrees else replace(blank, kind=STAY)
         at = {"latitude": latitude, "longitude": longitude, "sigma": correction.radius}
-        return replace(blank, kind=STAY, **at, place=correction.text("name"))
+        return replace(stay, **at, place=correction.text("name") or stay.place)
     mode, kind = correction.text("mode"), MODE_ACTIVITIES[correction.text("mode")]
     if kind == STANDING:
         return replace(_merged_stay(blank, inside), mode=mode)
     floor = tuple(dict.fromkeys(label for e in inside for label in e.floor))
-    return replace(blank, kind=kind, mode=mode, floor=floor, distance=sum(e.distance for e in inside))
+    far = sum(e.distance if e.is_known else track.length(e.start, e.end) for e in inside)
+    return replace(blank, kind=kind, mode=mode, floor=floor, distance=far)
 
 
 def _merged_stay(blank: TimelineEntry, inside: Sequence[TimelineEntry]) -> TimelineEntry:

@@ -9,17 +9,17 @@ spots and a leg its stops. Outings on a floor plan, or without positions on Eart
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.apps.lifelog import cache
-from pdr_graph.apps.lifelog.corrections import apply_to_entries, place_names
+from pdr_graph.apps.lifelog.corrections import apply_to_entries, corrected, place_names
 from pdr_graph.apps.lifelog.day import GAP, KINDS_WITHOUT_DATA, STANDING, VEHICLE, WALKING, Outing
 from pdr_graph.apps.lifelog.facts import VISITED, Correction, Guess
 from pdr_graph.apps.lifelog.local_time import LocalClock, zone_at, zone_named
@@ -38,7 +38,7 @@ from pdr_graph.apps.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, Timelin
 from pdr_graph.apps.lifelog.visited import beside
 from pdr_graph.errors import count
 from pdr_graph.storage import compress, decompress
-from pdr_graph.types import DAY_LENGTH, INSTANT, Array, Index, OneLineRepr
+from pdr_graph.types import DAY_LENGTH, INSTANT, Index, OneLineRepr
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,17 @@ def diary(
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
     days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
-    made = [_day(log, person, date, own, whole, outings) for date, own in wanted.items()]
-    if tolerance:
-        made = [replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)) for day in made]
+
+    corrections = log.corrections(person)
+
+    @lru_cache(maxsize=4)  # those of a day have parts in its neighbours
+    def stored(date: str) -> tuple[Outing, ...]:
+        return corrected(log.day(person, date), corrections) if outings else ()
+
+    made = list[DiaryDay]()
+    for date, own in wanted.items():
+        day = _day(person, date, own, whole, stored)
+        made.append(replace(day, outings=tuple(_with_fewer_rows(o, tolerance) for o in day.outings)))
     spans = [(day.start, day.end) for day in made]
     doubts = [text for time, text in whole.doubts if any(a <= time < b for a, b in spans)]
     return Diary(person, tuple(made), whole.places, doubts=tuple(doubts))
@@ -167,21 +175,17 @@ def _rows_near(rows: Sequence[TimelineEntry], first: str, last: str) -> list[Tim
 class UnpartedDiary:
     """A person's diary before midnights part it.
 
-    digests: of the stored days; rows: as corrected; places: of these; track, clock: where the person was, and the local
-    time there; doubts: receipts and photos that do not fit, each with a time [s].
+    spans: Unix times of the first and last entry of each stored day, by date [s]; rows: as corrected; places: of these;
+    track, clock: where the person was, and the local time there; doubts: receipts and photos that do not fit, each with
+    a time [s].
     """
 
-    digests: tuple[DayDigest, ...]
+    spans: Mapping[str, tuple[float, float]]
     rows: tuple[TimelineEntry, ...]
     places: tuple[Place, ...]
     track: Track
     clock: LocalClock
     doubts: tuple[tuple[float, str], ...] = ()
-
-    @cached_property
-    def spans(self) -> Array:
-        """Unix times ``(n, 2)`` of the first and last entry of each stored day [s]."""
-        return np.array([digest.span for digest in self.digests]).reshape(-1, 2)
 
     @classmethod
     def of(cls, log: Store, person: str, dates: Sequence[str]) -> UnpartedDiary:
@@ -198,7 +202,7 @@ class UnpartedDiary:
         where = where[np.argsort(where[:, 0], kind="stable")]
         clock = LocalClock(log.setting(ZONE), where[:, 0], where[:, 1:])
         rows, doubts = beside(rows, track, [c for c in corrections if c.kind == VISITED], clock)
-        return cls(digests, tuple(rows), places, track, clock, doubts)
+        return cls({digest.date: digest.span for digest in digests}, tuple(rows), places, track, clock, doubts)
 
 
 def corrected_rows(
@@ -304,19 +308,24 @@ def parted(rows: Sequence[TimelineEntry], clock: LocalClock, track: Track) -> di
 
 
 def _day(
-    log: Store, person: str, date: str, entries: Sequence[TimelineEntry], whole: UnpartedDiary, with_outings: bool
+    person: str,
+    date: str,
+    entries: Sequence[TimelineEntry],
+    whole: UnpartedDiary,
+    outings_of: Callable[[str], Sequence[Outing]],
 ) -> DiaryDay:
-    """A day of a diary, with the outings that have a part in it."""
+    """A day of a diary, with the outings that have a part in it. outings_of: those of a stored day."""
     start, end = whole.clock.midnight_before(entries[0].start), whole.clock.next_midnight(entries[-1].start)
-    touching = np.flatnonzero((whole.spans[:, 0] < end) & (whole.spans[:, 1] > start)) if with_outings else ()
-    days = [log.day(person, whole.digests[n].date) for n in touching]
-    outings = [outing for day in days if day is not None for outing in day.outings]
+    touching = [date for date, (first, last) in whole.spans.items() if first < end and last > start]
+    outings = [outing for date in touching for outing in outings_of(date)]
     own = [o for o in outings if o.epoch < end and o.epoch + o.segments[-1].end > start]
     return DiaryDay.of(person, date, (start, end), entries, own)
 
 
 def _with_fewer_rows(outing: Outing, tolerance: float) -> Outing:
-    """The outing with the rows that lines through its segments need, without covariances."""
+    """The outing with the rows that lines through its segments need, without covariances; as it is for 0 m."""
+    if not tolerance:
+        return outing
     import shapely
 
     time, kept = outing.trajectory.time, list[Index]()

@@ -30,7 +30,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.apps.lifelog import cache
-from pdr_graph.apps.lifelog.corrections import place_names
+from pdr_graph.apps.lifelog.corrections import corrected, place_names
 from pdr_graph.apps.lifelog.day import (
     VEHICLE,
     WALKING,
@@ -401,7 +401,7 @@ def _public_days(
     """Yield the days with private places removed, if anything is left; notes are appended to ``notes``."""
     for person, day in wanted:
         stored = log.day(person, day)
-        whole = stored or Day(person, day, ())
+        whole = Day(person, day, corrected(stored, log.corrections(person)))
         left, lines = without_private_places([with_modes(whole, log) if any(places) else whole], *places)
         notes += lines if file_format == CSV else [*lines, *not_exported(left)]
         if stored is None or any(

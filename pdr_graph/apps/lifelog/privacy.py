@@ -422,7 +422,7 @@ def without_private_places(
             hidden = (s for s in outing.stays if s.facing and is_hidden(places, outing.frame, s.position))
             names |= {stay.facing[0][0] for stay in hidden}
             if parts := _exported_parts(replace(outing, trajectory=without_gap_rows(outing)), cut, blur, free):
-                outings.append(_with_new_origin(_outing_of_parts(outing, parts)))
+                outings.append(with_new_origin(_outing_of_parts(outing, parts)))
                 free = parts[-1].end
         private = set(map(normalized_name, names))
         for n, outing in enumerate(outings):
@@ -497,7 +497,7 @@ def _outing_of_parts(of: Outing, parts: Sequence[ExportedPart]) -> Outing:
     return Outing((), "", epoch, of.frame, "", track, moved, stays, round(of.steps * left / every) if every else 0)
 
 
-def _with_new_origin(outing: Outing) -> Outing:
+def with_new_origin(outing: Outing) -> Outing:
     """The outing in a local frame with another origin.
 
     Headings are turned by the angle between both norths: beside the direction of the track, the headings of a day would

@@ -215,7 +215,7 @@ def reconstruct_outings(
             )
             notes = doubted_positions(fixes.time, fixes.position, fixes.sigma, sources)
             for part in local_parts(joined):
-                track, segments = follow_positions(part.fixes, part.activities)
+                track, segments = follow_positions(part.fixes)
                 if not segments:  # of positions that exclude each other, one remains
                     continue
                 stays = stays_of_positions(track, segments, building_of(plan) if plan else None)

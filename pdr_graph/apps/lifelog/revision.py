@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.apps.lifelog import build, cache
-from pdr_graph.apps.lifelog.corrections import SLIVER, distance, place_names
+from pdr_graph.apps.lifelog.corrections import SLIVER, corrected, distance, place_names
+from pdr_graph.apps.lifelog.day import Day, rows_of
 from pdr_graph.apps.lifelog.diary import UnpartedDiary
 from pdr_graph.apps.lifelog.facts import (
     ALWAYS,
@@ -433,6 +434,7 @@ def _forget(diary: OpenDiary, spans: Sequence[tuple[float, float]]) -> list[str]
     touched = [e for e in log.entries() if e.person == who and any(e.overlaps(*span) for span in spans)]
     own = {entry.hash for entry in touched}
     dates = [date for (name, date), day in log.days().items() if name == who and own & set(day.recordings)]
+    before = [day for date in dates if (day := log.day(who, date))]
     cut_past(log, who, spans)
     present = {entry.hash for entry in log.entries()}  # imported days were cut above
     forgotten = forgotten_times(log.corrections(who))
@@ -451,10 +453,23 @@ def _forget(diary: OpenDiary, spans: Sequence[tuple[float, float]]) -> list[str]
     kept = {entry.hash for entry in touched} - {entry.hash for entry in removed}
     now = [date for (name, date), made in build.recordings_by_day(log).items() if name == who and kept & made.keys()]
     lines += _rebuilt(log, who, {*dates, *now})
+    for day in before:
+        _put_rest(log, day, facts)
     log.compact()
     named = sum(c.kind == PLACE_NAME for c in log.corrections(who))
     remain = f"{count(named, 'place')} with a name remain: pdr-graph lifelog correct list"
     return lines + _still_there(log, touched, {who: spans}) + ([remain] if named else [])
+
+
+def _put_rest(log: Store, day: Day, facts: Sequence[Correction]) -> None:
+    """Put what remains of a day of positions in place of its new estimate: beside what was deleted nothing changes."""
+    own, rebuilt = log.days().get((day.person, day.date)), log.day(day.person, day.date)
+    if own is None or rebuilt is None or any(outing.steps for outing in (*day.outings, *rebuilt.outings)):
+        return
+    from pdr_graph.apps.lifelog.privacy import with_new_origin  # with plans, which are slow to import
+
+    left = (with_new_origin(replace(o, recordings=own.recordings)) for o in corrected(day, facts))
+    log.put_day(rows_of(replace(rebuilt, outings=tuple(left)), own.key, own.recordings))
 
 
 def _cut_correction(log: Store, correction: Correction, spans: Sequence[tuple[float, float]]) -> None:

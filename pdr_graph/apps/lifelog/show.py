@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from pdr_graph.apps.lifelog import cache
+from pdr_graph.apps.lifelog.corrections import corrected
 from pdr_graph.apps.lifelog.day import Day
 from pdr_graph.apps.lifelog.diary import Diary, DiaryDay, dates_of, detailed, diary
 from pdr_graph.apps.lifelog.local_time import ALL, DAY, LAST_DATE, Period
@@ -157,7 +158,9 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     """Write the files of an overview to a folder, None for nowhere; returns the remarks on it."""
     is_day = chosen.period.kind == DAY and len(chosen.persons) == 1 and not chosen.place
     # none of an outing that began on the day before
-    stored = log.day(chosen.persons[0], chosen.period.name) if is_day else None
+    who, on = chosen.persons[0], chosen.period.name
+    stored = log.day(who, on) if is_day else None
+    stored = replace(stored, outings=corrected(stored, log.corrections(who))) if stored else None
     notes, missing = _remarks(stored) if stored else ([], [])
     remarks = [*(f"note: {line}" for line in [*notes, *guess_notes(chosen)]), *(f"missing: {line}" for line in missing)]
     if folder is not None:

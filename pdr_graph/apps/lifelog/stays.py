@@ -12,7 +12,6 @@ points, normalised with the rate of stops for no named place, are the probabilit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from operator import itemgetter
@@ -21,7 +20,6 @@ import numpy as np
 import shapely
 
 from pdr_graph.apps.lifelog.day import ACTIVITIES, STANDING, Segment, Stay, sampled
-from pdr_graph.apps.lifelog.observation import StatedActivity
 from pdr_graph.errors import count
 from pdr_graph.estimation.gps_track import LOST, RIDES, STANDS, WALKS, way_through
 from pdr_graph.estimation.rides import ridden
@@ -37,14 +35,14 @@ from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, OneLineRepr, Ste
 MIN_STEPS = 4  # of a bout; fewer between two pauses are shuffling
 
 
-def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tuple[Trajectory, tuple[Segment, ...]]:
+def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
     """The path through positions alone, as of `way_through`, and its segments from the first fix to the last.
 
-    A gap lasts from one fix to the next. stated: activities that the person states.
+    A gap lasts from one fix to the next.
     """
-    way = way_through(fixes, [(start, end, ACTIVITIES.index(kind)) for start, end, kind in stated])
-    track = way.trajectory
-    return track, _segments(way.kind, track.time, way.lengths, np.isin(track.time[:-1], fixes.time[way.used]))
+    way = way_through(fixes)
+    track, at_fix = way.trajectory, np.isin(way.trajectory.time[:-1], fixes.time[way.used])
+    return track, _segments(way.kind, track.time, np.diff(length_along(track.position)), at_fix)
 
 
 def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Segment, ...]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby, pairwise
 from operator import itemgetter
 
@@ -45,15 +46,12 @@ HALT_SIGMA = 20.0  # [m] per axis: such a halt counts half as much as an exact o
 class Track:
     """Where a person was, over all outings that are georeferenced.
 
-    time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; sphere ``(n, 3)`` the same on a sphere [m]; along
-    ``(n,)`` length of the path so far [m]; plan ``(n,)`` True on a floor plan; stepped ``(n,)`` True where steps were
-    measured; sigma ``(n,)`` per axis [m].
+    time ``(n,)`` Unix times [s], in order; lonlat ``(n, 2)`` [deg]; plan ``(n,)`` True on a floor plan; stepped
+    ``(n,)`` True where steps were measured; sigma ``(n,)`` per axis [m].
     """
 
     time: Array
     lonlat: Array
-    sphere: Array
-    along: Array
     plan: Mask
     stepped: Mask
     sigma: Array
@@ -88,10 +86,18 @@ class Track:
         nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2), bool), np.empty(0)
         time, lonlat, marks, sigma = map(np.concatenate, zip(nothing, *parts, strict=True))
         order = np.argsort(time, kind="stable")
-        sphere = on_sphere(lonlat[order])
-        moved = arc(np.linalg.norm(np.diff(sphere, axis=0, prepend=sphere[:1]), axis=1))
         plan, stepped = marks[order].T
-        return cls(time[order], lonlat[order], sphere, np.cumsum(moved), plan, stepped, sigma[order])
+        return cls(time[order], lonlat[order], plan, stepped, sigma[order])
+
+    @cached_property
+    def sphere(self) -> Array:
+        """The places ``(n, 3)`` on a sphere [m]."""
+        return on_sphere(self.lonlat)
+
+    @cached_property
+    def along(self) -> Array:
+        """Length ``(n,)`` of the path so far [m]."""
+        return np.cumsum(arc(np.linalg.norm(np.diff(self.sphere, axis=0, prepend=self.sphere[:1]), axis=1)))
 
     def between(self, start: float, end: float) -> slice:
         """The rows from `start` to `end`, both included."""
