@@ -148,13 +148,14 @@ def _with_stated(outing: Outing, correction: Correction) -> Iterator[Outing]:
         time = source = np.unique(np.concatenate([track.time, [a, b]]))
     made, here, stays = replace(sampled(track, source), time=time), (time >= a) & (time <= b), list[Stay]()
     if kind == STANDING:
-        place, covariance = np.median(made.position[here], axis=0), np.zeros((int(here.sum()), 3, 3))
-        covariance = covariance if made.covariance is None else made.covariance[here]
+        place = np.median(made.position[here], axis=0)
+        covariance = np.zeros((len(time), 3, 3)) if made.covariance is None else made.covariance
         if correction.kind == AT and outing.frame.georeferenced:
             place = _placed(outing.frame, correction)[0]
-            notes = (*notes, *_objection(correction, place, made.position[here], horizontal_sigma(covariance))[1])
-            covariance[:, :2, :2] = correction.radius**2 * np.eye(2)
-        stays = [Stay(a, b, False, place, covariance[0, :2, :2], np.nan, made.floor[int(np.argmax(here))])]
+            notes = (*notes, *_objection(correction, place, made.position[here], horizontal_sigma(covariance[here]))[1])
+            covariance[here, :2, :2] = correction.radius**2 * np.eye(2)
+        first = int(np.argmax(here))
+        stays = [Stay(a, b, False, place, covariance[first, :2, :2], np.nan, made.floor[first])]
         made = replace(made, position=np.where(here[:, None], place, made.position))
 
     def outside(items: Sequence[Timed], start: float, end: float) -> Iterator[Timed]:
