@@ -367,6 +367,8 @@ def unix_times(values: Sequence[Any]) -> Array:
 
 LOST_WEEKS = "1024 weeks early, as of a receiver whose weeks overflowed: put right"
 ROLLOVER = 1024 * 7 * 86400.0  # [s] after which GPS counts its weeks anew: some receivers then lose them
+MAYBE_LOST = "if the receiver lost 1024 weeks"
+OVERFLOW = 1_554_508_800.0  # Unix time of the last overflow [s]: 2019-04-06
 
 
 def rolls_over(leap: Array) -> Mask:
@@ -382,7 +384,11 @@ def without_rollover(time: Array, name: str, notes: list[str]) -> Array:
     if missing.any():
         times = count(int((missing > 0).sum()), "time")
         notes.append(f"{name}: {times} {LOST_WEEKS}")
-    return time + ROLLOVER * missing
+    time = time + ROLLOVER * missing
+    if len(time) and OVERFLOW <= time.max() + ROLLOVER < clock.time():
+        dates = (datetime.fromtimestamp(t, UTC).date() for t in (time.max(), time.max() + ROLLOVER))
+        notes.append("{}: until {}, or until {} {}".format(name, *dates, MAYBE_LOST))
+    return time
 
 
 def zoneless(texts: Iterable[Any]) -> Mask:

@@ -603,6 +603,14 @@ def test_times_without_a_zone_are_in_the_zone_that_is_stated(tmp_path, zone, hou
     assert note.endswith(f"times without a zone were taken as {taken}")
 
 
+def test_a_whole_track_that_may_be_1024_weeks_early_says_so(tmp_path):
+    """Nothing in it tells: the file of a receiver of 2026, or one of the days before telephones."""
+    points = "".join(f'<trkpt lat="{LAT}" lon="{LON}"><time>2006-07-{n:02}T09:00:00Z</time></trkpt>' for n in (1, 2))
+    (tmp_path / "a.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    [note] = imported(tmp_path / "log", tmp_path / "a.gpx").notes
+    assert note.endswith("until 2006-07-02, or until 2026-02-15 if the receiver lost 1024 weeks")
+
+
 def test_half_a_long_track_is_not_1024_weeks_away(tmp_path, monkeypatch):
     """The receiver loses its weeks between two parts that are read one after the other."""
     monkeypatch.setattr(tracks, "BATCH", 10)

@@ -32,6 +32,7 @@ from pdr_graph.frames import METRES_PER_DEGREE
 from pdr_graph.io.past_day import CM, E7, GOOGLE_PATH, MS, NO_ACCURACY, POSITION, RECEPTIONS, SIGHTING, Rows
 from pdr_graph.io.validation import (
     LOST_WEEKS,
+    MAYBE_LOST,
     NO_ZONE,
     RECEIVER,
     ROLLOVER,
@@ -72,7 +73,8 @@ class Batch(OneLineRepr):
             return self
         positions = self.positions.copy()
         positions["time"] += round(ROLLOVER * MS)
-        return replace(self, positions=positions, notes=(*self.notes, f"positions: {LOST_WEEKS}"))
+        others = (note for note in self.notes if not note.endswith(MAYBE_LOST))
+        return replace(self, positions=positions, notes=(*others, f"positions: {LOST_WEEKS}"))
 
     def in_zone(self, zone: str) -> Batch:
         """The batch with times without a zone as those of a zone, "" for that of each position."""
