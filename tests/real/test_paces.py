@@ -8,9 +8,10 @@ from pdr_graph import detect_steps
 from pdr_graph.apps.bench.data_sets import given, walks_of
 from pdr_graph.apps.bench.matrix import places
 from pdr_graph.apps.bench.methods import OURS, with_verdict
+from pdr_graph.apps.report.output_files import summarize
 from pdr_graph.gait.step_detection import StepDetector, walking_steps
 from pdr_graph.lab.papers.attitude_filters import on_one_grid
-from pdr_graph.walk import observe
+from pdr_graph.walk import estimate, observe
 
 
 @pytest.fixture(scope="module", params=["strides", thorough("ridi")])
@@ -31,6 +32,16 @@ def test_uncalibrated_lengths_are_true_at_any_pace(walks):
     errors = np.array([steps.length.sum() / walk.length - 1 for _, walk, steps in walks])
     assert np.abs(errors).max() < 0.12
     assert np.median(np.abs(errors)) < 0.065
+
+
+def test_the_length_of_a_walk_without_a_fix_has_an_honest_sigma(walks):
+    """Every one within 2 sigma, and not twice as wide as usual errors need."""
+    ratios = []
+    for _, walk, _ in walks:
+        summary = summarize(estimate(observe(given(walk, "nothing").evidence)))
+        ratios.append((summary["distance"] - walk.length) / summary["distance_sigma"])
+    assert np.abs(ratios).max() < 2.0
+    assert np.sqrt(np.mean(np.square(ratios))) > 0.2
 
 
 def test_slow_steps_are_found_live_too(data):

@@ -155,8 +155,10 @@ def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
     """
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
     sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
+    off = summary.get("distance_sigma")
+    off = f" ± {off:.0f}" if summary["sigma"] is None and off is not None else ""
     begin = f"{state}, incomplete" if state == "ok" and summary["missing"] else state
-    yield f"{begin}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
+    yield f"{begin}: {steps}{summary['distance']:.1f}{off} m in {summary['duration']:.1f} s, {sigma}"
     yield from live_lines(summary.get("live"))
     if "live" not in summary:
         yield from score_lines(summary["scores"])

@@ -179,6 +179,7 @@ def summarize(result: Result) -> dict[str, Any]:
         "recording": walk.source,
         "steps": result.step_count if result.steps is None else int((~result.steps.is_gap).sum()),
         "distance": round(_length(estimate), 3),
+        **_finite({"distance_sigma": round(_length_sigma(result), 3)}),
         "duration": round(float(np.ptp(track.time)), 3),
         "sigma": _median_sigma(track) if is_located(estimate) else None,
         "frame": evidence.frame.describe(),
@@ -322,6 +323,17 @@ def protection_of(estimate: Estimate) -> dict[str, dict[str, float]] | None:
 
 def _length(estimate: Estimate) -> float:
     return float(np.hypot(*np.diff(estimate.trajectory.position, axis=0).T).sum())
+
+
+def _length_sigma(result: Result) -> float:
+    """Standard deviation of the length of a walk [m]: strides err alike, missing steps each; NaN without steps."""
+    track, calibration, steps = result.estimate.trajectory, result.estimate.calibration, result.steps
+    if calibration is None or steps is None or not len(track):
+        return float("nan")
+    segment = np.maximum(np.searchsorted(calibration.start, track.time[1:], side="right") - 1, 0)
+    scale = (calibration.sigma[:, 0] / calibration.value[:, 0])[segment]
+    alike = float(np.hypot(*np.diff(track.position, axis=0).T) @ scale)
+    return float(np.hypot(alike, np.linalg.norm(steps.sigma_length[~steps.is_gap])))
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:
