@@ -1,6 +1,8 @@
 """Damage inputs and stores many times.
 
 python scripts/fuzz.py [COUNT] [NAME …]          each kind of input loads or is refused in one line, soon
+python scripts/fuzz.py walks FOLDER [COUNT]      recordings with their truth, as misread (units, clocks, columns): a
+                                                 result or one line, and "ok" only near the truth
 python scripts/fuzz.py stores [COUNT] [NAME …]   files of a journal, a lifelog and a live session, as power cuts do:
                                                  counts what comes back; COUNT: of each kind of damage
 """
@@ -12,11 +14,13 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
+from misread_walks import WRONG, misread, misread_walk, walks_in
 from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 from power_loss import DAMAGES, FAILED, OUTCOMES, TARGETS, count
 
@@ -72,9 +76,9 @@ def fuzz_inputs(number, wanted):
     warnings.simplefilter("error")  # a warning is a line of noise on a user's terminal
     signal.signal(signal.SIGALRM, late)
     recordings, tables, plans = inputs()
-    cases = [(name, *given, record) for name, given in recordings.items()]
-    for name, given in plans.items():
-        cases.append((name, *given, lambda path, scale=PLAN_SCALES.get(name): problems(Building.load(path, scale))))
+    cases = [(name, *whole, record) for name, whole in recordings.items()]
+    for name, whole in plans.items():
+        cases.append((name, *whole, lambda path, scale=PLAN_SCALES.get(name): problems(Building.load(path, scale))))
     uses = {"scenario": simulated_if_short, "fixes": fixes, "trajectory": read_trajectory}
     cases += [(name, *tables[name], use) for name, use in uses.items()]
     with tempfile.TemporaryDirectory() as folder:
@@ -101,8 +105,35 @@ def fuzz_stores(number, wanted):
     return failures
 
 
+CPU = 10.0  # [s] per 10 MB of a file
+
+
+def fuzz_walks(folder, number):
+    """Failures of the estimates of misread recordings of a folder; a row for each, and the sums."""
+    whole, outcomes, failures = walks_in(folder), Counter(), list[str]()
+    print(f"{len(whole)} recordings with a truth", flush=True)
+    for n in range(number):
+        chance = random.Random(n)
+        path = chance.choice(list(whole))
+        what, data = misread(path.read_bytes(), chance)
+        began = time.process_time()
+        with tempfile.TemporaryDirectory() as copy:
+            outcome, text = misread_walk(Path(copy) / path.name, data, whole[path])
+        took = time.process_time() - began
+        if took > max(CPU, CPU * len(data) / 1e7):
+            outcome, text = "slow", f"{took:.0f} s"
+        outcomes[outcome] += 1
+        if outcome in ("slow", *WRONG):
+            failures.append(f"{n} {path.name}: {what}: {outcome} {text}")
+            print(failures[-1], flush=True)
+    print(", ".join(f"{count} {name}" for name, count in outcomes.most_common()))
+    return len(failures)
+
+
 def main():
     arguments = sys.argv[1:]
+    if arguments[:1] == ["walks"]:
+        sys.exit(fuzz_walks(Path(arguments[1]), int((*arguments[2:], "200")[0])) > 0)
     stores = arguments[:1] == ["stores"]
     number, *wanted = arguments[stores:] or ["250" if stores else "1000"]
     sys.exit((fuzz_stores if stores else fuzz_inputs)(int(number), wanted) > 0)

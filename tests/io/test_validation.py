@@ -230,3 +230,17 @@ def test_a_saturated_sensor_is_noted_with_its_range(walk, limit, factor, sensor)
     assert f"{limit:.1f}" in noted[0]
     unlimited = {key: livelier for key in which}
     assert not [note for note in built(walk, **unlimited).notes if "saturated" in note]
+
+
+def test_a_gyroscope_of_noise_is_not_used(sampled):
+    noise = np.random.default_rng(0).normal(0, 1.0, sampled.angular_rate.shape)
+    walk = validated(sampled, gyroscope=np.column_stack([sampled.time, sampled.angular_rate + noise]))
+    assert walk.gyroscope is None
+    assert_noted(walk, "noise of 1.0 rad/s")
+
+
+@pytest.mark.parametrize("pace", [0.5, 0.9, 1.1])
+def test_sensors_sampled_together_whose_clocks_run_apart_are_refused(sampled, pace):
+    time = sampled.time[0] + pace * (sampled.time - sampled.time[0])
+    with pytest.raises(InputError, match="expected sensors on one clock"):
+        validated(sampled, gyroscope=np.column_stack([time, sampled.angular_rate]))
