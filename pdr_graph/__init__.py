@@ -24,5 +24,5 @@ samples-first, ``(n, 2)``; times are seconds from the recording's start. What is
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names load when first used

@@ -65,8 +65,8 @@ LIBRARIES = {
 # How large the house is to be, and is: `test_the_house_reaches_its_goals` fails where a figure grew
 GOALS: dict[str, tuple[int, int]] = {
     "modules": (195, 222),
-    "lines of code": (31_000, 37_988),
-    "lines": (50_000, 61_708),
+    "lines of code": (31_000, 38_008),
+    "lines": (50_000, 61_738),
     "modules that smooth reaches": (30, 29),
     "lines that smooth reaches": (8_800, 9_642),
     "modules that Navigator reaches": (55, 63),
@@ -76,8 +76,8 @@ GOALS: dict[str, tuple[int, int]] = {
     "numbers that steer": (440, 409),
     "numbers by judgement without a range": (0, 230),
     "lines of scripts": (5_200, 8_267),
-    "lines of tests": (33_000, 43_819),
-    "words of docs": (27_000, 30_598),
+    "lines of tests": (33_000, 43_822),
+    "words of docs": (27_000, 30_626),
     "words of results": (15_000, 19_913),
     "words of README": (950, 949),
 }

@@ -32,6 +32,7 @@ from pdr_graph.whole_files import check_replaceable
 
 lifelog = App("lifelog", help="Recordings of many days: places, activities, exports.")
 Store = Annotated[Path, Parameter(help="The lifelog: one file, and STORE.d beside it.")]
+DATABASE = b"SQLite format 3"  # at the beginning of a lifelog
 LINE_PERIOD = 60.0  # [s] between two lines about the progress, where there is no terminal
 RECORDED_WITH = ("plan", "fixes", "beacons", "ranges", "walker", "floor")  # options that are kept with a recording
 
@@ -72,6 +73,7 @@ def add(
 
     if not recordings and visited is None:
         raise InputError("RECORDINGS", "", "nothing to add", "recordings, photos, or --visited receipts.csv")
+    _check_order("add", store, recordings)
     start = None if begins is None else ingest.time_of(begins)
     kept = RecordingOptions(**{name: getattr(options, name) for name in RECORDED_WITH}, begins=start)
     if people and (person is not None or phone is not None or visited is not None):
@@ -129,6 +131,7 @@ def import_(
     """
     from pdr_graph.apps.lifelog.past.importing import import_past
 
+    _check_order("import", store, files)
     with _progress_bar() as advance:
         result = import_past(store, files, person, advance, zone)
     changed = result.positions
@@ -144,6 +147,14 @@ def import_(
     _end(result.refused, none=not usable)
     if not usable:
         sys.exit(EXIT_NOTHING)
+
+
+def _check_order(verb: str, store: Path, files: Sequence[Path]) -> None:
+    """Raise InputError if the store is a folder, or a recording before a lifelog."""
+    stores = [path for path in files if path.is_file() and path.open("rb").read(len(DATABASE)) == DATABASE]
+    if store.is_dir() or (stores and store.is_file() and store.open("rb").read(len(DATABASE)) != DATABASE):
+        expected = f"the lifelog first: pdr-graph lifelog {verb} {stores[0] if stores else 'days.db'} {store}"
+        raise InputError(store, "", "a folder" if store.is_dir() else "no lifelog", expected)
 
 
 @lifelog.command

@@ -13,6 +13,7 @@ from cyclopts.exceptions import (
     CoercionError,
     CycloptsError,
     MissingArgumentError,
+    UnknownOptionError,
     UnusedCliTokensError,
     ValidationError,
 )
@@ -57,10 +58,21 @@ def echo_result(text: str) -> None:
         print(printable(line), flush=True)
 
 
+# What others call our options
+SYNONYMS = {
+    **dict.fromkeys(("--plan", "--floorplan", "--floor-plan"), "--map"),
+    **dict.fromkeys(("--gps", "--gnss", "--positions"), "--fixes"),
+    **dict.fromkeys(("--output", "--outdir", "-o"), "--out"),
+    "--ble": "--beacons",
+}
+
+
 def usage_error(error: CycloptsError) -> InputError | str:
     """What is wrong with a command line: the argument or option, its value, and what is expected."""
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return InputError(error.unused_tokens[0], "", "an argument too many", "options, or nothing")
+    if isinstance(error, UnknownOptionError) and error.token.keyword in SYNONYMS:
+        return InputError(error.token.keyword, "", "no such option", SYNONYMS[error.token.keyword])
     argument = error.argument
     if isinstance(error, MissingArgumentError) and argument:
         expected = f"one (pdr-graph {' '.join([*(error.command_chain or ()), '--help'])})"
