@@ -78,7 +78,7 @@ GOALS: dict[str, tuple[int, int]] = {
     "lines of scripts": (5_200, 8_267),
     "lines of tests": (33_000, 43_822),
     "words of docs": (27_000, 30_626),
-    "words of results": (15_000, 19_913),
+    "words of results": (15_000, 19_914),
     "words of README": (950, 949),
 }
 STARTS = {"smooth": "pdr_graph.estimation.smoother", "Navigator": "pdr_graph.online.navigator"}
