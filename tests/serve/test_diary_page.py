@@ -368,8 +368,9 @@ def test_every_form_of_the_page_corrects_the_diary_in_a_browser(diary_browser):
     assert any(row[3] == "no data" and "corrected" in row[5] for row in page.rows)
 
     correct(page.number("walking"), "forget", sure="yes")
+    stay = page.number("stay")
     page.open_day()
-    page.browser.find_element(By.LINK_TEXT, "correct").click()
+    page.browser.find_elements(By.LINK_TEXT, "correct")[stay].click()
     actions = {one.get_attribute("value") for one in page.browser.find_elements(By.NAME, "do")}
     assert actions == done, "each form of the page was submitted"
     page.browser.find_element(By.LINK_TEXT, "corrections").click()
