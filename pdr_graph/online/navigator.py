@@ -58,7 +58,7 @@ from pdr_graph.online.status import (
     state_of,
     warnings_of,
 )
-from pdr_graph.priors import FIXES, INITIAL, STAND
+from pdr_graph.priors import BOUT, CANDIDATE, FIXES, INITIAL, STAND, STEP, TRAVEL
 from pdr_graph.types import (
     INERTIAL,
     LONLAT,
@@ -700,8 +700,14 @@ def _copied(event: Event) -> Event:
 FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
 
 
+RECOGNISED = BOUT.fewest * STEP.usual + CANDIDATE.look_ahead  # [s] from the first step to that in which it is found
+
+
 class Stand:
-    """The pose of a walker who stands stays where it is, until the estimate is some sigmas from it."""
+    """The pose of a walker who stands stays where it is, until the estimate is some sigmas from it.
+
+    Who moves may have begun to walk within the last RECOGNISED seconds.
+    """
 
     def __init__(self) -> None:
         self._walked, self._place = np.nan, np.zeros(2)
@@ -715,12 +721,14 @@ class Stand:
         if not abs(walked - self._walked) < STAND.steps:
             self._stepped, self._walked = time, walked
         self._quiet = time if quiet else self._quiet
-        apart = belief.mean[:2] - self._place
+        mean, covariance = belief.mean.copy(), belief.covariance.copy()
+        begun = np.clip(time - max(self._quiet, self._stepped + STEP.longest), 0.0, RECOGNISED)
+        covariance[:2, :2] += (TRAVEL.walk * begun / 3) ** 2 * np.eye(2)
+        apart = mean[:2] - self._place
         stands = time - self._stepped >= STAND.seconds and time - self._quiet < STAND.seconds
         if not stands or np.hypot(*apart) > STAND.held * horizontal_sigma(belief.covariance):
             self._place = belief.mean[:2].copy()
-            return belief
-        mean, covariance = belief.mean.copy(), belief.covariance.copy()
+            return Belief(mean, covariance)
         mean[:2] = self._place
         covariance[:2, :2] += np.outer(apart, apart)
         return Belief(mean, covariance)

@@ -349,10 +349,7 @@ def test_before_any_position_a_pose_has_no_sigma_and_no_region():
 
 @pytest.mark.parametrize("seed", [2, thorough(3)])
 def test_who_stands_turns_and_puts_the_phone_away_is_found_again(seed):
-    """The direction is open until the gait shows it; without any further fix the region holds throughout.
-
-    But for half a metre in the three seconds until new steps are recognised.
-    """
+    """The direction is open until the gait shows it; without any further fix the region holds throughout."""
     route = [[0, 0], {"stand": 2}, {"to": [[40, 0]]}, {"stand": 20, "turn": 90}, {"hold": "trouser pocket"}]
     route += [{"to": [[40, 25]]}, {"stand": 2}]
     walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}}))
@@ -366,7 +363,7 @@ def test_who_stands_turns_and_puts_the_phone_away_is_found_again(seed):
         if pose is not None and pose.time > last + 1.0:
             last, place = pose.time, interpolate(np.array([pose.time]), truth.time, truth.position)[0]
             ways.add(len(pose.modes))
-            assert pose.region(0.9).distance(shapely.Point(place)) < 0.5, pose.time
+            assert pose.region(0.9).distance(shapely.Point(place)) < 0.01, pose.time
             errors.append(np.hypot(pose.x - place[0], pose.y - place[1]))
     assert max(ways) > 2
     assert np.percentile(errors, 90) < 4.0
