@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from io import BytesIO
 from itertools import count as numbers
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,15 @@ DISK_ERRORS = {
     sqlite3.SQLITE_CANTOPEN: errno.ENOENT,
     sqlite3.SQLITE_TOOBIG: errno.EFBIG,
 }
+
+
+DATABASE = b"SQLite format 3\0"  # at the beginning of a file
+
+
+def is_database(path: Path) -> bool:
+    """True for an existing file of SQLite."""
+    with path.open("rb") if path.is_file() else BytesIO() as file:
+        return file.read(len(DATABASE)) == DATABASE
 
 
 class DataLossWarning(UserWarning):
@@ -118,7 +128,7 @@ def _recognised(path: Path, kind: Kind) -> tuple[int, bool]:
     with path.open("rb") as file:
         content = file.read(100)
     page, pages, version, application = struct.unpack_from(">16xH10xI28xI4xI", content.ljust(100, b"\0"))
-    if not content.startswith(b"SQLite format 3\0") or application != kind.application:
+    if not content.startswith(DATABASE) or application != kind.application:
         raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")
     if version != kind.version and version not in kind.upgrades:
         remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"

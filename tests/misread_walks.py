@@ -157,7 +157,7 @@ WRONG = "error", "ok, outside"  # outcomes that should not be
 def walks_in(folder):
     """The recordings of a folder that have a truth, by file."""
     found = {}
-    for path in (path for path in sorted(folder.rglob("*")) if path.suffix in (".txt", ".csv") and path.is_file()):
+    for path in sorted([*folder.rglob("*.txt"), *folder.rglob("*.csv")]):
         try:
             walk = recorded(path, Options())
         except InputError:

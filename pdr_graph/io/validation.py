@@ -212,7 +212,6 @@ def _note_quality(signals: dict[str, Signal], notes: list[str]) -> None:
 
 
 MOST_NOISE = 0.5  # share of a gyroscope's variation: at most 0.13 in 130 recordings of ten phones at 50 Hz and more
-NOISE_RATE = 40.0  # [Hz] below which the motion of a walker changes as fast
 
 
 def white_noise(signal: Signal) -> float:
@@ -220,11 +219,11 @@ def white_noise(signal: Signal) -> float:
 
     0 for few and slow samples, and for a gyroscope at rest.
     """
-    if len(signal) < 50:
+    if len(signal) < 50 or signal.rate < 40.0:  # [Hz] below which the motion of a walker changes as fast
         return 0.0
     rough = np.diff(signal.values, n=4, axis=0)  # have 70 times the variance of independent errors
     varies = float(np.sqrt(np.mean(np.var(signal.values, axis=0))))
-    return float(np.sqrt(np.mean(rough**2) / 70)) / varies if signal.rate > NOISE_RATE and varies > 0.1 else 0.0
+    return float(np.sqrt(np.mean(rough**2) / 70)) / varies if varies > 0.1 else 0.0
 
 
 def are_gaps(signal: Signal) -> Mask:
@@ -251,10 +250,9 @@ def _check_clocks(path: str, signals: dict[str, Signal], fixes: Fixes | None, no
         if min(gyroscope.time[-1], other.time[-1]) <= max(gyroscope.time[0], other.time[0]):
             found = f"a start {begins:.1f} s after the accelerometer's, without overlap"
             raise InputError(path, "gyroscope", found, "sensors on one clock that overlap in time")
-        lasts, same = np.ptp(gyroscope.time) / np.ptp(other.time), len(gyroscope) / len(other)
-        if abs(same - 1) < 0.02 < abs(lasts - 1) - 0.03:  # of sensors that were sampled together
-            found = f"{len(gyroscope)} samples in {np.ptp(gyroscope.time):.1f} s, of the accelerometer in "
-            found += f"{np.ptp(other.time):.1f} s"
+        span, beside, same = np.ptp(gyroscope.time), np.ptp(other.time), len(gyroscope) / len(other)
+        if abs(same - 1) < 0.02 < abs(span / beside - 1) - 0.03:  # of sensors that were sampled together
+            found = f"{len(gyroscope)} samples in {span:.1f} s, of the accelerometer in {beside:.1f} s"
             raise InputError(path, "gyroscope", found, "sensors on one clock")
         if max(abs(begins), abs(ends)) > 1.0:
             notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")

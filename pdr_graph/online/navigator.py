@@ -700,14 +700,8 @@ def _copied(event: Event) -> Event:
 FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
 
 
-RECOGNISED = BOUT.fewest * STEP.usual + CANDIDATE.look_ahead  # [s] from the first step to that in which it is found
-
-
 class Stand:
-    """The pose of a walker who stands stays where it is, until the estimate is some sigmas from it.
-
-    Who moves may have begun to walk within the last RECOGNISED seconds.
-    """
+    """The pose of a walker who stands stays where it is, until the estimate is some sigmas from it."""
 
     def __init__(self) -> None:
         self._walked, self._place = np.nan, np.zeros(2)
@@ -722,7 +716,9 @@ class Stand:
             self._stepped, self._walked = time, walked
         self._quiet = time if quiet else self._quiet
         mean, covariance = belief.mean.copy(), belief.covariance.copy()
-        begun = np.clip(time - max(self._quiet, self._stepped + STEP.longest), 0.0, RECOGNISED)
+        recognised = BOUT.fewest * STEP.usual + CANDIDATE.look_ahead  # [s] after the first step
+        begun = np.clip(time - max(self._quiet, self._stepped + STEP.longest), 0.0, recognised)
+        # A walk may begin before its first steps are recognised: sigma is 0.4 of its longest way; not everybody who moves walks
         covariance[:2, :2] += (TRAVEL.walk * begun / 3) ** 2 * np.eye(2)
         apart = mean[:2] - self._place
         stands = time - self._stepped >= STAND.seconds and time - self._quiet < STAND.seconds

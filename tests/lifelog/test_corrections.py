@@ -51,7 +51,7 @@ def stored(store, date=DATE, person="me"):
     """The hash of all rows of a day, and the day as corrected."""
     with Store(store) as log:
         day = log.day(person, date)
-        return log.day_hash(person, date), replace(day, outings=as_corrected(day, log.corrections(person)))
+        return log.day_hash(person, date), as_corrected(day, log.corrections(person))
 
 
 def rows_of(store, date=DATE, person="me"):

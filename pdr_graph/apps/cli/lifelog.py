@@ -32,7 +32,6 @@ from pdr_graph.whole_files import check_replaceable
 
 lifelog = App("lifelog", help="Recordings of many days: places, activities, exports.")
 Store = Annotated[Path, Parameter(help="The lifelog: one file, and STORE.d beside it.")]
-DATABASE = b"SQLite format 3"  # at the beginning of a lifelog
 LINE_PERIOD = 60.0  # [s] between two lines about the progress, where there is no terminal
 RECORDED_WITH = ("plan", "fixes", "beacons", "ranges", "walker", "floor")  # options that are kept with a recording
 
@@ -151,9 +150,11 @@ def import_(
 
 def _check_order(verb: str, store: Path, files: Sequence[Path]) -> None:
     """Raise InputError if the store is a folder, or a recording before a lifelog."""
-    stores = [path for path in files if path.is_file() and path.open("rb").read(len(DATABASE)) == DATABASE]
-    if store.is_dir() or (stores and store.is_file() and store.open("rb").read(len(DATABASE)) != DATABASE):
-        expected = f"the lifelog first: pdr-graph lifelog {verb} {stores[0] if stores else 'days.db'} {store}"
+    from pdr_graph.recovery import is_database  # it takes numpy, long to import
+
+    named = next(filter(is_database, files), None)
+    if store.is_dir() or (named and store.is_file() and not is_database(store)):
+        expected = f"the lifelog first: pdr-graph lifelog {verb} {named or 'days.db'} {store}"
         raise InputError(store, "", "a folder" if store.is_dir() else "no lifelog", expected)
 
 

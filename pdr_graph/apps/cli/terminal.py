@@ -58,8 +58,7 @@ def echo_result(text: str) -> None:
         print(printable(line), flush=True)
 
 
-# What others call our options
-SYNONYMS = {
+SYNONYMS = {  # what others call our options
     **dict.fromkeys(("--plan", "--floorplan", "--floor-plan"), "--map"),
     **dict.fromkeys(("--gps", "--gnss", "--positions"), "--fixes"),
     **dict.fromkeys(("--output", "--outdir", "-o"), "--out"),
@@ -167,8 +166,7 @@ def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
     """
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
     sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
-    off = summary.get("distance_sigma")
-    off = f" ± {off:.0f}" if summary["sigma"] is None and off is not None else ""
+    off = "" if summary["sigma"] or summary.get("distance_sigma") is None else f" ± {summary['distance_sigma']:.0f}"
     begin = f"{state}, incomplete" if state == "ok" and summary["missing"] else state
     yield f"{begin}: {steps}{summary['distance']:.1f}{off} m in {summary['duration']:.1f} s, {sigma}"
     yield from live_lines(summary.get("live"))

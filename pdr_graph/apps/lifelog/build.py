@@ -226,8 +226,7 @@ def build(
         # Files that nothing refers to, and temporary files of processes that were killed
         cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
         cache.remove_all_but(log.folder / cache.DAYS, set())
-        digests = {digest_file(log.folder, *own).name for own in log.days()}
-        cache.remove_all_but(log.folder / cache.DIGESTS, digests)
+        cache.remove_all_but(log.folder / cache.DIGESTS, {digest_file(log.folder, *own).name for own in log.days()})
         cache.remove_partial_copies(log.folder / cache.COPIES)
         failures = tuple(f"{person}, {date}: {reason}" for person, date, reason in log.failures())
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)

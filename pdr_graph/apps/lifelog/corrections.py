@@ -1,10 +1,9 @@
 """Apply a person's corrections: to the observations that a day is estimated from, to its outings and its timeline.
 
-Of a walk with steps a stated place becomes position fixes in place of the recorded ones, a stated activity a
-constraint; "not me" and deleted times are masked. Positions alone are estimated as they were recorded, and a correction
-replaces the part of the result that it is about, so that nothing beside it changes. Merging, splitting and naming
-change only the timeline. The place of a receipt or photo is a measurement of the walk that could reach it, beside its
-own.
+Of a walk with steps a stated place becomes fixes in place of the recorded ones, a stated activity a constraint; "not
+me" and deleted times are masked. Positions alone are estimated as recorded, and a correction replaces its part of the
+result, so that nothing beside it changes. Merging, splitting and naming change only the timeline. The place of a
+receipt or photo is a measurement of the walk that could reach it, beside its own.
 """
 
 from __future__ import annotations
@@ -67,13 +66,12 @@ def apply_to_observations(
 
     Those of positions alone, without a walk at their time, lose only what was deleted (`corrected`).
     """
-    spans = [c.span for c in corrections if c.kind == FORGOTTEN]
-    found = _without(observations, spans, DELETED)
-    walks = [part for part in found.values() if part.steps is not None]
-    alone = {name: part for name, part in found.items() if not any(_overlap(part, walk) for walk in walks)}
-    found = {name: part for name, part in found.items() if name not in alone}
-    masked = [*spans, *(c.span for c in corrections if c.kind == NOT_ME)]
-    found = _without(found, masked[len(spans) :], NOT_MINE)
+    forgotten, not_mine = ([c.span for c in corrections if c.kind == kind] for kind in (FORGOTTEN, NOT_ME))
+    left = _without(observations, forgotten, DELETED)
+    walks = [part for part in left.values() if part.steps is not None]
+    times = np.array([(walk.epoch, walk.epoch + walk.duration) for walk in walks]).reshape(-1, 2)
+    beside = {n: p for n, p in left.items() if np.any((p.epoch <= times[:, 1]) & (times[:, 0] <= p.epoch + p.duration))}
+    found, masked = _without(beside, not_mine, NOT_MINE), [*forgotten, *not_mine]
     for correction in corrections:
         start, end = correction.span
         covered = {n: part for n, part in found.items() if correction.touches(part.epoch, part.epoch + part.duration)}
@@ -98,7 +96,7 @@ def apply_to_observations(
         if reached:  # the place is visited once: by the walk that came nearest
             nearest = min(reached, key=lambda name: (reached[name], name))
             found[nearest] = _with_visited(found[nearest], correction)
-    return {name: (found | alone)[name] for name in observations if name in found or name in alone}
+    return {name: found.get(name, part) for name, part in left.items() if name in found or name not in beside}
 
 
 def _without(
@@ -109,79 +107,80 @@ def _without(
     return {name: part for name, part in cut.items() if part is not None and (not spans or is_usable(part))}
 
 
-def _overlap(one: Observation, other: Observation) -> bool:
-    """True if two observations have a time in common."""
-    return one.epoch <= other.epoch + other.duration and other.epoch <= one.epoch + one.duration
-
-
-def corrected(day: Day | None, corrections: Iterable[Correction]) -> tuple[Outing, ...]:
-    """The outings of a stored day as corrected; none of no day. Those with steps were estimated so."""
-    outings = day.outings if day else ()
+def corrected(day: Day, corrections: Iterable[Correction]) -> Day:
+    """A stored day with its outings as corrected. Those with steps were estimated so."""
+    outings = day.outings
     for correction in corrections:
         if correction.kind in (NOT_ME, FORGOTTEN, AT, MODE):
-            outings = tuple(part for o in outings for part in ([o] if o.steps else _with_stated(o, correction)))
-    return outings
+            outings = tuple(filter(None, (o if o.steps else _with_stated(o, correction) for o in outings)))
+    return replace(day, outings=outings)
 
 
-def _with_stated(outing: Outing, correction: Correction) -> Iterator[Outing]:
-    """An outing of positions with what a correction states in place of what was estimated; nothing if nothing is left.
-
-    Beside a time that is masked the person is at the nearest position that remains.
-    """
-    track, (start, end) = outing.trajectory, np.subtract(correction.span, outing.epoch).tolist()
+def _with_stated(outing: Outing, correction: Correction) -> Outing | None:
+    """An outing of positions with what a correction states in place of its estimate; None if nothing is left."""
+    start, end = np.subtract(correction.span, outing.epoch).tolist()
     a, b = max(start, outing.segments[0].start), min(end, outing.segments[-1].end)
     if a >= b:
-        yield outing
-        return
-    # Without the way through a gap that leads to what is masked
-    gaps = [s for s in outing.segments if s.kind == GAP and s.start < b and s.end > a]
+        return outing
+    return (_masked if correction.kind in (NOT_ME, FORGOTTEN) else _as_stated)(outing, correction, a, b)
+
+
+def _masked(outing: Outing, correction: Correction, a: float, b: float) -> Outing | None:
+    """An outing without a time [s], beside which the person is at the nearest position that remains, if one does."""
+    track = outing.trajectory
+    gaps = [
+        s for s in outing.segments if s.kind == GAP and s.start < b and s.end > a
+    ]  # whose ways lead to what is gone
     first, last = min([a, *(s.start + INSTANT for s in gaps)]), max([b, *(s.end - INSTANT for s in gaps)])
     before, after = track.time[track.time < first], track.time[track.time > last]
-    if is_masked := correction.kind in (NOT_ME, FORGOTTEN):
-        if not len(before) + len(after):
-            return
-        kind, notes = (GAP, (*outing.notes, NOT_MINE)) if correction.kind == NOT_ME else (PRIVATE, (DELETED,))
-        source = np.concatenate([before, before[-1:], after[:1], after])
-        time = np.concatenate([before, [a][: len(before)], [b][: len(after)], after])
-    else:
-        kind, notes = MODE_ACTIVITIES.get(correction.text("mode"), STANDING), outing.notes
-        time = source = np.unique(np.concatenate([track.time, [a, b]]))
-    made, here, stays = replace(sampled(track, source), time=time), (time >= a) & (time <= b), list[Stay]()
+    if not len(before) + len(after):
+        return None
+    kind, notes = (GAP, (*outing.notes, NOT_MINE)) if correction.kind == NOT_ME else (PRIVATE, (DELETED,))
+    rows = sampled(track, np.concatenate([before, before[-1:], after[:1], after]))
+    made = replace(rows, time=np.concatenate([before, [a][: len(before)], [b][: len(after)], after]))
+    blank = [Segment(kind, a, b, 0.0)] if len(before) and len(after) else []
+    (early, stays), (late, others) = _outside(outing, -np.inf, a), _outside(outing, b, np.inf)
+    segments, notes = (*early, *blank, *late), tuple(dict.fromkeys(notes))
+    return replace(outing, trajectory=made, segments=segments, stays=(*stays, *others), notes=notes)
+
+
+def _as_stated(outing: Outing, correction: Correction, a: float, b: float) -> Outing:
+    """An outing that is a stay, walk or ride from one time to another [s]."""
+    kind, notes = MODE_ACTIVITIES.get(correction.text("mode"), STANDING), outing.notes
+    (early, stays), (late, others) = _outside(outing, -np.inf, a), _outside(outing, b, np.inf)
+    made = sampled(outing.trajectory, np.unique(np.concatenate([outing.trajectory.time, [a, b]])))
+    here = (made.time >= a) & (made.time <= b)
     if kind == STANDING:
         place = np.median(made.position[here], axis=0)
-        covariance = np.zeros((len(time), 3, 3)) if made.covariance is None else made.covariance
+        covariance = np.zeros((len(made), 3, 3)) if made.covariance is None else made.covariance
         if correction.kind == AT and outing.frame.georeferenced:
             place = _placed(outing.frame, correction)[0]
             notes = (*notes, *_objection(correction, place, made.position[here], horizontal_sigma(covariance[here]))[1])
             covariance[here, :2, :2] = correction.radius**2 * np.eye(2)
         first = int(np.argmax(here))
-        stays = [Stay(a, b, False, place, covariance[first, :2, :2], np.nan, made.floor[first])]
+        stays.append(Stay(a, b, False, place, covariance[first, :2, :2], np.nan, made.floor[first]))
         made = replace(made, position=np.where(here[:, None], place, made.position))
+    way = length_along(made.position)[here]
+    distance = float(way[-1] - way[0]) if kind in (WALKING, VEHICLE) else 0.0
+    segments, notes = (*early, Segment(kind, a, b, distance), *late), tuple(dict.fromkeys(notes))
+    return replace(outing, trajectory=made, segments=segments, stays=(*stays, *others), notes=notes)
 
-    def outside(items: Sequence[Timed], start: float, end: float) -> Iterator[Timed]:
-        """What of segments or stays is in a time [s], with the whole distance."""
+
+def _outside(outing: Outing, start: float, end: float) -> tuple[list[Segment], list[Stay]]:
+    """What of an outing's segments and stays is in a time [s]."""
+
+    def parts(items: Sequence[Timed]) -> Iterator[tuple[Timed, Timed]]:
+        """Each with its part."""
         for item in items:
             first, last = max(item.start, start), min(item.end, end)
             if last - first > INSTANT:
-                yield replace(item, start=first, end=last)
+                yield item, replace(item, start=first, end=last)
 
-    def rest(start: float, end: float) -> Iterator[Segment]:
-        """What of the segments is in a time [s]."""
-        for whole in outing.segments:
-            for s in outside([whole], start, end):
-                share = path_shares(track, [whole.start, s.start, s.end, whole.end])[1]
-                yield replace(s, distance=whole.distance * float(share))
-
-    way = length_along(made.position)[here]
-    distance = float(way[-1] - way[0]) if kind in (WALKING, VEHICLE) else 0.0
-    stated = [Segment(kind, a, b, distance)] if not is_masked or (len(before) and len(after)) else []
-    yield replace(
-        outing,
-        trajectory=made,
-        segments=(*rest(-np.inf, a), *stated, *rest(b, np.inf)),
-        stays=(*outside(outing.stays, -np.inf, a), *stays, *outside(outing.stays, b, np.inf)),
-        notes=tuple(dict.fromkeys(notes)),
-    )
+    segments = list[Segment]()
+    for whole, part in parts(outing.segments):
+        share = path_shares(outing.trajectory, [whole.start, part.start, part.end, whole.end])[1]
+        segments.append(replace(part, distance=whole.distance * float(share)))
+    return segments, [part for _, part in parts(outing.stays)]
 
 
 def _objection(stated: Correction, place: Array, recorded: Array, sigma: Array) -> tuple[float, tuple[str, ...]]:

@@ -154,7 +154,7 @@ def diary(
 
     @lru_cache(maxsize=4)  # those of a day have parts in its neighbours
     def stored(date: str) -> tuple[Outing, ...]:
-        return corrected(log.day(person, date), corrections) if outings else ()
+        return corrected(day, corrections).outings if outings and (day := log.day(person, date)) else ()
 
     made = list[DiaryDay]()
     for date, own in wanted.items():

@@ -400,9 +400,9 @@ def _public_days(
 ) -> Iterator[Day]:
     """Yield the days with private places removed, if anything is left; notes are appended to ``notes``."""
     for person, day in wanted:
-        stored = log.day(person, day)
-        whole = Day(person, day, corrected(stored, log.corrections(person)))
-        left, lines = without_private_places([with_modes(whole, log) if any(places) else whole], *places)
+        stored, corrections = log.day(person, day), log.corrections(person)
+        whole = corrected(stored or Day(person, day, ()), corrections)
+        left, lines = without_private_places([with_modes(whole, corrections) if any(places) else whole], *places)
         notes += lines if file_format == CSV else [*lines, *not_exported(left)]
         if stored is None or any(
             file_format == CSV or outing.frame.georeferenced for own in left for outing in own.outings
@@ -474,9 +474,9 @@ class Statements:
         return rows, places
 
 
-def with_modes(day: Day, log: Store) -> Day:
+def with_modes(day: Day, corrections: Iterable[Correction]) -> Day:
     """The day with the mode that the person stated of the middle of each segment."""
-    stated = [c for c in log.corrections(day.person) if c.kind == MODE]
+    stated = [c for c in corrections if c.kind == MODE]
 
     def mode(time: float) -> str:
         return next((c.text("mode") for c in reversed(stated) if c.start <= time <= c.end), "")

@@ -18,7 +18,7 @@ from pdr_graph.types import OneLineRepr
 AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
 VISITED = "visited"  # by a receipt or a photo, which may be wrong
 CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, PLACE_NAME, FORGOTTEN, VISITED)
-# Kinds that change the estimate; the others change only its timeline
+# Kinds that change the estimate of a walk with steps; the others change only its timeline
 ESTIMATE_KINDS = (AT, MODE, NOT_ME, FORGOTTEN, VISITED)
 # [m/s] mean speed between two positions from which it was a flight, and [m] its shortest: a flight of an hour without
 # data has 80 m/s from gate to gate, a train without a stop 70 m/s

@@ -209,10 +209,8 @@ def reconstruct_outings(
     for session in sessions_of(observations):
         if session.observations[0].steps is None:
             joined, plan = join(session.observations), session.parts[0][1].plan
-            fixes, sources = (
-                joined.fixes[np.argsort(joined.fixes.time, kind="stable")],
-                [part.source for part in session.observations],
-            )
+            fixes = joined.fixes[np.argsort(joined.fixes.time, kind="stable")]
+            sources = [part.source for part in session.observations]
             notes = doubted_positions(fixes.time, fixes.position, fixes.sigma, sources)
             for part in local_parts(joined):
                 track, segments = follow_positions(part.fixes)

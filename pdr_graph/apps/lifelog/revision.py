@@ -468,7 +468,7 @@ def _put_rest(log: Store, day: Day, facts: Sequence[Correction]) -> None:
         return
     from pdr_graph.apps.lifelog.privacy import with_new_origin  # with plans, which are slow to import
 
-    left = (with_new_origin(replace(o, recordings=own.recordings)) for o in corrected(day, facts))
+    left = (with_new_origin(replace(o, recordings=own.recordings)) for o in corrected(day, facts).outings)
     log.put_day(rows_of(replace(rebuilt, outings=tuple(left)), own.key, own.recordings))
 
 

@@ -159,8 +159,8 @@ def _written(log: Store, chosen: Overview, folder: Path | None, template: str) -
     is_day = chosen.period.kind == DAY and len(chosen.persons) == 1 and not chosen.place
     # none of an outing that began on the day before
     who, on = chosen.persons[0], chosen.period.name
-    stored = log.day(who, on) if is_day else None
-    stored = replace(stored, outings=corrected(stored, log.corrections(who))) if stored else None
+    found = log.day(who, on) if is_day else None
+    stored = corrected(found, log.corrections(who)) if found else None
     notes, missing = _remarks(stored) if stored else ([], [])
     remarks = [*(f"note: {line}" for line in [*notes, *guess_notes(chosen)]), *(f"missing: {line}" for line in missing)]
     if folder is not None:
