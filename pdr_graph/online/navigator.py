@@ -718,7 +718,7 @@ class Stand:
         mean, covariance = belief.mean.copy(), belief.covariance.copy()
         recognised = BOUT.fewest * STEP.usual + CANDIDATE.look_ahead  # [s] after the first step
         begun = np.clip(time - max(self._quiet, self._stepped + STEP.longest), 0.0, recognised)
-        # A walk may begin before its first steps are recognised: sigma is 0.4 of its longest way; not everybody who moves walks
+        # A walk may begin before its steps are recognised: sigma 0.4 of its longest way, and not all who move walk
         covariance[:2, :2] += (TRAVEL.walk * begun / 3) ** 2 * np.eye(2)
         apart = mean[:2] - self._place
         stands = time - self._stepped >= STAND.seconds and time - self._quiet < STAND.seconds
